@@ -116,7 +116,7 @@ def detect_paints(
 
 
 def _of_line(path: Path, line: xr.Dataset) -> Regions:
-    """Return the regions of a file that are of this flight line, and say how many are of others."""
+    """Return the regions of a file on this flight line; print how many are on others."""
     from hyperpaint.regions import Regions, read_regions
 
     regions = read_regions(path)
@@ -128,7 +128,7 @@ def _of_line(path: Path, line: xr.Dataset) -> Regions:
 
 
 def _table(detections: xr.Dataset) -> str:
-    """Return a line of text for every paint, and one on the rate."""
+    """Return a line of text for every paint, and one on the false-alarm rate."""
     import numpy as np
 
     from hyperpaint.validation.validation_result import aligned

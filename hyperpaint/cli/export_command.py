@@ -150,7 +150,6 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
 
 
 def _of_scene(given: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a whole scene."""
     others = sorted(
         set(given) - {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves", "coat_brdf"}
     )

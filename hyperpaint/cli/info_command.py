@@ -1,4 +1,4 @@
-"""The command ``hyperpaint info``: what a file or a store is, in a few lines of text."""
+"""The command ``hyperpaint info``: facts about a file or a store, in a few lines of text."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ _HEAD = 4096
 
 
 def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]:
-    """Return what `describe_path` says, by name; what is empty is not known."""
+    """Return the facts of `describe_path` by name; empty where unknown."""
     path = input_path(path, "a file, a folder or a store")
     if not path.exists():
         raise FormatError(f"{path}: no such file or folder", code="file-not-found")
@@ -245,7 +245,7 @@ def _irradiance_csv(path: Path) -> Facts:
 
 
 def _spectra_if_any(path: Path) -> Facts:
-    """Yield what a table holds; one that cannot be read may be no table of spectra."""
+    """Yield the facts of a table of spectra; an error says that it may be no table of spectra."""
     try:
         yield from _library(path)
     except FormatError as error:
@@ -420,7 +420,7 @@ def _store(path: Path) -> Facts:
 
 
 def _group(path: Path, name: str) -> Facts:
-    """Yield what a group holds, or why it must not be read."""
+    """Yield the facts of a group, and its state."""
     from hyperpaint.io.store import is_complete, open_group, open_unverified
 
     # without dask, pint and what else xarray imports to chunk, to decode times and to build an index
@@ -477,11 +477,11 @@ Examples:
     help="Folder or URL below which raw files of a virtual store may be read, besides its own folder.",
 )
 def info(path: Path, as_json: bool, allow: tuple[str, ...]) -> None:
-    """Show what a file or store is: dims, units, wavelengths, times, exposure, completeness.
+    """Describe a file or a store: dims, units, wavelengths, times, exposure, completeness.
 
     PATH is an ENVI header or cube, a GeoTIFF, regions, an ASD file, a text or csv export, a frame index, a
-    navigation record, a collect.toml, the folder of a field day, or a Zarr store or one of its groups. Of a
-    collect everything is opened; shown is what `process` would do.
+    navigation record, a collect.toml, the folder of a field day, or a Zarr store or one of its groups. All
+    files of a collect are opened; the result of `process` is described.
     """
     if not as_json:
         click.echo(describe_path(path, allow))

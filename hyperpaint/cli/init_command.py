@@ -19,7 +19,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
 def facts_of_field_folder(field: FieldFolder) -> Facts:
-    """Yield what `init` would write a collect.toml from."""
+    """Yield the facts about the folder of a field day."""
     yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
     for cube in field.cubes:
         beside = {"frame index": cube.frame_index, "navigation": cube.navigation}

@@ -155,7 +155,7 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
 
 
 def _table(matches: xr.Dataset) -> str:
-    """Return a line of text for every paint, with how far off it is."""
+    """Return a line of text for every paint, with its difference from the one asked for."""
     from hyperpaint.validation.validation_result import aligned
 
     columns = [[str(name) for name in matches["signature"].values]]

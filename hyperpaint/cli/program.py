@@ -151,7 +151,7 @@ class Program(click.Group):
 
 @contextlib.contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end a command in order, once; a second one ends the process where it is."""
+    """End a command in order at the first Ctrl-C or SIGTERM; a second one kills the process."""
     if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
         yield
         return

@@ -15,7 +15,7 @@ from .options import command, takes
 
 
 def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
-    """Yield what a virtual store holds, and whether its raw files are what they were.
+    """Yield the groups of a virtual store, and whether its raw files are unchanged.
 
     ``allow``: as of `open_virtual`.
     """

@@ -1,4 +1,4 @@
-"""Croissant metadata of a store: what machine-learning tools and dataset search read of a training set.
+"""Croissant metadata of a store, for machine-learning tools and dataset search.
 
 Croissant 1.1 (MLCommons) is JSON-LD, http://mlcommons.org/croissant/1.1. Its files are those of the store,
 its record sets the groups, each a record of arrays. Not written by ``mlcroissant``, which brings rdflib and
@@ -140,7 +140,7 @@ def write_croissant(
 
 
 def _check(place: Path, folder: Path, about: dict[str, str | None]) -> None:
-    """Refuse what no document can say, before a store is read."""
+    """Refuse invalid arguments before the store is read."""
     from datetime import date
 
     allowed = ("licence", "name", "description", "creator", "cite_as", "version", "published", "url")
@@ -204,7 +204,7 @@ def _metadata(folder: Path, root: str, group: str) -> dict[str, Any]:
 
 
 def _record_set(root: str, group: str, line: xr.Dataset) -> dict[str, Any]:
-    """Return a group as a set of one record, with what its attributes say of seeds and scene."""
+    """Return a group as a set of one record, with the seeds and scene of its attributes."""
     identity = f"records/{_identity(group)}" if group else "records"
     return {
         "@type": "cr:RecordSet",

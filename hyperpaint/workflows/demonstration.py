@@ -92,7 +92,7 @@ class Comparison:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is outside the tolerance, one line each."""
+        """Values outside the tolerance, one line each."""
         problems = [
             f"{one.material}: bias {one.bias:+.4f}, tolerance {MAX_BIAS}"
             for one in (*self.materials, self.overall)
@@ -185,7 +185,7 @@ class _Sums:
         self.squared += member @ error**2
 
     def comparison(self, names: list[str]) -> Comparison:
-        """Return what the sums say."""
+        """Return the statistics of the sums."""
         counts = self.count.max(axis=1)
         seen = [index for index in range(len(names)) if counts[index] > 0]
         materials = tuple(self._agreement(names[index], [index]) for index in seen)
@@ -216,8 +216,8 @@ _HEAD_BYTES = 2**16
 def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     """Refuse a folder whose content a simulated collect must not replace.
 
-    Raises `StoreError`: it is not empty and no earlier demonstration; with ``overwrite``, it holds raw data
-    that no simulation wrote.
+    Raises `StoreError`: it is not empty and not an earlier demonstration; with ``overwrite``, it holds raw
+    data that no simulation wrote.
     """
     if not folder.is_dir() or not any(folder.iterdir()):
         return
@@ -332,7 +332,6 @@ def _say_verdict(comparison: Comparison, say: Callable[[str], None]) -> None:
 
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
-    """Write a quicklook of the first line where matplotlib is installed; else say how to get it."""
     import xarray as xr
 
     from hyperpaint.io.store import list_groups

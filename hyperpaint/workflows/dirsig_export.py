@@ -1,4 +1,4 @@
-"""A scene file as a scene of the simulator DIRSIG, painted with a library that was measured."""
+"""A scene file as a DIRSIG scene, painted with a measured library."""
 
 from __future__ import annotations
 
@@ -118,9 +118,9 @@ def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
 
 
 def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
-    """Return the spectra of a scene as the simulator knows them: the file's own, and the built-in ones.
+    """Return the spectra of a scene from the simulator: those of the file, and the built-in ones.
 
-    A paint with flakes is what pigment and flakes reflect together; DIRSIG has no flakes.
+    The reflectance of a paint with flakes is the sum of pigment and flakes; DIRSIG has no flakes.
     """
     import xarray as xr
 

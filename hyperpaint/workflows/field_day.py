@@ -39,18 +39,18 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """What became of one step.
+    """Outcome of one step.
 
     Attributes
     ----------
     step
         One of `STEPS`.
     state
-        ``"done"``, ``"unchanged"`` (there already, from the same inputs), ``"left out"`` or ``"failed"``.
+        ``"done"``, ``"unchanged"`` (complete, from the same inputs), ``"left out"`` or ``"failed"``.
     text
-        What was written, or why nothing was.
+        Products written, or the reason for none.
     paths
-        What is there to be looked at.
+        Files to look at.
     """
 
     step: str
@@ -176,7 +176,6 @@ def store_of(collect: Path) -> Path:
 
 
 def _read_regions(path: Path) -> Regions:
-    """Return the regions of a file: before hours of processing, not after them."""
     from hyperpaint.regions import read_regions
 
     if not path.exists():
@@ -202,7 +201,7 @@ def _check_steps(skip: Collection[str]) -> None:
 
 @dataclass
 class _Day:
-    """A run under way."""
+    """A run in progress."""
 
     settings: Collect
     out: Path
@@ -235,7 +234,7 @@ class _Day:
         }  # fmt: skip
 
     def do(self, step: str) -> None:
-        """Do one step, unless it is left out or its products are those of the same inputs."""
+        """Run one step, unless it is left out or its products are current."""
         if step in self.skip:
             self._note(StepOutcome(step, "left out", "as asked"))
             return
@@ -270,7 +269,7 @@ class _Day:
         self._note(StepOutcome(step, "done", text, products))
 
     def _refuse_foreign(self, entry: Any, products: Collection[Path]) -> None:
-        """Refuse to replace what another command wrote where a product belongs."""
+        """Refuse to replace products of other commands (`StoreError`)."""
         if self.overwrite or entry == _UNKNOWN:
             return
         states = entry["products"] if entry else {}
@@ -296,7 +295,7 @@ class _Day:
     # --- what a step needs and is made from ---
 
     def _lacks(self, step: str) -> str:
-        """Return why the collect has nothing for a step; empty where it has."""
+        """Return the reason to leave out a step; empty where its inputs exist."""
         needs_library = step in ("validate", "dirsig")
         if needs_library and self._library_failed:
             return "the signatures failed; a library that is there is of an earlier run"
@@ -332,7 +331,7 @@ class _Day:
         return tuple(name.removeprefix("flightlines/") for name in located)
 
     def _digest(self, step: str) -> str:
-        """Return a digest of what a step is made from: the store's groups, regions, settings, the version."""
+        """Return a digest of the inputs of a step: groups of the store, regions, settings, version."""
         from hyperpaint.io.store import list_groups, open_store
         from hyperpaint.io.store.groups import version_of_program
         from hyperpaint.io.store.manifest import INPUTS
@@ -440,7 +439,7 @@ class _Day:
 
     @property
     def _heights(self) -> dict[str, Any]:
-        """What a height model needs to place the lines; nothing without one."""
+        """Arguments of a height model for `hyperpaint.geometry.locate`; empty without one."""
         geometry = self.settings.geometry
         return {name: geometry[name] for name in ("dem", "dem_heights", "geoid") if name in geometry}
 
@@ -475,7 +474,7 @@ _HASH = "blake2b"
 
 
 def _is_entry(entry: Any) -> bool:
-    """Tell a record of checksums from anything else, such as the sizes and times of version 0.2."""
+    """Return whether an entry is a record of checksums, as version 0.3 writes it."""
     products = entry["products"] if isinstance(entry, dict) and set(entry) == set(_UNKNOWN) else None
     return isinstance(products, dict) and all(
         not state or str(state).startswith(f"{_HASH}:") for state in products.values()
@@ -483,7 +482,7 @@ def _is_entry(entry: Any) -> bool:
 
 
 def _states(paths: Iterable[Path]) -> dict[str, str]:
-    """Return checksums of files by name, of a folder one of all its files, of a store one of its metadata."""
+    """Return a checksum for every file, every folder (all its files) and every store (its metadata)."""
     states: dict[str, str] = {}
     for path in paths:
         files = [path] if path.is_file() else []

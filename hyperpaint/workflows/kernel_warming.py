@@ -47,12 +47,7 @@ class Warmth(NamedTuple):
 
 
 def warm_kernels(progress: Progress | None = None) -> Warmth:
-    """Compile what reflectance, smoothing, flags, maps, signatures and renders take, and keep it on disk.
-
-    What is there already is not compiled again.
-
-    Raises `StoreError`: compiled kernels cannot be kept.
-    """
+    """Compile the kernels of reflectance, smoothing, flags, maps, signatures and renders, on disk."""
     from numba.core.registry import cpu_target
 
     from hyperpaint.kernels.radiometry import calibrate_slab

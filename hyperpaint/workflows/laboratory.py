@@ -127,7 +127,7 @@ def open_collect(
 def opened_collect(
     collect: str | os.PathLike[str] | Collect, *, need_irradiance: bool = True, chunks: Any = "auto"
 ) -> OpenedCollect:
-    """Open a collect, as `open_collect` does, and keep what it says."""
+    """Open a collect, as `open_collect` does, with its settings."""
     from hyperpaint.io.collect.collect_opening import open_with_settings
     from hyperpaint.light.aircraft_receiver import level_irradiance
 
@@ -140,7 +140,7 @@ def opened_collect(
 
 
 def _declare_panels(opened: OpenedCollect) -> None:
-    """Note on every flight line the panels that ``[[panels]]`` lays on it, as attribute ``panels``."""
+    """Set the attribute ``panels`` of every flight line from ``[[panels]]``."""
     from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 
     lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
@@ -164,11 +164,11 @@ def _declare_panels(opened: OpenedCollect) -> None:
 
 
 def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
-    """Return a flight line with what ``[geometry]`` says of its camera and of the ground.
+    """Return a flight line with the geometry of its camera and of the ground from ``[geometry]``.
 
-    Attributes ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are what
-    `hyperpaint.geometry.locate` goes by; the field of view, or the file that ``look_angle`` names, becomes
-    the angle of every column, which a crop of the line keeps.
+    Attributes ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are defaults of
+    `hyperpaint.geometry.locate`; the field of view, or the file ``look_angle``, becomes the angle of every
+    column, which a crop of the line keeps.
     """
     names = {"ground": "ground", "boresight_deg": "boresight", "lever_arm_m": "lever_arm"}
     attrs = {

@@ -148,7 +148,7 @@ def write_signatures(
 def _placed(
     lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
 ) -> dict[str, xr.Dataset]:
-    """Return lines with places, by the options that are given for it."""
+    """Return the lines with ground coordinates."""
     from hyperpaint.geometry import locate
 
     from .maps import location_of
@@ -176,7 +176,7 @@ def _placed(
 def _lines(
     store: str | os.PathLike[str], wanted: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
-    """Return the flight lines that are wanted, all if none is named, and which have flags."""
+    """Return the named flight lines (all by default), and the names of those that have flags."""
     from hyperpaint.io.store import list_groups, open_store
     from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
@@ -209,7 +209,7 @@ def _lines(
 
 
 def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged:
-    """Return a line with its flags; errors of `flag_line` get a note on how to do without."""
+    """Return a line with its flags; an error gets a note on ``flags=False``."""
     try:
         return flag_line(line, **options)
     except PaintError as error:
@@ -223,7 +223,7 @@ def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged
 def _origin(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], looked_at: frozenset[str]
 ) -> str:
-    """Return where the flags of glint, shadow and neighbours are from."""
+    """Return the source of the flags of glint, shadow and neighbours."""
     origins = []
     for name, line in lines.items():
         if name in flagged:
@@ -237,10 +237,7 @@ def _origin(
 def _proposed(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
 ) -> tuple[Regions, list[str]]:
-    """Return the regions that are proposed on flight lines, by the surveys there are, and what is refused.
-
-    What is refused is said with its place and the reasons, cars before scenery.
-    """
+    """Return the proposed regions, and the rejected ones with place and reasons, cars first."""
     from hyperpaint.regions import Regions
     from hyperpaint.regions.proposals import propose_regions
 
@@ -316,7 +313,7 @@ def validate_files(
 
 
 def _store_of(signatures: xr.Dataset, library: Path) -> Path:
-    """Return the store that a library was made from."""
+    """Return the store that a library was extracted from."""
     name = signatures.attrs.get("store")
     place = library.absolute().parent / str(name)
     # only a name: no path from inside a file leads out of the folder
@@ -371,7 +368,7 @@ def _as_csv(validation: Validation) -> str:
 
 
 def _pairs_of(validation: Validation) -> list[dict[str, Any]]:
-    """Return what is known of each pair, as JSON holds it."""
+    """Return the statistics of each pair, ready for JSON."""
     table = validation.statistics
     pairs = []
     for row in range(table.sizes["pair"]):
@@ -410,7 +407,7 @@ def _as_json(validation: Validation) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as Python writes it; None for a number that is none."""
+    """Return a value as a Python object; None for NaN and infinity."""
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -182,35 +182,6 @@ def write_map(
     MissingExtraError
         A GeoTIFF needs rasterio (extra ``geo``).
     """
-    with map_planned(orthomap, str(path)):
-        return _write_map(orthomap, path, stac, seams, geozarr, overwrite=overwrite, progress=progress)
-
-
-def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
-    """Return where the tiles of a map are computed within the memory limit.
-
-    A thread holds the spectra of a tile, turned and encoded, and all share the lines that a row of tiles
-    shows: of a line that goes straight up or across, those of the row; of one that goes aslant, also as many
-    as it has columns.
-
-    Entering it raises `StoreError` where not even one thread stays within.
-    """
-    from hyperpaint.io.store import budget
-
-    cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
-    tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
-    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
-    aslant = min(rows, cols) / max(rows, cols, 1)
-    # lines of about a cell each, of twice the bytes: slabs are computed from others
-    held = int(tile * (1.0 + aslant * min(rows, cols) / 256.0) * 2)
-    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + held)
-
-
-def _write_map(
-    orthomap: xr.Dataset, path: Path, stac: bool, seams: Path | None, geozarr: bool, *, overwrite: bool,
-    progress: bool,
-) -> str:  # fmt: skip
-    """Do what `write_map` says."""
     from hyperpaint.io.files.publishing import check_place, published_files
     from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
 
@@ -218,17 +189,22 @@ def _write_map(
     companions = ([item] if stac else []) + ([] if seams is None else [seams])
     if stac:
         check_place(item, "the STAC item", example="map.json", overwrite=overwrite)
+    plan = map_planned(orthomap, str(path))
     orthomap = with_own_transform(orthomap)
     if geozarr and not is_tiff:
         orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
     if not is_tiff and not companions:
         from hyperpaint.io.store import to_store
 
-        to_store(orthomap, path, overwrite=overwrite, progress=progress)
+        with plan:
+            to_store(orthomap, path, overwrite=overwrite, progress=progress)
         return ""
     notes = []
     foreign = None if is_tiff else _no_map
-    with published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (*beside, target):
+    with (
+        plan,
+        published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (*beside, target),
+    ):
         texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
         if is_tiff:
             from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
@@ -249,15 +225,34 @@ def _write_map(
     return ", ".join(notes)
 
 
+def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
+    """Return a context in which the tiles of a map are computed within the memory limit.
+
+    A thread holds the spectra of a tile, rotated and encoded; all threads share the lines of a row of tiles:
+    of a flight straight north or east the lines of the row, of an oblique one also as many as it has columns.
+
+    Entering it raises `StoreError` where not even one thread fits.
+    """
+    from hyperpaint.io.store import budget
+
+    cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
+    tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
+    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
+    aslant = min(rows, cols) / max(rows, cols, 1)
+    # lines of about a cell each, of twice the bytes: slabs are computed from others
+    held = int(tile * (1.0 + aslant * min(rows, cols) / 256.0) * 2)
+    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + held)
+
+
 def _no_map(folder: Path) -> str:
-    """Return what a folder holds where it is no store of one map, nothing where it is."""
+    """Return "something other than a map" for a folder that is not a store of one map, else nothing."""
     from hyperpaint.io.store import list_groups
 
     return "" if list_groups(folder) == [""] else "something other than a map"
 
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
-    """Return a flight line of a store by its name, the only one by default, or a map."""
+    """Return a flight line of a store by its name, by default the only one; or the map of a store."""
     from hyperpaint.io.store import list_groups, open_store
 
     prefix = "flightlines/"
@@ -285,7 +280,7 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
 
 
 def _track(line: xr.Dataset) -> tuple[Any, Any, Any] | None:
-    """Return longitudes, latitudes and altitudes of a line; None where it has none."""
+    """Return longitudes, latitudes and altitudes of a line, where it has all three."""
     names = ("longitude", "latitude", "altitude")
     return tuple(line[name].values for name in names) if set(names) <= set(line.variables) else None  # type: ignore[return-value]
 

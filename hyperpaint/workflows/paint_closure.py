@@ -92,7 +92,7 @@ Pixels = tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.int64]]
 
 
 def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, used: npt.NDArray[np.bool_]) -> Iterator[Pixels]:
-    """Yield recovered and true reflectance (pixel, band), paint and car of the pixels that count."""
+    """Yield recovered and true reflectance (pixel, band), paint and car of the clean pixels."""
     labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
     for seen, true in blocks_with_truth(line, truth, labels):
         chosen = (true["paint_id"].values >= 0) & (true["purity"].values > _PURE)
@@ -135,7 +135,7 @@ class _Signature:
 
 
 def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
-    """Return what the field spectrometer saw of every paint, at the bands of the camera."""
+    """Return the field spectrum of every paint, at the bands of the camera."""
     from hyperpaint.io.spectrometers.asd import open_asd
 
     seen = open_asd(folder)
@@ -147,7 +147,7 @@ def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
 
 
 def signature_problems(paints: Sequence[PaintAgreement]) -> list[str]:
-    """Return what is outside the tolerance, one line each; signatures of few pixels are not judged."""
+    """Return signatures outside the tolerance, one line each; signatures of few pixels are not judged."""
     return [
         f"signature of {one.paint}: error {one.error:.2%}, tolerance {MAX_ERROR:.0%}"
         for one in paints

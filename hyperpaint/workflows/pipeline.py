@@ -47,7 +47,7 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did."""
+    """Groups that a run wrote or found complete."""
 
     path: Path  #: The store.
     written: tuple[str, ...]  #: Groups that were written.
@@ -76,12 +76,12 @@ def kept_groups(
     command: str,
     only: tuple[str, str] | None = None,
 ) -> list[str]:
-    """Return the groups that are there already; refuse a store that holds anything else.
+    """Return the complete groups of a store; refuse a store of other content.
 
-    ``groups`` are those that are to be there, each with its `INPUTS`; ``command`` is named in messages. Where
-    ``only`` is a prefix and a subject, no other group of that prefix may be there: it is not of the subject.
+    ``groups``: the planned groups, each with its `INPUTS`; ``command``: name for messages. ``only``: a prefix
+    and its subject; another group of the prefix is refused, since it belongs to another subject.
 
-    Raises `StoreError`: groups of other inputs stand where ours would, or beside them; all are listed.
+    Raises `StoreError`: groups of other inputs stand in the place of ours, or beside them; all are listed.
     """
     from hyperpaint.io.store import is_complete
     from hyperpaint.io.store.groups import groups_above, problems_above
@@ -136,7 +136,7 @@ def kept_groups(
 
 @contextlib.contextmanager
 def computing_on(address: str | None) -> Iterator[Client | None]:
-    """Make a cluster the place where dask computes; the caller's own, or threads, without an address.
+    """Compute with dask on a cluster; without an address, on the caller's own cluster or on threads.
 
     Raises `MissingExtraError`: distributed is not installed; `CollectError`: no scheduler answers there;
     `StoreError`: the cluster has no worker.
@@ -171,7 +171,7 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
 
 
 def _wait_for_workers(client: Client) -> None:
-    """Wait for the first worker, whose memory decides how the run is done; refuse a cluster without any."""
+    """Wait for the first worker, whose memory sizes the tasks; refuse a cluster without any."""
     try:
         client.wait_for_workers(1, timeout=WORKERS_WAIT)
     except TimeoutError as error:
@@ -183,7 +183,7 @@ def _wait_for_workers(client: Client) -> None:
 
 
 def token_of(dataset: xr.Dataset) -> str:
-    """Return the digest of all that a group is made from."""
+    """Return the digest of the inputs of a group."""
     return str(dataset.attrs[INPUTS])
 
 
@@ -299,9 +299,9 @@ def run(
     accept: Collection[str] = (), overwrite: bool = False, progress: bool = False, codec: Codec = "compact",
     layout: Layout = "cube", take_up: TakeUp | None = None,
 ) -> Outcome:  # fmt: skip
-    """Do what `process` does, and return what was written; the arguments are those of `process`.
+    """Process a collect, as `process` does with the same arguments, and return the groups written.
 
-    ``take_up`` hands over what was written of a line in flight (`hyperpaint.workflows.following`).
+    ``take_up`` hands over blocks of a line in flight (`hyperpaint.workflows.following`).
     """
     from hyperpaint.io.store.budget import limited_threads, parse_size, share_one_heap
     from hyperpaint.io.store.computing import errors_of_the_cluster
@@ -394,7 +394,7 @@ def _check_words(
 def opened_groups(
     collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
-    """Open a collect with so many lines a task; return it, and groups of a store that name their inputs."""
+    """Open a collect, ``lines`` lines a task; return it, and its groups with their inputs."""
     from .laboratory import opened_collect
 
     opened = opened_collect(
@@ -419,7 +419,7 @@ def opened_groups(
 
 
 def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
-    """Return a flight line whose camera and record have been compared; other groups as they are."""
+    """Return a flight line after `hyperpaint.alignment.align`; other groups unchanged."""
     if to == "radiance" or not name.startswith("flightlines/"):
         return dataset
     from hyperpaint.alignment import align
@@ -428,7 +428,7 @@ def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr
 
 
 def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:
-    """Return a flight line with all that is stored of it; other groups as they are."""
+    """Return a flight line with all its stored products; other groups unchanged."""
     if not name.startswith("flightlines/"):
         return dataset
     product: xr.Dataset
@@ -452,7 +452,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
 
 
 def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
-    """Compute the first slab of every line, so that values that cannot be are found before writing.
+    """Compute the first slab of every line, to find impossible values before writing.
 
     On a cluster this also compiles the kernels once, where the workers share a cache.
     """

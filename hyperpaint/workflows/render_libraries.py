@@ -23,9 +23,9 @@ _DIRSIG_MARKER, _MATERIALS = "paints.json", "materials.mat"
 
 
 def read_spectra(path: Path) -> Any:
-    """Return what a file of ``[spectra]`` holds, as `hyperpaint.simulation.relight` takes it.
+    """Return the spectra of a file of ``[spectra]``, as `hyperpaint.simulation.relight` takes them.
 
-    A file of two columns is (wavelength [nm], reflectance) in double precision; all else is a library.
+    A file of two columns is (wavelength [nm], reflectance) in double precision; other files are libraries.
     Raises `FormatError` or `StoreError` as `read_paints`.
     """
     if input_path(path, "spectra").is_file() and path.suffix.lower() in _PLAIN:
@@ -100,7 +100,7 @@ def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
 
 
 def _records_of_export(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return what our export says of each paint, by ID; nothing of a list of another origin."""
+    """Return the record of each paint by ID from an export of ours; empty for other material lists."""
     try:
         document = json.loads(read_limited(folder / _DIRSIG_MARKER, _MOST_BYTES, "an export"))
         return {str(record["id"]): dict(record) for record in document["paints"]}

@@ -1,4 +1,4 @@
-"""What is stored of a render: a flight line, and what is true of every pixel."""
+"""Stored products of a render: a flight line, and the truth of every pixel."""
 
 from __future__ import annotations
 
@@ -74,9 +74,9 @@ class Render:
         return line
 
     def _bands(self, product: str) -> BandSet:
-        """Return the bands: as the detector weighs them for counts, line shapes alone for radiance.
+        """Return the bands: weighted by the detector for counts, line shapes alone for radiance.
 
-        What reads radiance back knows of no responsivity, and matches the irradiance without one too.
+        Readers of radiance know no responsivity, and match the irradiance without one too.
         """
         from hyperpaint.simulation.rendering.camera_bands import BandSet
 
@@ -123,7 +123,7 @@ def pose_of(platform: Platform) -> dict[str, xr.Variable]:
 
 
 def _look_angle(platform: Platform) -> xr.Variable:
-    """Return the angles that the middles of the columns look at, from the camera's axis to the right."""
+    """Return the viewing angles of the column centres, from the camera's axis to the right."""
     edges = platform.column_edges
     return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
@@ -180,7 +180,7 @@ def counts_of(
 
 @dataclass(frozen=True)
 class _Exposure:
-    """How a camera counts the lines of a scene."""
+    """Counting of the lines of a scene by a camera."""
 
     detector: Detector
     optics: Optics | None
@@ -210,14 +210,14 @@ class _Exposure:
 
 
 def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
-    """Return the mean of some dark frames: the dark, with what noise and rounding leave of themselves."""
+    """Return the mean of simulated dark frames: dark, with the residue of noise and rounding."""
     rng = np.random.default_rng([key[0], _DARK])
     spread = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
     return np.asarray(detector.dark + spread * rng.standard_normal(detector.dark.shape))
 
 
 def _variable(name: str, values: Any) -> xr.Variable:
-    """Return values under the dims, dtype and attributes of the table of variables."""
+    """Return values with dims, dtype and attributes from the table of variables."""
     from hyperpaint.simulation.stores import labelled
 
     return labelled(VARIABLES[name], values)

@@ -170,7 +170,7 @@ def run(
     library: str | Path | None = None, hold_edges: bool | None = None,
     scheduler: str | None = None, overwrite: bool = False, progress: bool = False,
 ) -> Outcome:  # fmt: skip
-    """Do what `render_scene` does, and return what was written; the arguments are those of `render_scene`."""
+    """Render a scene, as `render_scene` does with the same arguments, and return the groups written."""
     from hyperpaint.io.store import open_group
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.writer import check_room, run_contents, whole_run
@@ -226,7 +226,7 @@ def run(
 
 
 def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
-    """Return the file with what the call says in its place."""
+    """Return the scene file with values that the call replaces."""
     problems = Problems("cannot render", SchemaError)
     if samples is not None and not (
         isinstance(samples, int) and not isinstance(samples, bool) and 1 <= samples <= MOST_SAMPLES
@@ -245,7 +245,7 @@ def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
 
 
 def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Parts]:
-    """Return the file and its parts with the paints of a library; what the file says comes before."""
+    """Return the file and its parts with the paints of a library; paints of the file take precedence."""
     from hyperpaint.simulation.rendering.given_spectra import by_name
     from hyperpaint.simulation.rendering.painting import dealt_paints
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
@@ -259,7 +259,7 @@ def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Pa
 
 
 def _check_disk_roughly(file: SceneFile, out: Path) -> None:
-    """Refuse what no disk here holds, before anything as large is built; `check_room` looks closer later."""
+    """Refuse a scene larger than the free disk before it is built; `check_room` is exact later."""
     folder = next(parent for parent in out.absolute().parents if parent.exists())
     pixels = file.platform["lines"] * file.platform["columns"]
     least = pixels * (_LEAST_TRACED + _LEAST_SAMPLE * file.camera.get("bands", 272))
@@ -283,7 +283,7 @@ def _announcement(name: str, file: SceneFile) -> str:
 
 
 def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
-    """Return the scene, to be traced in blocks of so many lines."""
+    """Return the scene, traced lazily in blocks of ``lines`` lines."""
     from hyperpaint.simulation.rendering.tracing import trace
 
     from .render_products import pose_of
@@ -337,7 +337,7 @@ def _renders(
 
 
 def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
-    """Refuse to trace anew under renders that would stay, of what was traced before."""
+    """Refuse to replace the traced scene below renders of other parameters."""
     from hyperpaint.io.store import list_groups
 
     if TRANSPORT in complete or not out.exists():
@@ -352,7 +352,7 @@ def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[st
 
 
 def _light(atmosphere: Any) -> str:
-    """Return a digest of everything that an atmosphere is."""
+    """Return a digest of all fields of an atmosphere."""
     import numpy as np
 
     digest = hashlib.sha256()

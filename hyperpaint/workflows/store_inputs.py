@@ -1,4 +1,4 @@
-"""What a store is made from: how inputs are named, compared, and never written over."""
+"""Inputs of a store: their names, their comparison, and protection against overwriting."""
 
 from __future__ import annotations
 
@@ -69,13 +69,13 @@ def finishing_command(command: str, options: Mapping[str, Any]) -> str:
 
 
 def settings_of(parameters: Mapping[str, Any]) -> str:
-    """Return what names the settings of a run: the version of its numerics, in words, and a digest of all."""
+    """Return the text for the settings of a run: version of its numerics, and a digest of all."""
     text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
     return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
 
 
 def _stored_form(cube: Path) -> str:
-    """Return what the header of a cube says of its samples: the same file may be read as other values."""
+    """Return the sample format from the header of a cube: another header gives the same file other values."""
     from hyperpaint.io.envi.envi_cubes import find_pair
     from hyperpaint.io.envi.envi_header import read_header
 

@@ -139,7 +139,7 @@ def virtualise(
 
 
 def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
-    """Return how a store differs from a whole one of the same inputs and raw files; empty if it does not."""
+    """Return the difference of a store from a whole one of the same inputs; empty without any."""
     from hyperpaint.io.store.raw_references import is_virtual, open_virtual, summary_of, virtual_groups
 
     if not is_virtual(out):
@@ -161,7 +161,7 @@ def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, 
 
 
 def _companions(line: xr.Dataset) -> xr.Dataset:
-    """Return all of a flight line but its cube: in memory, with what its panels give."""
+    """Return all variables of a flight line but its cube, in memory, with the results of its panels."""
     from hyperpaint.light.diffuse_record import split_of_lines
     from hyperpaint.radiometry.panels import declared_panels
 
@@ -181,7 +181,7 @@ def _companions(line: xr.Dataset) -> xr.Dataset:
 def _cubes(
     opened: OpenedCollect, lines: Mapping[str, xr.Dataset], prefix: str | None
 ) -> dict[str, VirtualCube]:
-    """Return the cube of every line, as slabs of its raw files; refuse those that cannot be referred to."""
+    """Return the cube of every line as slabs of its raw files; refuse cubes that cannot be referred to."""
     entries = {str(entry.name): entry for entry in opened.settings.flightlines}
     problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
     base = opened.settings.path.absolute().parent
@@ -198,7 +198,7 @@ def _cubes(
 
 
 def _array(entry: Any) -> EnviArray:
-    """Return how the samples of a cube lie in its file."""
+    """Return the layout of a cube's samples in its file."""
     from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.envi.envi_cubes import open_envi
 
