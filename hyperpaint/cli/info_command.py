@@ -31,12 +31,12 @@ from hyperpaint.report.summaries import (
 )
 
 from .console import EXISTING
-from .init_command import facts_of_field_folder
 from .options import command
-from .virtual_command import facts_of_virtual
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from hyperpaint.workflows.field_folder import FieldFolder
 
 
 _EXPECTED = (
@@ -457,6 +457,55 @@ def _sorted(group: xr.Dataset) -> list[tuple[str, xr.DataArray]]:
 
 def _joined(facts: Facts) -> str:
     return "\n".join(f"{name}: {text}" for name, text in facts if text)
+
+
+def facts_of_field_folder(field: FieldFolder) -> Facts:
+    """Yield the facts about the folder of a field day."""
+    yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
+    for cube in field.cubes:
+        beside = {"frame index": cube.frame_index, "navigation": cube.navigation}
+        words = [name if place else f"no {name}" for name, place in beside.items()]
+        exposure = "exposure" if cube.has_exposure else "no exposure"
+        yield _within(field.folder, cube.header), ", ".join([*words, exposure])
+    yield "dark", ", ".join(_within(field.folder, one) for one in field.darks) or "none"
+    for name, place in (("calibration", field.calibration), ("lab sweep", field.sweep)):
+        yield name, "" if place is None else _within(field.folder, place)
+    yield "irradiance", ", ".join(_within(field.folder, place) for place, _ in field.irradiance) or "none"
+    yield (
+        "references",
+        ", ".join(
+            f"{instrument} in {_within(field.folder, place)}" for instrument, place, _ in field.references
+        ),
+    )
+    yield "not used", "\n".join(field.notes)
+    if (field.folder / "collect.toml").exists():
+        yield "process", f"hyperpaint run {field.folder}"
+    else:
+        yield "process", f"hyperpaint init {field.folder} writes a collect.toml of it"
+
+
+def _within(folder: Path, path: Path) -> str:
+    return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
+
+
+def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
+    """Yield the groups of a virtual store, and whether its raw files are unchanged.
+
+    ``allow``: as of `open_virtual`.
+    """
+    from hyperpaint.base.errors import StoreError
+    from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
+
+    groups = virtual_groups(path)
+    yield "is", f"virtual store (icechunk) of {counted(len(groups), 'flight line')}, cubes in their raw files"
+    for name, about in groups.items():
+        yield f"/{name}", "\n".join(f"{raw.url}, {size_of(raw.size)}" for raw in about[RAW_FILES])
+        try:
+            line = open_virtual(path, name, allow=allow)
+        except StoreError as error:
+            yield f"/{name} NOT READ", error.text(on_command_line=True)
+        else:
+            yield f"/{name} holds", "\n".join(f"{key}: {text}" for key, text in facts_of_line(line) if text)
 
 
 # --- the command ---

@@ -174,6 +174,20 @@ def _described(docstring: str) -> dict[str, str]:
     return texts
 
 
+Deferred = Callable[[], list[click.Option]]
+"""Options that are made when their command is called, since the source of a function is read for them."""
+
+
+def _adds(options: Deferred) -> Callable[[Any], Any]:
+    """Return a decorator that adds options to a command."""
+
+    def decorate(command: Any) -> Any:
+        vars(command).setdefault("__click_params__", []).append(options)
+        return command
+
+    return decorate
+
+
 def takes(
     place: str, *, only: Collection[str] = (), without: Collection[str] = (), **odd: Mapping[str, Any]
 ) -> Callable[[Any], Any]:
@@ -182,18 +196,16 @@ def takes(
     Its first parameter is the argument of the command, and no option. ``only`` and ``without``: names of
     parameters; ``odd``: by the name of a parameter, what differs from `ODD` and the function.
     """
-    _, *others = parameters_of(place).items()
-    names = only or [name for name, _ in others if name not in (*_HIDDEN, *without)]
 
-    def decorate(command: Any) -> Any:
-        for name in reversed(list(names)):
-            command = _option(name, parameters_of(place)[name], odd.get(name, {}))(command)
-        return command
+    def options() -> list[click.Option]:
+        parameters = parameters_of(place)
+        names = only or [name for name in list(parameters)[1:] if name not in (*_HIDDEN, *without)]
+        return [_option(name, parameters[name], odd.get(name, {})) for name in names]
 
-    return decorate
+    return _adds(options)
 
 
-def _option(name: str, parameter: Parameter, odd: Mapping[str, Any]) -> Callable[[Any], Any]:
+def _option(name: str, parameter: Parameter, odd: Mapping[str, Any]) -> click.Option:
     keywords = {**parameter.kind, "help": parameter.help, **ODD.get(name, {}), **odd}
     spelling = keywords.pop("spelling", f"--{name.replace('_', '-')}")
     if parameter.default is ...:
@@ -202,7 +214,7 @@ def _option(name: str, parameter: Parameter, odd: Mapping[str, Any]) -> Callable
         keywords.setdefault("default", parameter.default)
     if keywords.get("is_flag") and keywords["default"] is not False:
         spelling = f"{spelling}/--no-{spelling.removeprefix('--')}"
-    return click.option(*spelling.split(" "), name, **keywords)
+    return click.Option([*spelling.split(" "), name], **keywords)
 
 
 class Settings(click.Option):
@@ -250,18 +262,17 @@ class Settings(click.Option):
 
 def settable(places: Mapping[str, Collection[str]], *, without: Collection[str] = ()) -> Callable[[Any], Any]:
     """Return a decorator that adds ``--set`` for parameters of functions: those named, or all."""
-    parameters = {
-        name: parameter
-        for place, names in places.items()
-        for name, parameter in parameters_of(place).items()
-        if (name in names if names else name not in (*_HIDDEN, *without))
-    }
 
-    def decorate(command: Any) -> Any:
-        vars(command).setdefault("__click_params__", []).append(Settings(parameters))
-        return command
+    def options() -> list[click.Option]:
+        parameters = {
+            name: parameter
+            for place, names in places.items()
+            for name, parameter in parameters_of(place).items()
+            if (name in names if names else name not in (*_HIDDEN, *without))
+        }
+        return [Settings(parameters)]
 
-    return decorate
+    return _adds(options)
 
 
 class Command(click.Command):
@@ -270,6 +281,20 @@ class Command(click.Command):
     def __init__(self, *args: Any, renamed: Mapping[str, str] | None = None, **keywords: Any) -> None:
         super().__init__(*args, **keywords)
         self.renamed = renamed or {}
+
+    @property
+    def params(self) -> list[click.Parameter]:  # type: ignore[override]
+        """Arguments and options; deferred ones are made here."""
+        self._params = [
+            each
+            for given in self._params
+            for each in ([given] if isinstance(given, click.Parameter) else given())
+        ]
+        return self._params
+
+    @params.setter
+    def params(self, params: list[click.Parameter | Deferred]) -> None:
+        self._params: list[Any] = params
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; an error on an old spelling names the new one."""

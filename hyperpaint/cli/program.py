@@ -1,7 +1,7 @@
 """The command line: ``hyperpaint`` or ``python -m hyperpaint``.
 
-Thin: options in, one function of the package, text out; a file a command, loaded when it is asked for.
-What is heavy is imported inside a command.
+Thin: options in, one function of the package, text out. A group of commands is a file, loaded when needed.
+Heavy modules are imported inside a command.
 
 Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong, 130 stopped by Ctrl-C, 143 by
 SIGTERM.
@@ -75,7 +75,7 @@ PLANNED = ("detect", "mosaic", "orthorectify", "render", "report", "signatures",
 
 
 class Program(click.Group):
-    """Commands in groups, each loaded from its own file when it is called.
+    """Commands in groups, each group in a file that is loaded when one of its commands is called.
 
     Errors are one message, warnings one line each. ``--quiet`` and ``--memory-limit`` may stand before or
     after the name of the command.
@@ -85,14 +85,14 @@ class Program(click.Group):
         """Return the names of all commands, group by group."""
         return [name for commands in GROUPS.values() for name in commands]
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return a command, imported from its own file."""
-        if cmd_name not in self.list_commands(ctx):
-            return None
-        module = import_module(f".{cmd_name.replace('-', '_')}_command", __package__)
-        return next(
-            value for value in vars(module).values() if isinstance(value, Command) and value.name == cmd_name
-        )
+    def get_command(self, _ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Return a command, imported from the file of its group."""
+        for group, commands in GROUPS.items():
+            if cmd_name in commands:
+                name = "info_command" if cmd_name == "info" else f"{group.lower()}_commands"
+                values = vars(import_module(f".{name}", __package__)).values()
+                return next(each for each in values if isinstance(each, Command) and each.name == cmd_name)
+        return None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
