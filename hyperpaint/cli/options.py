@@ -278,23 +278,22 @@ def settable(places: Mapping[str, Collection[str]], *, without: Collection[str] 
 class Command(click.Command):
     """A command that answers an old spelling of an option with the new one."""
 
+    _params: list[Any]
+
     def __init__(self, *args: Any, renamed: Mapping[str, str] | None = None, **keywords: Any) -> None:
         super().__init__(*args, **keywords)
         self.renamed = renamed or {}
 
     @property
-    def params(self) -> list[click.Parameter]:  # type: ignore[override]
+    def params(self) -> list[click.Parameter]:
         """Arguments and options; deferred ones are made here."""
-        self._params = [
-            each
-            for given in self._params
-            for each in ([given] if isinstance(given, click.Parameter) else given())
-        ]
+        parts = [[part] if isinstance(part, click.Parameter) else part() for part in self._params]
+        self._params = [parameter for part in parts for parameter in part]
         return self._params
 
     @params.setter
-    def params(self, params: list[click.Parameter | Deferred]) -> None:
-        self._params: list[Any] = params
+    def params(self, params: list[Any]) -> None:
+        self._params = params
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments; an error on an old spelling names the new one."""

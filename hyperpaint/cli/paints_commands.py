@@ -597,6 +597,7 @@ def check_library(ctx: click.Context, /, library: Path) -> None:
 
 
 _LIBRARIES = ("envi", "csv", "parquet", "ecostress", "zarr")
+_OF_SCENES = {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves", "coat_brdf"}
 _NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
 
 
@@ -704,19 +705,32 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
         if "scene" in given:
             from hyperpaint.workflows.dirsig_export import export_dirsig_scene
 
-            _echo_scene(
-                out,
-                export_dirsig_scene(
-                    **_of_scene(given), folder=out, library=paints, overwrite=overwrite, progress=shown
-                ),
+            if others := sorted(set(given) - _OF_SCENES):
+                names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
+                raise click.UsageError(f"{names} not with --scene (ClassicEmissivity) [option-conflict]")
+            scene = export_dirsig_scene(
+                given.pop("scene"), out, library=paints, overwrite=overwrite, progress=shown, **given
             )
+            populations = int((scene["curves"] > 1).sum())
+            click.echo(
+                f"{out}: {scene.sizes['signature']} materials, {populations} of them populations, "
+                f"{scene.attrs['faces']} triangles, {scene.attrs['features']}"
+            )
+            click.echo(f"how to run it, and what was checked: {out / 'README.txt'}")
             return
         if form == "dirsig":
             if given.pop("coat_brdf", False):
                 raise click.UsageError("--coat-brdf only with --scene [option-conflict]")
             from hyperpaint.io.dirsig import write_dirsig
 
-            materials = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **_options(given))
+            share = given.get("specular", "library")
+            if share != "library":
+                try:
+                    given["specular"] = float(share)
+                except ValueError:
+                    message = f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
+                    raise click.UsageError(message) from None
+            materials = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **given)
             click.echo(
                 f"{out}: {materials.sizes['signature']} paints, {int(materials['curves'].sum())} curves"
             )
@@ -733,35 +747,3 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
     click.echo(f"{path}: {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
     if curves is None and form in ("envi", "csv", "parquet") and "member_reflectance" in paints.variables:
         click.echo("one row a paint, its centre; --curves all writes members, quantiles and spread as well")
-
-
-def _of_scene(given: dict[str, Any]) -> dict[str, Any]:
-    others = sorted(
-        set(given) - {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves", "coat_brdf"}
-    )
-    if others:
-        names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
-        raise click.UsageError(f"{names} not with --scene (ClassicEmissivity) [option-conflict]")
-    return {"scene_file": given["scene"], **{key: given[key] for key in given if key != "scene"}}
-
-
-def _echo_scene(out: Path, written: Any) -> None:
-    populations = int((written["curves"] > 1).sum())
-    click.echo(
-        f"{out}: {written.sizes['signature']} materials, {populations} of them populations, "
-        f"{written.attrs['faces']} triangles, {written.attrs['features']}"
-    )
-    click.echo(f"how to run it, and what was checked: {out / 'README.txt'}")
-
-
-def _options(given: dict[str, Any]) -> dict[str, Any]:
-    """Return options with the specular share as a number, where it is one."""
-    share = given.get("specular")
-    if share is None or share == "library":
-        return given
-    try:
-        return {**given, "specular": float(share)}
-    except ValueError:
-        raise click.UsageError(
-            f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
-        ) from None

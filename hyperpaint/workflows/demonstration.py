@@ -315,12 +315,6 @@ def run_demonstration(
     say(f"\n{comparison}\n\n{_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged)}")
     if comparison.paints:
         say(f"\n{signature_table(comparison.paints)}")
-    _say_verdict(comparison, say)
-    _draw(outcome.path, folder / PICTURE, say)
-    return comparison
-
-
-def _say_verdict(comparison: Comparison, say: Callable[[str], None]) -> None:
     overall = comparison.overall
     say(
         f"overall bias {overall.bias:+.5f} (tolerance {MAX_BIAS}, for each material too), "
@@ -329,9 +323,12 @@ def _say_verdict(comparison: Comparison, say: Callable[[str], None]) -> None:
     )
     for problem in comparison.problems:
         say(f"  {problem}")
+    _draw(outcome.path, folder / PICTURE, say)
+    return comparison
 
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
+    """Write a quicklook of the first line, where matplotlib is installed."""
     import xarray as xr
 
     from hyperpaint.io.store import list_groups

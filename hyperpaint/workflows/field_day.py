@@ -136,8 +136,21 @@ def run_field_day(
     >>> print(run_field_day("2021_07_20/collect.toml"))                           # doctest: +SKIP
     """
     from hyperpaint.io.collect.collect_toml import read_collect
+    from hyperpaint.regions import read_regions
 
-    _check_steps(skip)
+    problems = Problems("the field day cannot be run", SchemaError)
+    for name in skip:
+        if name == "process":
+            problems.add(
+                "skip='process', which all other steps need",
+                mend="call the functions of those steps",
+                code="step-required",
+            )
+        elif name not in STEPS:
+            problems.add(
+                f"skip={name!r}", expected=f"one of {', '.join(map(repr, STEPS[1:]))}", code="choice-unknown"
+            )
+    problems.raise_if_any()
     path = Path(collect)
     if path.is_dir():
         path = path / "collect.toml"
@@ -151,10 +164,13 @@ def run_field_day(
     folder = store_of(path).parent if out is None else Path(out)
     if regions is None and (path.parent / "regions.geojson").is_file():
         regions = path.parent / "regions.geojson"
+    # before hours of processing, not after them
+    if regions is not None and not Path(regions).exists():
+        raise SchemaError(f"no file of regions {regions}", mend="check the path", code="file-not-found")
     day = _Day(
         settings=settings,
         out=folder,
-        regions=None if regions is None else _read_regions(Path(regions)),
+        regions=None if regions is None else read_regions(regions),
         skip=frozenset(skip),
         specular_sky=specular_sky,
         alignment=alignment,
@@ -173,30 +189,6 @@ def run_field_day(
 def store_of(collect: Path) -> Path:
     """Return where the store of a collect is written, where nobody says otherwise."""
     return collect.parent / "products" / "lot.zarr"
-
-
-def _read_regions(path: Path) -> Regions:
-    from hyperpaint.regions import read_regions
-
-    if not path.exists():
-        raise SchemaError(f"no file of regions {path}", mend="check the path", code="file-not-found")
-    return read_regions(path)
-
-
-def _check_steps(skip: Collection[str]) -> None:
-    problems = Problems("the field day cannot be run", SchemaError)
-    for name in skip:
-        if name == "process":
-            problems.add(
-                "skip='process', which all other steps need",
-                mend="call the functions of those steps",
-                code="step-required",
-            )
-        elif name not in STEPS:
-            problems.add(
-                f"skip={name!r}", expected=f"one of {', '.join(map(repr, STEPS[1:]))}", code="choice-unknown"
-            )
-    problems.raise_if_any()
 
 
 @dataclass
@@ -226,13 +218,6 @@ class _Day:
     def library(self) -> Path:
         return self.out / "paints.zarr"
 
-    @property
-    def _steps(self) -> dict[str, Callable[[], str]]:
-        return {
-            "signatures": self._signatures, "validate": self._validate, "map": self._map,
-            "mosaic": self._mosaic, "dirsig": self._dirsig, "report": self._report,
-        }  # fmt: skip
-
     def do(self, step: str) -> None:
         """Run one step, unless it is left out or its products are current."""
         if step in self.skip:
@@ -256,7 +241,7 @@ class _Day:
             self._refuse_foreign(entry, products)
             # whatever is there from now on is of this run, should it be interrupted
             self._write_record({step: _UNKNOWN})
-            text = self._steps[step]()
+            text: str = getattr(self, f"_{step}")()
         except PaintError as error:
             # the steps after it do not depend on it, but for the library, which they look for
             self.errors.append(error)

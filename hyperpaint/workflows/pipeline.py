@@ -308,7 +308,17 @@ def run(
     from hyperpaint.io.store.layout import with_layout
     from hyperpaint.io.store.writer import check_codec, check_room, run_contents, whole_run
 
-    _check_words(to, reflectance, alignment, accept, layout)
+    problems = Problems("cannot process", SchemaError)
+    for word, value, allowed in (
+        ("to", to, get_args(Product)),
+        ("reflectance", reflectance, get_args(Kept)),
+        ("alignment", alignment or "auto", ALIGNMENTS),
+        ("layout", layout, get_args(Layout)),
+    ):
+        if value not in allowed:
+            problems.add(f"{word}={value!r}", expected=" or ".join(map(repr, allowed)), code="choice-unknown")
+    check_accepted(accept, problems)
+    problems.raise_if_any()
     check_codec(codec)
     out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
@@ -370,22 +380,6 @@ def run(
         if line.attrs.get("alignment_state") == "applied"
     }
     return Outcome(out, tuple(products), tuple(complete), corrected)
-
-
-def _check_words(
-    to: str, reflectance: str, alignment: str | None, accept: Collection[str], layout: str
-) -> None:
-    problems = Problems("cannot process", SchemaError)
-    for name, value, allowed in (
-        ("to", to, get_args(Product)),
-        ("reflectance", reflectance, get_args(Kept)),
-        ("alignment", alignment or "auto", ALIGNMENTS),
-        ("layout", layout, get_args(Layout)),
-    ):
-        if value not in allowed:
-            problems.add(f"{name}={value!r}", expected=" or ".join(map(repr, allowed)), code="choice-unknown")
-    check_accepted(accept, problems)
-    problems.raise_if_any()
 
 
 # --- what is to be written ---------------------------------------------------------------------------------

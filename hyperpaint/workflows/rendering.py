@@ -220,7 +220,10 @@ def run(
                 stored = open_group(out, TRANSPORT)
                 dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
             if progress:
-                sys.stderr.write(_announcement(name, file))
+                size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
+                product = f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
+                tracing = f"tracing {size}, {file.sampling.samples} rays a pixel\n"
+                sys.stderr.write(tracing if name == TRANSPORT else product)
             turn.write(name, dataset.assign_attrs(settings), progress=progress)
     return Outcome(out, tuple(pending), tuple(complete))
 
@@ -270,13 +273,6 @@ def _check_disk_roughly(file: SceneFile, out: Path) -> None:
             mend="take fewer lines, columns or bands, or another disk",
             code="disk-full",
         )
-
-
-def _announcement(name: str, file: SceneFile) -> str:
-    size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
-    if name == TRANSPORT:
-        return f"tracing {size}, {file.sampling.samples} rays a pixel\n"
-    return f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
 
 
 # --- what is to be written ---------------------------------------------------------------------------------

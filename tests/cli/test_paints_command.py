@@ -48,7 +48,7 @@ def test_a_library_of_ones_own(tmp_path: Path) -> None:
     assert "1 of 40" in run(path, "--name", "skoda, gruen 7")
     assert "angle 0.0000 rad" in run(path, "--like", "Škoda, grün 7", "--limit", 1)
     assert "no paint meets" in run(path, "--name", "volvo")
-    assert "--members is for the starter" in run(path, "--members", 3, status=2)
+    assert "--members is only for the starter" in run(path, "--members", 3, status=2)
 
 
 def test_a_spectrum_in_a_file(tmp_path: Path) -> None:
