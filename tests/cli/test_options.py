@@ -129,12 +129,12 @@ def test_words_are_completed() -> None:
 
 
 def test_a_renamed_keyword_names_the_new_one() -> None:
-    with pytest.raises(SchemaError, match=r"library=.*keyword-renamed"):
+    with pytest.raises(SchemaError, match=r"library= .keyword"):
         hp.render_scene("scene.toml", "scene.zarr", paints="paints.zarr")  # type: ignore[call-arg]
-    with pytest.raises(SchemaError, match=r"line=.*keyword-renamed"):
+    with pytest.raises(SchemaError, match=r"line= .keyword"):
         serve_explorer("lot.zarr", group="raw_0", announce=print)  # type: ignore[call-arg]
     for function in (hp.report.write_report, hp.report.write_site):
-        with pytest.raises(SchemaError, match=r"library=.*keyword-renamed"):
+        with pytest.raises(SchemaError, match=r"library= .keyword"):
             function("lot.zarr", "page", signatures="paints.zarr")  # type: ignore[call-arg]
-        with pytest.raises(SchemaError, match=r"max_lines=.*keyword-renamed"):
+        with pytest.raises(SchemaError, match=r"max_lines= .keyword"):
             function("lot.zarr", "page", lines=100)  # type: ignore[call-arg]
