@@ -334,9 +334,9 @@ def make_map(
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
         raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
     refuse_in_store(store, out)
-    given = {**settings, **without_none(options)}
+    arguments = {**settings, **without_none(options)}
     with progress_bar("looking") as shown:
-        orthomap = map_of_store(store, line, progress=shown, **given)
+        orthomap = map_of_store(store, line, progress=shown, **arguments)
     notes = write_map(orthomap, out, progress=is_watched(), **writing)
     rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
     facts = [f"{rows} x {cols} cells of {orthomap.attrs['gsd']:.4g} m", describe_swath(orthomap.attrs), notes]

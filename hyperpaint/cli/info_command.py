@@ -47,7 +47,7 @@ _EXPECTED = (
     "a collect.toml, the folder of a field day, a virtual store, or a Zarr store or a group in it"
 )
 _TABLES = (".txt", ".csv", ".tsv", ".asc")
-_MOST_NAMED = 5
+MAX_NAMES = 5
 _DAY_NS = 86_400 * 10**9
 _HEAD = 4096
 
@@ -271,9 +271,9 @@ def _library(path: Path) -> Facts:
 
 
 def _first_of(names: Sequence[object]) -> str:
-    more = len(names) - _MOST_NAMED
+    more = len(names) - MAX_NAMES
     # a name may hold a comma
-    return "; ".join(map(str, names[:_MOST_NAMED])) + (f"; and {more} more" if more > 0 else "")
+    return "; ".join(map(str, names[:MAX_NAMES])) + (f"; and {more} more" if more > 0 else "")
 
 
 def _materials(path: Path) -> Facts:
@@ -423,7 +423,7 @@ def _group(path: Path, name: str) -> Facts:
     """Yield the facts of a group, and its state."""
     from hyperpaint.io.store import is_complete, open_group, open_unverified
 
-    # without dask, pint and what else xarray imports to chunk, to decode times and to build an index
+    # dask, pint and other imports of xarray for chunks, times and indexes are avoided
     opened_by = {"chunks": None, "decode_times": False, "create_default_indexes": False}
     try:
         group = with_times(open_group(path, name, **opened_by))

@@ -162,7 +162,7 @@ def _stopped_by_signals() -> Iterator[None]:
             signal.signal(each, signal.SIG_DFL)
         raise KeyboardInterrupt(number)
 
-    # what a shell or nohup told to ignore a signal goes on ignoring it
+    # a signal that a shell or nohup ignores stays ignored
     caught = [number for number, handler in before.items() if handler not in (signal.SIG_IGN, None)]
     try:
         for number in caught:

@@ -277,7 +277,7 @@ class _Day:
         self.outcomes.append(outcome)
         self.say(outcome)
 
-    # --- what a step needs and is made from ---
+    # --- inputs of a step ---
 
     def _lacks(self, step: str) -> str:
         """Return the reason to leave out a step; empty where its inputs exist."""
@@ -351,7 +351,7 @@ class _Day:
         except ValueError:
             record = None
         entries = record if isinstance(record, dict) else dict.fromkeys(STEPS)
-        # what a spoilt record does not say any more may be of a run
+        # entries that a damaged record has lost may belong to a run
         return {step: _UNKNOWN if step in STEPS and not _is_entry(entry) else entry
                 for step, entry in entries.items()}  # fmt: skip
 
@@ -416,7 +416,7 @@ class _Day:
         from .maps import mosaic_of_store, write_map
 
         path = self.out / _PRODUCTS["mosaic"]
-        # lines without navigation lie nowhere; the map has said which there are
+        # lines without navigation have no place; the step map lists them
         lines = self._mapped()
         mosaic = mosaic_of_store(self.store, lines, progress=self.progress("mosaic"), **self._heights)
         write_map(mosaic, path, overwrite=True)

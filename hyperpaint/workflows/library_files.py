@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from hyperpaint.regions import Regions
     from hyperpaint.validation import Validation
 
-_MOST_TOLD = 10
-_MOST_REFUSED = 200
+MAX_LISTED_REJECTIONS = 10
+MAX_STORED_REJECTIONS = 200
 NOT_LOOKED_FOR = "not looked for"
 """Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours."""
 _SHARED = ("glint", "shadow", "adjacency", "sun_zenith")
@@ -140,7 +140,7 @@ def write_signatures(
         library = extract_signatures(lines, targets, progress=share, **options)
     library.attrs |= {"store": around.name, "flags": origin}
     if refused:
-        library.attrs["refused"] = refused[:_MOST_REFUSED]
+        library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
     to_store(library, Path(out), overwrite=overwrite)
     return library
 
@@ -241,7 +241,7 @@ def _proposed(
     from hyperpaint.regions import Regions
     from hyperpaint.regions.proposals import propose_regions
 
-    # with several lines, names of paints begin with that of their line
+    # with several lines, names of paints begin with the name of the line
     by_line = {}
     for name, line in lines.items():
         paint = "paint" if len(lines) == 1 else f"{name}_paint"
@@ -259,7 +259,7 @@ def _proposed(
         for across, along in [region.polygon.mean(axis=0)]
     ]
     if not len(regions):
-        shown = "".join(f"\n  {text}" for text in refused[:_MOST_TOLD])
+        shown = "".join(f"\n  {text}" for text in refused[:MAX_LISTED_REJECTIONS])
         raise SchemaError(
             f"no region can be proposed, {len(refused)} were rejected{shown}",
             mend="draw and name some",

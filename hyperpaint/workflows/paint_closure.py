@@ -42,7 +42,7 @@ class PaintAgreement:
     pixels: int  #: Pixels that were averaged.
     recovered: float  #: Mean over bands [1].
     error: float  #: Recovered against true signature of the same pixels: RMS over bands, relative.
-    field: float  #: Mean over bands of what a field spectrometer saw near normal [1].
+    field: float  #: Mean over bands of the field spectrum near normal [1].
 
 
 def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tuple[PaintAgreement, ...]:

@@ -382,7 +382,7 @@ def run(
     return Outcome(out, tuple(products), tuple(complete), corrected)
 
 
-# --- what is to be written ---------------------------------------------------------------------------------
+# --- groups to write ---------------------------------------------------------------------------------------
 
 
 def opened_groups(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _PLAIN = (".csv", ".txt", ".tsv", ".asc", "")
-_MOST_BYTES = 64 << 20
+MAX_EXPORT_BYTES = 64 << 20
 _DIRSIG_MARKER, _MATERIALS = "paints.json", "materials.mat"
 
 
@@ -102,7 +102,7 @@ def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
 def _records_of_export(folder: Path) -> dict[str, dict[str, Any]]:
     """Return the record of each paint by ID from an export of ours; empty for other material lists."""
     try:
-        document = json.loads(read_limited(folder / _DIRSIG_MARKER, _MOST_BYTES, "an export"))
+        document = json.loads(read_limited(folder / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
         return {str(record["id"]): dict(record) for record in document["paints"]}
     except (FormatError, OSError, ValueError, TypeError, KeyError):
         return {}

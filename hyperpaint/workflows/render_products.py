@@ -38,7 +38,7 @@ class Render:
     camera: Camera
     platform: Platform
     spectra: Mapping[str, Any]  #: The user's by name: (wavelength [nm], reflectance), or a paint library.
-    paints: Mapping[str, str]  #: Name of a spectrum, material or instance to that of its new spectrum.
+    paints: Mapping[str, str]  #: New spectrum by the name of a spectrum, material or instance.
     hold_edges: bool = False  #: As of `hyperpaint.simulation.relight`.
 
     def of(

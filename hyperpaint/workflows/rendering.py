@@ -61,10 +61,10 @@ TRANSPORT = "transport"
 """Group of the traced scene."""
 
 RENDERS = "renders/"
-"""Groups of the renders begin so."""
+"""Prefix of the groups of renders."""
 
-# bytes on disk, compressed: a pixel of the traced scene has hundreds, a sample of a render two
-_LEAST_TRACED, _LEAST_SAMPLE = 30, 1
+# lower bounds of compressed bytes: a pixel of the traced scene takes hundreds, a sample of a render two
+MIN_BYTES_PER_PIXEL, MIN_BYTES_PER_SAMPLE = 30, 1
 
 CLUSTER_LINES = 64
 """Lines in one task on a cluster; tracing a line takes some tenths of a second."""
@@ -265,7 +265,7 @@ def _check_disk_roughly(file: SceneFile, out: Path) -> None:
     """Refuse a scene larger than the free disk before it is built; `check_room` is exact later."""
     folder = next(parent for parent in out.absolute().parents if parent.exists())
     pixels = file.platform["lines"] * file.platform["columns"]
-    least = pixels * (_LEAST_TRACED + _LEAST_SAMPLE * file.camera.get("bands", 272))
+    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
     free = shutil.disk_usage(folder).free
     if least > free:
         raise StoreError(
@@ -275,7 +275,7 @@ def _check_disk_roughly(file: SceneFile, out: Path) -> None:
         )
 
 
-# --- what is to be written ---------------------------------------------------------------------------------
+# --- groups to write ---------------------------------------------------------------------------------------
 
 
 def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.store.raw_references import RawFile, VirtualCube
 
-MOST_COPIED_SHARE = 0.1
+MAX_COPIED_SHARE = 0.1
 """Of a cube; beyond it a stored cube is the better one [1]."""
 
 _FEW_SLABS = 4
@@ -108,7 +108,7 @@ def virtualise(
         difference = _difference(out, lines, cubes)
         if not difference:
             beside = Staging(out.absolute())
-            if beside.folder.exists():  # what a run that was killed at its end left
+            if beside.folder.exists():  # leftovers of a run killed at its end
                 with contextlib.suppress(StoreError), staging(beside.store):
                     pass
             return Outcome(out, (), tuple(lines))
@@ -293,10 +293,10 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
         ]
     total = -(-count // lines)
     copied = sorted(set(range(total)) - {slab for slab, _, _ in slabs})
-    if len(copied) > max(_FEW_SLABS, MOST_COPIED_SHARE * total):
+    if len(copied) > max(_FEW_SLABS, MAX_COPIED_SHARE * total):
         raise FormatError(
             f"{len(copied)} of {total} slabs hold lost frames or lie in two cubes and would be copied",
-            expected=f"at most {MOST_COPIED_SHARE:.0%}",
+            expected=f"at most {MAX_COPIED_SHARE:.0%}",
             mend="process the collect instead",
             code="slabs-copied",
         )
