@@ -93,8 +93,6 @@ def make_signatures(
     smooth: str | None,
     window: int,
     flags: bool,
-    ground: float | None,
-    dem: Path | None,
     settings: dict[str, Any],
     **options: Any,
 ) -> None:
@@ -113,7 +111,7 @@ def make_signatures(
         name: settings.pop(name) for name in ("diffuse", "glint", "shadow", "adjacency") if name in settings
     }
     options |= {name: settings.pop(name) for name in ("coat_index",) if name in settings}
-    location = without_none({"ground": ground, "dem": dem, **settings})
+    location = without_none({name: options.pop(name) for name in ("ground", "dem")}) | settings
     if limits and not flags:
         named = ", ".join(f"--set {name}" for name in limits)
         raise click.UsageError(f"--no-flags excludes {named}; leave out one of them [option-conflict]")

@@ -241,7 +241,14 @@ class _Day:
             self._refuse_foreign(entry, products)
             # whatever is there from now on is of this run, should it be interrupted
             self._write_record({step: _UNKNOWN})
-            text: str = getattr(self, f"_{step}")()
+            text = {
+                "signatures": self._signatures,
+                "validate": self._validate,
+                "map": self._map,
+                "mosaic": self._mosaic,
+                "dirsig": self._dirsig,
+                "report": self._report,
+            }[step]()
         except PaintError as error:
             # the steps after it do not depend on it, but for the library, which they look for
             self.errors.append(error)

@@ -137,4 +137,4 @@ def test_what_does_not_fit_is_said(folder: Path) -> None:
     assert "--ground or --dem, or [geometry] ground" in refused.output
     sensor = CliRunner().invoke(main, [*call, "--regions", str(folder / "sensor.geojson"), "--ground", "0"])
     assert sensor.exit_code == 2
-    assert "ground place lines for regions of a map" in sensor.output
+    assert "location-unused" in sensor.output
