@@ -107,7 +107,7 @@ def make_signatures(
     from hyperpaint.workflows.library_files import NOT_LOOKED_FOR, table_of, write_signatures
 
     smoothing = None if smooth is None else {"method": smooth, "window": window}
-    limits = {
+    limits: dict[str, Any] = {
         name: settings.pop(name) for name in ("diffuse", "glint", "shadow", "adjacency") if name in settings
     }
     options |= {name: settings.pop(name) for name in ("coat_index",) if name in settings}
