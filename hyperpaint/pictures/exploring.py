@@ -15,7 +15,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hyperpaint.base.errors import StoreError, needs_extra
-from hyperpaint.base.renamed import renamed
+from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store

@@ -21,7 +21,7 @@ import numpy as np
 from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.renamed import renamed
+from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.paints.colours import paint_colours, srgb_hex

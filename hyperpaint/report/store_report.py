@@ -16,8 +16,8 @@ import numpy as np
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.progress_reports import part_of
-from hyperpaint.base.renamed import renamed
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.pictures.figures import new_figure
 from hyperpaint.surroundings.scratch import release

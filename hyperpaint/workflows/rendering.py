@@ -42,7 +42,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.input_files import open_input
-from hyperpaint.base.renamed import renamed
+from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
