@@ -76,9 +76,15 @@ class Agreement:
     def cells(self) -> tuple[str, ...]:
         """A row of the table of a `Comparison`."""
         return (
-            self.material, f"{self.pixels}", f"{self.true:.4f}", f"{self.recovered:.4f}", f"{self.bias:+.5f}",
-            f"{self.rmse_of_mean:.5f}", f"{self.rmse:.5f}", f"{100 * self.oxygen:.2f} %",
-        )  # fmt: skip
+            self.material,
+            f"{self.pixels}",
+            f"{self.true:.4f}",
+            f"{self.recovered:.4f}",
+            f"{self.bias:+.5f}",
+            f"{self.rmse_of_mean:.5f}",
+            f"{self.rmse:.5f}",
+            f"{100 * self.oxygen:.2f} %",
+        )
 
 
 @dataclass(frozen=True)
@@ -304,9 +310,16 @@ def run_demonstration(
     effects = EFFECTS if samples is None else {**EFFECTS, "samples": samples}
     begin = time.perf_counter()
     collect = simulate_collect(
-        folder, lines=lines, bands=bands, columns=columns, seed=seed, scene=scene, overwrite=True,
-        progress=simulated, **effects,
-    )  # fmt: skip
+        folder,
+        lines=lines,
+        bands=bands,
+        columns=columns,
+        seed=seed,
+        scene=scene,
+        overwrite=True,
+        progress=simulated,
+        **effects,
+    )
     middle = time.perf_counter()
     say(f"simulated {lines} lines x {bands} bands x {columns} columns in {middle - begin:.1f} s: {collect}")
     outcome = run(collect, folder / STORE, overwrite=True, progress=progress)

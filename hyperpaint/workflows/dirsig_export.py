@@ -77,9 +77,15 @@ def export_dirsig_scene(
         repaint = dealt_paints(parts.scene, list(map(str, library["signature"].values)), repaint)
     libraries += [*named_libraries(parts.spectra), _formulas(parts, repaint)]
     return write_dirsig_scene(
-        parts.scene, folder, libraries, repaint=repaint, origin=ORIGIN, overwrite=overwrite,
-        progress=progress, **options,
-    )  # fmt: skip
+        parts.scene,
+        folder,
+        libraries,
+        repaint=repaint,
+        origin=ORIGIN,
+        overwrite=overwrite,
+        progress=progress,
+        **options,
+    )
 
 
 def dealt_paints(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -> dict[str, str]:

@@ -30,9 +30,12 @@ RECORD = "steps.json"
 something else wrote is not replaced unasked."""
 
 _PRODUCTS = {
-    "signatures": "paints.zarr", "validate": "agreement.csv", "mosaic": "mosaic.tif", "dirsig": "dirsig",
+    "signatures": "paints.zarr",
+    "validate": "agreement.csv",
+    "mosaic": "mosaic.tif",
+    "dirsig": "dirsig",
     "report": "report.html",
-}  # fmt: skip
+}
 
 Progress = Callable[[int, int], None]
 
@@ -359,8 +362,10 @@ class _Day:
             record = None
         entries = record if isinstance(record, dict) else dict.fromkeys(STEPS)
         # entries that a damaged record has lost may belong to a run
-        return {step: _UNKNOWN if step in STEPS and not _is_entry(entry) else entry
-                for step, entry in entries.items()}  # fmt: skip
+        return {
+            step: _UNKNOWN if step in STEPS and not _is_entry(entry) else entry
+            for step, entry in entries.items()
+        }
 
     def _write_record(self, entries: Mapping[str, Any]) -> None:
         from hyperpaint.io.files.publishing import publish_file
@@ -374,9 +379,13 @@ class _Day:
         from .pipeline import run
 
         done = run(
-            self.settings.path, self.store, alignment=self.alignment, accept=self.accept,
-            overwrite=self.overwrite, progress=self.is_watched,
-        )  # fmt: skip
+            self.settings.path,
+            self.store,
+            alignment=self.alignment,
+            accept=self.accept,
+            overwrite=self.overwrite,
+            progress=self.is_watched,
+        )
         state = "done" if done.written else "unchanged"
         corrected = [f"{name}: {text}" for name, text in done.corrected.items()]
         return StepOutcome("process", state, "\n".join([str(self.store), *corrected]), (self.store,))
@@ -387,9 +396,15 @@ class _Day:
         # lines carry all of [geometry] but a height model, which only regions of a map need
         is_map = self.regions is not None and self.regions.coordinates == "map"
         library = write_signatures(
-            self.store, self.regions, self.library, overwrite=True, specular_sky=self.specular_sky,
-            location=self._heights if is_map else {}, drop_small=True, progress=self.progress("signatures"),
-        )  # fmt: skip
+            self.store,
+            self.regions,
+            self.library,
+            overwrite=True,
+            specular_sky=self.specular_sky,
+            location=self._heights if is_map else {},
+            drop_small=True,
+            progress=self.progress("signatures"),
+        )
         left_out = [f"left out {text}" for text in library.attrs.get("left_out", ())]
         return "\n".join([f"{self.library}: {library.sizes['signature']} paints", *left_out])
 
@@ -441,9 +456,12 @@ class _Day:
 
         folder = self.out / "dirsig"
         materials = write_dirsig(
-            open_library(self.library), folder, gaps="interpolate", overwrite=True,
+            open_library(self.library),
+            folder,
+            gaps="interpolate",
+            overwrite=True,
             progress=self.progress("dirsig"),
-        )  # fmt: skip
+        )
         return f"{folder}: {materials.sizes['signature']} materials"
 
     def _report(self) -> str:
@@ -451,9 +469,12 @@ class _Day:
 
         library = self.library if self.library.exists() and not self._library_failed else None
         done = write_report(
-            self.store, self.out / "report.html", library=library, overwrite=True,
+            self.store,
+            self.out / "report.html",
+            library=library,
+            overwrite=True,
             progress=self.progress("report"),
-        )  # fmt: skip
+        )
         problems = f"; cannot be read: {'; '.join(done.problems)}" if done.problems else ""
         return f"{done.path}{problems}"
 

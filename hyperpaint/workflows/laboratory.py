@@ -132,9 +132,13 @@ def opened_collect(
     from hyperpaint.light.aircraft_receiver import level_irradiance
 
     opened = open_with_settings(
-        collect, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep, mount=_mounted,
+        collect,
+        need_irradiance=need_irradiance,
+        chunks=chunks,
+        calibrate=calibrate_sweep,
+        mount=_mounted,
         level=level_irradiance,
-    )  # fmt: skip
+    )
     _declare_panels(opened)
     return opened
 

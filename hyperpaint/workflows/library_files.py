@@ -215,8 +215,9 @@ def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged
     except PaintError as error:
         error.note(
             f"flight line {name!r} has no flags of glint or shadow yet",
-            mend="flags=False does without", option="--no-flags does without",
-        )  # fmt: skip
+            mend="flags=False does without",
+            option="--no-flags does without",
+        )
         raise
 
 
@@ -393,7 +394,9 @@ def _as_json(validation: Validation) -> str:
         "parts": {
             str(part): [_plain(float(edge)) for edge in edges]
             for part, *edges in zip(
-                table["part"].values, table["first_wavelength"].values, table["last_wavelength"].values,
+                table["part"].values,
+                table["first_wavelength"].values,
+                table["last_wavelength"].values,
                 strict=True,
             )
         },
@@ -402,7 +405,7 @@ def _as_json(validation: Validation) -> str:
         "unpaired_signatures": list(validation.unpaired_signatures),
         "unpaired_references": list(validation.unpaired_references),
         "missing": list(validation.missing),
-    }  # fmt: skip
+    }
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 

@@ -129,9 +129,13 @@ class _Signature:
         recovered, true = np.asarray(self.recovered) / self.pixels, np.asarray(self.true) / self.pixels
         error = float(np.sqrt(np.mean((recovered / true - 1.0) ** 2)))
         return PaintAgreement(
-            paint=name, cars=len(self.cars), pixels=self.pixels, recovered=float(recovered.mean()),
-            error=error, field=float(field.mean()),
-        )  # fmt: skip
+            paint=name,
+            cars=len(self.cars),
+            pixels=self.pixels,
+            recovered=float(recovered.mean()),
+            error=error,
+            field=float(field.mean()),
+        )
 
 
 def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
@@ -160,10 +164,14 @@ def signature_table(paints: Sequence[PaintAgreement]) -> str:
     head = ("signature", "cars", "pixels", "field", "recovered", "error")
     rows = [
         (
-            one.paint, f"{one.cars}", f"{one.pixels}", f"{one.field:.4f}", f"{one.recovered:.4f}",
+            one.paint,
+            f"{one.cars}",
+            f"{one.pixels}",
+            f"{one.field:.4f}",
+            f"{one.recovered:.4f}",
             f"{one.error:.2%}",
         )
         for one in paints
-    ]  # fmt: skip
+    ]
     lines = aligned([head, *rows])
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", _LEGEND])

@@ -287,18 +287,37 @@ def process(
     40
     """
     return run(
-        collect, out, to=to, reflectance=reflectance, alignment=alignment, scheduler=scheduler,
-        memory_limit=memory_limit, accept=accept, overwrite=overwrite, progress=progress, codec=codec,
+        collect,
+        out,
+        to=to,
+        reflectance=reflectance,
+        alignment=alignment,
+        scheduler=scheduler,
+        memory_limit=memory_limit,
+        accept=accept,
+        overwrite=overwrite,
+        progress=progress,
+        codec=codec,
         layout=layout,
-    ).path  # fmt: skip
+    ).path
 
 
 def run(
-    collect: str | Path, out: str | Path, *, to: Product = "reflectance", reflectance: Kept = "stored",
-    alignment: Alignment | None = None, scheduler: str | None = None, memory_limit: str | int | None = None,
-    accept: Collection[str] = (), overwrite: bool = False, progress: bool = False, codec: Codec = "compact",
-    layout: Layout = "cube", take_up: TakeUp | None = None,
-) -> Outcome:  # fmt: skip
+    collect: str | Path,
+    out: str | Path,
+    *,
+    to: Product = "reflectance",
+    reflectance: Kept = "stored",
+    alignment: Alignment | None = None,
+    scheduler: str | None = None,
+    memory_limit: str | int | None = None,
+    accept: Collection[str] = (),
+    overwrite: bool = False,
+    progress: bool = False,
+    codec: Codec = "compact",
+    layout: Layout = "cube",
+    take_up: TakeUp | None = None,
+) -> Outcome:
     """Process a collect, as `process` does with the same arguments, and return the groups written.
 
     ``take_up`` hands over blocks of a line in flight (`hyperpaint.workflows.following`).
@@ -351,10 +370,14 @@ def run(
         _rehearse(products, collect, client)
         lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
         again = {
-            "--to": None if to == "reflectance" else to, "--alignment": alignment, "--overwrite": overwrite,
-            "--reflectance": None if reflectance == "stored" else reflectance, "--accept": sorted(accept),
-            "--codec": {"compact": None}.get(codec, codec), "--layout": {"cube": None}.get(layout, layout),
-        }  # fmt: skip
+            "--to": None if to == "reflectance" else to,
+            "--alignment": alignment,
+            "--overwrite": overwrite,
+            "--reflectance": None if reflectance == "stored" else reflectance,
+            "--accept": sorted(accept),
+            "--codec": {"compact": None}.get(codec, codec),
+            "--layout": {"cube": None}.get(layout, layout),
+        }
         command = finishing_command(f"process {quote(str(opened.settings.path.absolute()))}", again)
         turn = stack.enter_context(
             whole_run(
@@ -477,10 +500,13 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
     if client is None:
         resident = budget.resident_memory()
         return budget.fit(
-            loads, lines=lines, threads=budget.thread_count(),
-            fixed=max(budget.PROCESS, resident + budget.RUNNING), limit=budget.process_limit(resident, limit),
+            loads,
+            lines=lines,
+            threads=budget.thread_count(),
+            fixed=max(budget.PROCESS, resident + budget.RUNNING),
+            limit=budget.process_limit(resident, limit),
             a_thread=budget.thread_space(),
-        )  # fmt: skip
+        )
     workers = client.scheduler_info(n_workers=-1)["workers"].values()
     limits = [worker["memory_limit"] for worker in workers if worker["memory_limit"]]
     if limit is None and limits:

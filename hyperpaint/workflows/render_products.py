@@ -53,9 +53,13 @@ class Render:
         from hyperpaint.simulation.rendering.relighting import relight
 
         relit = relight(
-            traced, self._bands(product), paints=dict(self.paints), atmosphere=self.atmosphere,
-            spectra=dict(self.spectra), hold_edges=self.hold_edges,
-        )  # fmt: skip
+            traced,
+            self._bands(product),
+            paints=dict(self.paints),
+            atmosphere=self.atmosphere,
+            spectra=dict(self.spectra),
+            hold_edges=self.hold_edges,
+        )
         picture = overview(relit)
         line = relit.rename(reflectance="true_reflectance")
         line["true_reflectance"] = _rounded(line["true_reflectance"])
@@ -63,9 +67,13 @@ class Render:
             line = line.drop_vars("true_reflectance")
         if product == "counts":
             counts = counts_of(
-                line["radiance"], self.camera, self.platform.exposure_time, seed, self.atmosphere.name,
+                line["radiance"],
+                self.camera,
+                self.platform.exposure_time,
+                seed,
+                self.atmosphere.name,
                 noise=noise,
-            )  # fmt: skip
+            )
             line = line.drop_vars("radiance").merge(counts)
         line = irradiance_series(line, self.platform).assign_coords(pose_of(self.platform))
         line = line.assign(look_angle=_look_angle(self.platform))
@@ -153,7 +161,7 @@ def counts_of(
     number, stops = cube.shape[0], np.cumsum(cube.chunks[0]).tolist()
     exposure = _Exposure(
         detector, camera.optics, scale, factor, camera.pedestal, key if noise else None, number
-    )  # fmt: skip
+    )
     blocks = []
     for start, stop in zip([0, *stops], stops, strict=False):
         # lines around a block that blur into it
@@ -161,9 +169,14 @@ def counts_of(
         seen = cube[first:last].rechunk(-1)
         chunks = ((stop - start,), *seen.chunks[1:])
         block = da.map_blocks(
-            exposure.counts, seen, first=first, lines=range(start, stop), dtype=np.uint16, chunks=chunks,
+            exposure.counts,
+            seen,
+            first=first,
+            lines=range(start, stop),
+            dtype=np.uint16,
+            chunks=chunks,
             meta=np.empty((0, 0, 0), dtype=np.uint16),
-        )  # fmt: skip
+        )
         blocks.append(block)
     counts = da.concatenate(blocks)
     variables = {

@@ -159,17 +159,32 @@ def render_scene(
     (2, 272, 2)
     """
     return run(
-        path, out, samples=samples, to=to, atmospheres=atmospheres, library=library, hold_edges=hold_edges,
-        scheduler=scheduler, overwrite=overwrite, progress=progress,
-    ).path  # fmt: skip
+        path,
+        out,
+        samples=samples,
+        to=to,
+        atmospheres=atmospheres,
+        library=library,
+        hold_edges=hold_edges,
+        scheduler=scheduler,
+        overwrite=overwrite,
+        progress=progress,
+    ).path
 
 
 def run(
-    path: str | Path, out: str | Path, *, samples: int | None = None,
-    to: Literal["radiance", "counts"] | None = None, atmospheres: Sequence[str] = (),
-    library: str | Path | None = None, hold_edges: bool | None = None,
-    scheduler: str | None = None, overwrite: bool = False, progress: bool = False,
-) -> Outcome:  # fmt: skip
+    path: str | Path,
+    out: str | Path,
+    *,
+    samples: int | None = None,
+    to: Literal["radiance", "counts"] | None = None,
+    atmospheres: Sequence[str] = (),
+    library: str | Path | None = None,
+    hold_edges: bool | None = None,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> Outcome:
     """Render a scene, as `render_scene` does with the same arguments, and return the groups written."""
     from hyperpaint.io.store import open_group
     from hyperpaint.io.store.computing import errors_of_the_cluster
@@ -205,10 +220,13 @@ def run(
         contents = run_contents(planned)
         writing = {name: planned[name] for name in pending}
         again = {
-            "--samples": samples, "--to": to, "--atmosphere": list(atmospheres), "--overwrite": overwrite,
+            "--samples": samples,
+            "--to": to,
+            "--atmosphere": list(atmospheres),
+            "--overwrite": overwrite,
             "--library": library and Path(library).absolute(),
             "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
-        }  # fmt: skip
+        }
         command = finishing_command(f"render {quote(str(Path(path).absolute()))}", again)
         turn = stack.enter_context(
             whole_run(out, contents, writing, attrs, command=command, overwrite=overwrite)
@@ -286,10 +304,17 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
 
     sampling = file.sampling
     traced = trace(
-        parts.scene, parts.platform, parts.suns, samples=sampling.samples, depth=sampling.depth,
-        seed=sampling.seed, slots=sampling.slots, overcast=parts.overcast, sun_radius=sampling.sun_radius_deg,
+        parts.scene,
+        parts.platform,
+        parts.suns,
+        samples=sampling.samples,
+        depth=sampling.depth,
+        seed=sampling.seed,
+        slots=sampling.slots,
+        overcast=parts.overcast,
+        sun_radius=sampling.sun_radius_deg,
         chunk_lines=lines,
-    )  # fmt: skip
+    )
     inputs = {
         "format": [FORMAT_VERSION, NUMERICS_VERSION],
         "scene": {**file.scene, "name": file.name},
@@ -326,9 +351,12 @@ def _renders(
                 atmosphere, parts.camera, parts.platform, parts.spectra, file.paints, file.hold_edges
             )
             renders[RENDERS + atmosphere.name] = render.of(
-                traced, product=file.product, true_reflectance=file.true_reflectance, seed=file.sampling.seed,
+                traced,
+                product=file.product,
+                true_reflectance=file.true_reflectance,
+                seed=file.sampling.seed,
                 noise=parts.noise,
-            ).assign_attrs({INPUTS: _digest(inputs)})  # fmt: skip
+            ).assign_attrs({INPUTS: _digest(inputs)})
     return renders
 
 

@@ -80,12 +80,18 @@ def _stored_form(cube: Path) -> str:
     from hyperpaint.io.envi.envi_header import read_header
 
     header = read_header(find_pair(cube)[0])
-    factors = [None if values is None else values.tolist()
-               for values in (header.data_gain_values, header.data_offset_values)]  # fmt: skip
+    factors = [
+        None if values is None else values.tolist()
+        for values in (header.data_gain_values, header.data_offset_values)
+    ]
     form = (
-        header.header_offset, header.dtype.str, header.interleave, header.data_ignore_value,
-        header.reflectance_scale_factor, *factors,
-    )  # fmt: skip
+        header.header_offset,
+        header.dtype.str,
+        header.interleave,
+        header.data_ignore_value,
+        header.reflectance_scale_factor,
+        *factors,
+    )
     return repr(form)
 
 
