@@ -100,11 +100,12 @@ product = "radiance"
 def command(case: str, folder: Path, limit: str | None) -> list[str]:
     """Return the arguments of the command line."""
     store, given = str(folder / "lot.zarr"), [] if limit is None else ["--memory-limit", limit]
-    place = ["--ground", "0", "--focal-length-mm", "15.24", "--pixel-pitch-um", "8", "--gsd", "0.008", *given]
+    camera = ["--set", "focal_length_mm=15.24", "--set", "pixel_pitch_um=8"]
+    place = ["--ground", "0", *camera, "--gsd", "0.008", *given]
     out = str(folder / "out")
     return {
         "signatures": ["signatures", store, "--regions", str(folder / "regions.geojson"), "--drop-small",
-                       "--out", f"{out}.zarr", "--sun-zenith", "30", "--diffuse", "model", *given],
+                       "--out", f"{out}.zarr", "--sun-zenith", "30", "--set", "diffuse=model", *given],
         "report": ["report", store, "--out", f"{out}.html", "--sun-zenith", "30", *given],
         "orthorectify": ["orthorectify", store, "--out", f"{out}.zarr", *place],
         "geotiff": ["orthorectify", store, "--out", f"{out}.tif", *place],

@@ -1,11 +1,10 @@
-"""What all commands share: how they end and show their progress."""
+"""Exit statuses, progress bars and messages that commands share."""
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,32 +26,21 @@ SIGNALLED = 128
 """Added to the number of a signal that stopped a command, as shells do: 130 for Ctrl-C, 143 for SIGTERM."""
 
 
-def takes_memory_limit(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a command with the option of that name, which then plans with no more than it says."""
-
-    @functools.wraps(command)
-    def limited(*args: Any, memory_limit: str | None, **options: Any) -> Any:
-        from hyperpaint.io.store import budget
-
-        with budget.memory_limit(memory_limit):
-            return command(*args, **options)
-
-    return click.option(
-        "--memory-limit", metavar="SIZE",
-        help="Most memory of the process, such as '2 GiB': fewer threads are taken where more would be "
-        "needed.  [default: 80% of the available]",
-    )(limited)  # fmt: skip
+def program_option(name: str) -> Any:
+    """Return the value of an option of the program, such as ``--memory-limit``."""
+    context = click.get_current_context(silent=True)
+    return None if context is None else context.find_root().params.get(name)
 
 
-def is_watched(quiet: bool) -> bool:
-    """Return whether progress is wanted: not in a log file."""
-    return not quiet and sys.stderr.isatty()
+def is_watched() -> bool:
+    """Return whether progress is shown: on a terminal, without ``--quiet``."""
+    return sys.stderr.isatty() and not program_option("quiet")
 
 
 @contextlib.contextmanager
-def progress_bar(label: str, shown: bool) -> Iterator[Any]:
-    """Yield what a function calls with (done, to do), to draw a bar on stderr; None where not shown."""
-    if not shown:
+def progress_bar(label: str) -> Iterator[Any]:
+    """Yield a function of (done, total) that draws a bar on stderr; None where no progress is shown."""
+    if not is_watched():
         yield None
         return
     bars: list[Any] = []
@@ -70,24 +58,24 @@ def progress_bar(label: str, shown: bool) -> Iterator[Any]:
 
 
 def beside(source: Path, name: str) -> Path:
-    """Return where a product goes that nobody gave a place: to its source, under a name of its own."""
+    """Return the default place of a product: a name in the folder of its source."""
     return source.absolute().parent / name if source.name in ("", ".", "..") else source.with_name(name)
 
 
 def refuse_in_store(store: Path, *products: Path | None) -> None:
-    """Refuse to write a product into the store that it is made from, whatever may be overwritten."""
+    """Refuse a product in the store that it is made from (`click.UsageError`)."""
     for path in products:
         if path is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
-            raise click.UsageError(f"{path} is in the store itself; choose another path")
+            raise click.UsageError(f"{path} is in the store itself; choose another path [output-in-store]")
 
 
-def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
+def without_none(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options that the call names; the others have the defaults of the function."""
     return {name: value for name, value in options.items() if value is not None}
 
 
 def say_outcome(outcome: Outcome) -> None:
-    """Say which groups of a store were written, and which were there already."""
+    """Print which groups of a store were written, and which were complete."""
     written, unchanged = (
         ", ".join(f"/{group}" for group in groups) for groups in (outcome.written, outcome.unchanged)
     )

@@ -1,4 +1,4 @@
-"""The command ``hyperpaint info``: what a file or a store is, in a few lines of text."""
+"""The command ``hyperpaint info``: facts about a file or a store, in a few lines of text."""
 
 from __future__ import annotations
 
@@ -31,31 +31,32 @@ from hyperpaint.report.summaries import (
 )
 
 from .console import EXISTING
-from .init_command import facts_of_field_folder
-from .virtual_command import facts_of_virtual
+from .options import command
 
 if TYPE_CHECKING:
     import xarray as xr
 
+    from hyperpaint.workflows.field_folder import FieldFolder
+
 
 _EXPECTED = (
-    "expected an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
+    "an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
     "a text or csv export of spectra, "
     "a spectral library, a DIRSIG .ems or .mat file, a frame index, imu_gps.txt, "
     "SBET, .lcf or csv navigation, settings.txt, "
     "a collect.toml, the folder of a field day, a virtual store, or a Zarr store or a group in it"
 )
 _TABLES = (".txt", ".csv", ".tsv", ".asc")
-_MOST_NAMED = 5
+MAX_NAMES = 5
 _DAY_NS = 86_400 * 10**9
 _HEAD = 4096
 
 
 def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]:
-    """Return what `describe_path` says, by name; what is empty is not known."""
+    """Return the facts of `describe_path` by name; empty where unknown."""
     path = input_path(path, "a file, a folder or a store")
     if not path.exists():
-        raise FormatError(f"no such file or folder: {path}")
+        raise FormatError(f"{path}: no such file or folder", code="file-not-found")
     if is_virtual(path):
         return dict(facts_of_virtual(path, allow))
     refuse_kerchunk(path)
@@ -114,7 +115,7 @@ def _file(path: Path) -> Facts:
         return _spectra_if_any(path)
     if path.suffix.lower() == ".mat":
         return _materials(path)
-    raise FormatError(f"{path}: not a kind of file known here; {_EXPECTED}")
+    raise FormatError(f"{path}: unknown kind of file", expected=_EXPECTED, code="format-unknown")
 
 
 # --- one kind of file each ---------------------------------------------------------------------------------
@@ -244,12 +245,14 @@ def _irradiance_csv(path: Path) -> Facts:
 
 
 def _spectra_if_any(path: Path) -> Facts:
-    """Yield what a table holds; one that cannot be read may be no table of spectra."""
+    """Yield the facts of a table of spectra; an error says that it may be no table of spectra."""
     try:
         yield from _library(path)
     except FormatError as error:
         raise FormatError(
-            f"{path}: not a kind of file known here; {_EXPECTED}. Taken for spectra: {error}"
+            f"{path}: unknown kind of file (as spectra: {error})",
+            expected=_EXPECTED,
+            code="format-unknown",
         ) from error
 
 
@@ -268,9 +271,9 @@ def _library(path: Path) -> Facts:
 
 
 def _first_of(names: Sequence[object]) -> str:
-    more = len(names) - _MOST_NAMED
+    more = len(names) - MAX_NAMES
     # a name may hold a comma
-    return "; ".join(map(str, names[:_MOST_NAMED])) + (f"; and {more} more" if more > 0 else "")
+    return "; ".join(map(str, names[:MAX_NAMES])) + (f"; and {more} more" if more > 0 else "")
 
 
 def _materials(path: Path) -> Facts:
@@ -391,7 +394,9 @@ def _folder(path: Path) -> Facts:
         return facts_of_field_folder(find_field_files(path))
     except CollectError as error:
         raise StoreError(
-            f"{path} is a folder, not a Zarr store, and not that of a field day: {error}; {_EXPECTED}"
+            f"{path} is a folder, but neither a Zarr store nor a field day ({error})",
+            expected=_EXPECTED,
+            code="format-unknown",
         ) from error
 
 
@@ -415,10 +420,10 @@ def _store(path: Path) -> Facts:
 
 
 def _group(path: Path, name: str) -> Facts:
-    """Yield what a group holds, or why it must not be read."""
+    """Yield the facts of a group, and its state."""
     from hyperpaint.io.store import is_complete, open_group, open_unverified
 
-    # without dask, pint and what else xarray imports to chunk, to decode times and to build an index
+    # dask, pint and other imports of xarray for chunks, times and indexes are avoided
     opened_by = {"chunks": None, "decode_times": False, "create_default_indexes": False}
     try:
         group = with_times(open_group(path, name, **opened_by))
@@ -454,11 +459,59 @@ def _joined(facts: Facts) -> str:
     return "\n".join(f"{name}: {text}" for name, text in facts if text)
 
 
+def facts_of_field_folder(field: FieldFolder) -> Facts:
+    """Yield the facts about the folder of a field day."""
+    yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
+    for cube in field.cubes:
+        beside = {"frame index": cube.frame_index, "navigation": cube.navigation}
+        words = [name if place else f"no {name}" for name, place in beside.items()]
+        exposure = "exposure" if cube.has_exposure else "no exposure"
+        yield _within(field.folder, cube.header), ", ".join([*words, exposure])
+    yield "dark", ", ".join(_within(field.folder, one) for one in field.darks) or "none"
+    for name, place in (("calibration", field.calibration), ("lab sweep", field.sweep)):
+        yield name, "" if place is None else _within(field.folder, place)
+    yield "irradiance", ", ".join(_within(field.folder, place) for place, _ in field.irradiance) or "none"
+    yield (
+        "references",
+        ", ".join(
+            f"{instrument} in {_within(field.folder, place)}" for instrument, place, _ in field.references
+        ),
+    )
+    yield "not used", "\n".join(field.notes)
+    if (field.folder / "collect.toml").exists():
+        yield "process", f"hyperpaint run {field.folder}"
+    else:
+        yield "process", f"hyperpaint init {field.folder} writes a collect.toml of it"
+
+
+def _within(folder: Path, path: Path) -> str:
+    return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
+
+
+def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
+    """Yield the groups of a virtual store, and whether its raw files are unchanged.
+
+    ``allow``: as of `open_virtual`.
+    """
+    from hyperpaint.base.errors import StoreError
+    from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
+
+    groups = virtual_groups(path)
+    yield "is", f"virtual store (icechunk) of {counted(len(groups), 'flight line')}, cubes in their raw files"
+    for name, about in groups.items():
+        yield f"/{name}", "\n".join(f"{raw.url}, {size_of(raw.size)}" for raw in about[RAW_FILES])
+        try:
+            line = open_virtual(path, name, allow=allow)
+        except StoreError as error:
+            yield f"/{name} NOT READ", error.text(on_command_line=True)
+        else:
+            yield f"/{name} holds", "\n".join(f"{key}: {text}" for key, text in facts_of_line(line) if text)
+
+
 # --- the command ---
 
 
-@click.command(
-    short_help="Show what a file, collect or store is.",
+@command(
     epilog="""\b
 Examples:
   hyperpaint info collect.toml
@@ -467,15 +520,17 @@ Examples:
 @click.argument("path", type=EXISTING)
 @click.option("--json", "as_json", is_flag=True, help="The same as JSON, for programs.")
 @click.option(
-    "--allow", metavar="PREFIX", multiple=True,
+    "--allow",
+    metavar="PREFIX",
+    multiple=True,
     help="Folder or URL below which raw files of a virtual store may be read, besides its own folder.",
-)  # fmt: skip
+)
 def info(path: Path, as_json: bool, allow: tuple[str, ...]) -> None:
-    """Show what a file or store is: dims, units, wavelengths, times, exposure, completeness.
+    """Describe a file or a store: dims, units, wavelengths, times, exposure, completeness.
 
     PATH is an ENVI header or cube, a GeoTIFF, regions, an ASD file, a text or csv export, a frame index, a
-    navigation record, a collect.toml, the folder of a field day, or a Zarr store or one of its groups. Of a
-    collect everything is opened; shown is what `process` would do.
+    navigation record, a collect.toml, the folder of a field day, or a Zarr store or one of its groups. All
+    files of a collect are opened; the result of `process` is described.
     """
     if not as_json:
         click.echo(describe_path(path, allow))

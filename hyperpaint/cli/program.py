@@ -1,7 +1,7 @@
 """The command line: ``hyperpaint`` or ``python -m hyperpaint``.
 
-Thin: options in, one function of the package, text out; a file a command, loaded when it is asked for.
-What is heavy is imported inside a command.
+Thin: options in, one function of the package, text out. A group of commands is a file, loaded when needed.
+Heavy modules are imported inside a command.
 
 Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong, 130 stopped by Ctrl-C, 143 by
 SIGTERM.
@@ -10,6 +10,7 @@ SIGTERM.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import signal
 import threading
 import warnings
@@ -23,39 +24,106 @@ from hyperpaint import __version__
 from hyperpaint.base.errors import PaintError, PaintWarning
 
 from .console import SIGNALLED, WRONG_INPUT, is_watched
+from .options import Command
 
-COMMANDS = {
-    **{name: name for name in ("calibrate", "check", "croissant", "demo", "export", "follow", "info")},
-    **{name: name for name in ("init", "process", "render", "run", "simulate", "site", "validate", "verify")},
-    "detect": "detect_paints", "mosaic": "make_mosaic", "orthorectify": "make_map",
-    "paints": "list_paints", "report": "make_report", "signatures": "make_signatures",
-    "check-library": "check_library", "virtual": "virtual",
-    "view": "view", "warm": "warm",
-}  # fmt: skip
-"""Every command, with the name of its function in ``<command>_command.py``."""
-
+GROUPS = {
+    "Start": {
+        "demo": "Simulate a collect, process it, compare with the truth.",
+        "init": "Write a collect.toml from the files of a folder.",
+        "run": "Process a whole field day: store, paints, maps, report.",
+    },
+    "Flight": {
+        "info": "Describe a file, a collect or a store.",
+        "check": "Check whether the inputs of a collect are plausible.",
+        "process": "Process a collect into a store of reflectance.",
+        "virtual": "Write a store that refers to the raw cubes.",
+        "follow": "Process a flight while it is recorded.",
+        "calibrate": "Turn a lab sweep into a calibration.",
+        "orthorectify": "Resample a flight line to a map.",
+        "mosaic": "Combine flight lines on one map.",
+    },
+    "Paints": {
+        "signatures": "Extract paint signatures from regions.",
+        "validate": "Compare signatures with field spectrometers.",
+        "detect": "Find the paints of a library in a store.",
+        "paints": "List, search and save paints of a library.",
+        "check-library": "Check a library against its specification.",
+        "export": "Export a library for DIRSIG, ENVI and others.",
+    },
+    "Scenes": {
+        "simulate": "Write a simulated collect with known truth.",
+        "render": "Render a synthetic scene under atmospheres.",
+    },
+    "Look": {
+        "view": "Explore a store in a browser.",
+        "report": "Write one page about a store.",
+        "site": "Write a page about a store for any web server.",
+    },
+    "Care": {
+        "verify": "Check every chunk of a store.",
+        "croissant": "Describe a store to machine-learning tools.",
+        "warm": "Compile the kernels in advance.",
+    },
+}
+"""Every command by its group, with one line of help."""
 
 RESUMED = ("follow", "process", "render", "run")
-"""Commands that, stopped and called again, go on from what is finished."""
+"""Commands that resume an interrupted run."""
+
+PLANNED = ("detect", "mosaic", "orthorectify", "render", "report", "signatures", "site")
+"""Commands that plan their memory, also without ``--memory-limit``."""
 
 
 class Program(click.Group):
-    """A group of commands, each in a file of its own that is loaded when the command is asked for.
+    """Commands in groups, each group in a file that is loaded when one of its commands is called.
 
-    Their errors are one readable message, and their warnings are one line each; so is what Ctrl-C says.
+    Errors are one message, warnings one line each. ``--quiet`` and ``--memory-limit`` may stand before or
+    after the name of the command.
     """
 
     def list_commands(self, _ctx: click.Context) -> list[str]:
-        """Return the names of all commands."""
-        return sorted(COMMANDS)
+        """Return the names of all commands, group by group."""
+        return [name for commands in GROUPS.values() for name in commands]
 
     def get_command(self, _ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Return the command of that name, from its own file."""
-        if cmd_name not in COMMANDS:
-            return None
-        module = import_module(f".{cmd_name.replace('-', '_')}_command", __package__)
-        command: click.Command = getattr(module, COMMANDS[cmd_name])
-        return command
+        """Return a command, imported from the file of its group."""
+        for group, commands in GROUPS.items():
+            if cmd_name in commands:
+                name = "info_command" if cmd_name == "info" else f"{group.lower()}_commands"
+                values = vars(import_module(f".{name}", __package__)).values()
+                return next(each for each in values if isinstance(each, Command) and each.name == cmd_name)
+        return None
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that the arguments name; of an unknown name, suggest the nearest."""
+        if args and args[0] not in self.list_commands(ctx) and not args[0].startswith("-"):
+            near = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
+            mend = f"did you mean {near[0]}?" if near else "hyperpaint --help lists the commands"
+            ctx.fail(f"no such command {args[0]!r}; {mend}")
+        return super().resolve_command(ctx, args)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments, with the options of the whole program moved to the front."""
+        ahead: list[str] = []
+        rest = list(args)
+        end = rest.index("--") if "--" in rest else len(rest)
+        for place in reversed(range(end)):
+            word = rest[place]
+            if word == "--quiet" or word.startswith("--memory-limit="):
+                ahead.append(rest.pop(place))
+            elif word == "--memory-limit":
+                ahead += rest[place : place + 2]
+                del rest[place : place + 2]
+        return super().parse_args(ctx, [*ahead, *rest])
+
+    def format_commands(self, _ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write one line for every command, group by group."""
+        with formatter.section("Commands"):
+            for group, commands in GROUPS.items():
+                for number, (name, text) in enumerate(commands.items()):
+                    formatter.write(f"  {'' if number else group:<8}{name:<15}{text}\n")
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that the context names."""
@@ -64,7 +132,7 @@ class Program(click.Group):
                 return super().invoke(ctx)
             except KeyboardInterrupt as stop:
                 number = next((each for each in stop.args if isinstance(each, int)), signal.SIGINT)
-                if is_watched(quiet=False):  # the line of a progress bar ends here
+                if is_watched():  # ends the progress bar
                     click.echo(err=True)
                 text = f"stopped by {signal.Signals(number).name}"
                 if ctx.invoked_subcommand in RESUMED:
@@ -83,7 +151,7 @@ class Program(click.Group):
 
 @contextlib.contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end a command in order, once; a second one ends the process where it is."""
+    """End a command in order at the first Ctrl-C or SIGTERM; a second one kills the process."""
     if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
         yield
         return
@@ -94,7 +162,7 @@ def _stopped_by_signals() -> Iterator[None]:
             signal.signal(each, signal.SIG_DFL)
         raise KeyboardInterrupt(number)
 
-    # what a shell or nohup told to ignore a signal goes on ignoring it
+    # a signal that a shell or nohup ignores stays ignored
     caught = [number for number, handler in before.items() if handler not in (signal.SIG_IGN, None)]
     try:
         for number in caught:
@@ -128,48 +196,18 @@ def _short_warnings() -> Iterator[None]:
     cls=Program,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100, "show_default": True},
     epilog="""\b
-Examples:
-  hyperpaint demo                                     see the whole chain on a simulated collect
-  hyperpaint init 2021_07_20                          a commented collect.toml of what lies in a folder
-  hyperpaint run 2021_07_20                           all of it: store, paints, validation, maps, report
-
-\b
-Step by step:
-  hyperpaint info flight/raw_0.hdr                    what is this file?
-  hyperpaint info collect.toml                        does everything open, and what would be done?
-  hyperpaint check collect.toml                       can what it names be true?
-  hyperpaint calibrate sweep.zarr                     a lab sweep to a calibration
-  hyperpaint process collect.toml --out lot.zarr      raw counts to calibrated reflectance
-  hyperpaint virtual collect.toml --out lot.icechunk  the same without copying the raw cubes
-  hyperpaint verify lot.zarr                          is every chunk of it there and right?
-  hyperpaint orthorectify lot.zarr --ground 152.4 --out map.tif   a map (see its --help for the camera)
-  hyperpaint mosaic lot.zarr --out mosaic.tif         all its lines on one map
-  hyperpaint signatures lot.zarr --regions cars.geojson --out paints.zarr
-  hyperpaint validate paints.zarr --reference 'svc/*.sig'
-  hyperpaint export paints.zarr --format dirsig --out dirsig
-  hyperpaint paints --colour red                      red ones of the synthetic starter library
-  hyperpaint detect lot.zarr --library wanted.zarr    which pixels show these paints?
-  hyperpaint report lot.zarr --out report.html        all of it on one page
-  hyperpaint view lot.zarr                            look at it with the mouse
-  hyperpaint site lot.zarr --out page                 the same for any web server: click for spectra
-  hyperpaint render --example > scene.toml            a synthetic scene to begin with
-  hyperpaint render scene.toml                        its cubes, with what is true of every pixel
-  hyperpaint croissant scene.zarr --licence CC0-1.0   the metadata that machine-learning tools read
-
-\b
-Then, in Python:
-  import xarray as xr, hyperpaint
-  line = xr.open_zarr("lot.zarr", group="flightlines/raw_0")
-  line.paint.reflectance()                            lazy, from the stored counts
-  line.paint.quicklook("line.png")
-
-\b
-Commands and options are completed by the shell, after this in its start file:
-  eval "$(_HYPERPAINT_COMPLETE=bash_source hyperpaint)"     zsh_source for zsh
-
-Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong, 130 stopped by Ctrl-C,
-143 by SIGTERM; process, run and render then go on from what is finished.""",
+Begin with hyperpaint demo or hyperpaint init FOLDER; hyperpaint COMMAND --help has examples.
+Completion (bash, or zsh_source): eval "$(_HYPERPAINT_COMPLETE=bash_source hyperpaint)"
+Exit status: 0 done, 1 the data fail a check, 2 the call or an input is wrong,
+130 Ctrl-C, 143 SIGTERM.""",
 )
+@click.option("--quiet", is_flag=True, help="No progress bar.")
+@click.option("--memory-limit", metavar="SIZE", help="Maximum memory, such as '2 GiB'.  [default: 80 %]")
 @click.version_option(__version__, prog_name="hyperpaint")
-def main() -> None:
-    """Turn the raw counts of a pushbroom camera into calibrated reflectance, in labelled xarray."""
+@click.pass_context
+def main(ctx: click.Context, quiet: bool, memory_limit: str | None) -> None:  # noqa: ARG001
+    """Turn the raw counts of a pushbroom camera into calibrated reflectance."""
+    if memory_limit is not None or ctx.invoked_subcommand in PLANNED:
+        from hyperpaint.io.store import budget
+
+        ctx.with_resource(budget.memory_limit(memory_limit))

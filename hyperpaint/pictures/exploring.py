@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import StoreError, needs_extra
+from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
@@ -107,9 +108,10 @@ def require_panel() -> None:
             __import__(package)
 
 
+@renamed(group="line")
 def serve_explorer(
     store: str | os.PathLike[str],
-    group: str | None = None,
+    line: str | None = None,
     *,
     regions: str | os.PathLike[str] | None = None,
     library: str | os.PathLike[str] | None = None,
@@ -125,7 +127,7 @@ def serve_explorer(
     ----------
     store
         A store with flight lines, or one line.
-    group
+    line
         The flight line shown at first; by default the first one. The page links to the others.
     regions
         GeoJSON file of this line's regions: read if it exists, and saved to. By default, and for other
@@ -146,10 +148,10 @@ def serve_explorer(
         panel or bokeh is not installed.
     """
     lines = _lines_of(store)
-    shown = next(iter(lines), "") if group is None else group.rpartition("/")[2]
+    shown = next(iter(lines), "") if line is None else line.rpartition("/")[2]
     if shown not in lines:
         raise StoreError(
-            f"{store} has no flight line {group!r:.80}" if group else f"{store} has no flight line",
+            f"{store} has no flight line {line!r:.80}" if line else f"{store} has no flight line",
             expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
             code="flightline-unknown",
         )

@@ -22,6 +22,7 @@ import xarray as xr
 from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.input_files import read_limited
+from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store import to_store
@@ -66,14 +67,15 @@ _LEFT_OUT = (
 )
 
 
+@renamed(signatures="library", lines="max_lines")
 def write_site(
     store: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     flightlines: Sequence[str] | None = None,
-    signatures: str | os.PathLike[str] | None = None,
+    library: str | os.PathLike[str] | None = None,
     link: str | None = None,
-    lines: int = 4000,
+    max_lines: int = 4000,
     flags: bool = True,
     overwrite: bool = False,
     progress: bool = False,
@@ -94,13 +96,13 @@ def write_site(
         flags, wavelengths and paints.
     flightlines
         Names of the flight lines shown, such as ``["raw_0"]``; by default the first 64.
-    signatures
+    library
         A paint library beside the store, as ``hyperpaint signatures`` writes it.
     link
         Copy nothing: the page reads the store at this address, absolute or relative to the page. A click then
         reads whole chunks of that store, 8 to 20 MB in the layouts of `hyperpaint.process`; another origin
         must allow it (CORS).
-    lines
+    max_lines
         Maximum picture height [lines]; longer flight lines are subsampled, but all lines can be clicked.
     flags
         Detect glint, shadow and light of neighbours on lines without these flags, see
@@ -118,8 +120,8 @@ def write_site(
     Raises
     ------
     SchemaError
-        There are no such flight lines, ``lines`` is not positive, ``link`` is no address, or is given
-        together with ``signatures``.
+        There are no such flight lines, ``max_lines`` is not positive, ``link`` is no address, or is given
+        together with ``library``.
     StoreError
         There is no store, or it has nothing to show, or ``out`` holds other files, which are kept.
 
@@ -134,11 +136,11 @@ def write_site(
     >>> write_site(store, folder / "page", flags=False).flightlines
     ('flightlines/raw_0',)
     """
-    if lines < 1:
-        raise SchemaError(f"lines={lines}", expected="1 or more", code="value-out-of-range")
-    if link is not None and signatures is not None:
+    if max_lines < 1:
+        raise SchemaError(f"max_lines={max_lines}", expected="1 or more", code="value-out-of-range")
+    if link is not None and library is not None:
         raise SchemaError(
-            "link and signatures: a page that copies nothing shows only the store's signatures",
+            "link and library: a page that copies nothing shows only the store's signatures",
             mend="give one of them",
             code="option-conflict",
         )
@@ -146,7 +148,7 @@ def write_site(
     place = Path(out)
     if Path(store).resolve() in (place.resolve(), *place.resolve().parents):
         raise StoreError(f"{out} is in the store itself", mend="choose another path", code="path-in-store")
-    shown = groups_to_show(store, flightlines, signatures)
+    shown = groups_to_show(store, flightlines, library)
     site, lacking = _Site({}, [], [], {}, list(shown.problems)), set()
     notes: dict[str, str] = {}
     for name, group in (shown.lines | shown.maps).items():
@@ -156,12 +158,12 @@ def write_site(
                 group, note = flagged(group, None, None)
                 notes[name] = "" if group is not shown.lines[name] else note
             copied = _copied(group, stored=link is not None)
-            site.add(path, name, copied, _picture(copied, group, lines))
+            site.add(path, name, copied, _picture(copied, group, max_lines))
         except Exception as error:  # an unreadable group is listed; the others are shown
             site.problems.append(f"/{name}: {message_of(error)}")
             lacking.add(name)
-    for name, library in shown.libraries.items():
-        site.add_library(name if name in shown.opened else "library", name, library)
+    for name, paints in shown.libraries.items():
+        site.add_library(name if name in shown.opened else "library", name, paints)
     for name, note in notes.items():
         if note:
             warnings.warn(PaintWarning(f"/{name}: {note}", code="group-not-shown"), stacklevel=2)

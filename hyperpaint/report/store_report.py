@@ -18,6 +18,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.store.groups import version_of_program
@@ -53,13 +54,14 @@ class Written:
     problems: tuple[str, ...]  #: Unreadable parts of the store, which the page lists too.
 
 
+@renamed(signatures="library", lines="max_lines")
 def write_report(
     store: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     flightlines: Sequence[str] | None = None,
-    signatures: str | os.PathLike[str] | None = None,
-    lines: int = 1000,
+    library: str | os.PathLike[str] | None = None,
+    max_lines: int = 1000,
     flags: bool = True,
     cards: int = 60,
     sun_zenith: float | None = None,
@@ -82,10 +84,10 @@ def write_report(
         The page, a file.
     flightlines
         Names of the flight lines shown, such as ``["raw_0"]``; by default the first 64.
-    signatures
+    library
         A paint library beside the store, as ``hyperpaint signatures`` writes it; libraries in the store are
         always shown.
-    lines
+    max_lines
         Maximum picture height [lines]; longer flight lines are subsampled. Flags are read completely, two
         bytes a pixel.
     flags
@@ -112,7 +114,7 @@ def write_report(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        ``lines`` is not positive, ``cards`` is negative, or there are no such flight lines.
+        ``max_lines`` is not positive, ``cards`` is negative, or there are no such flight lines.
     StoreError
         There is no store, or it has nothing to show; or the page exists already, or cannot be written.
 
@@ -130,11 +132,11 @@ def write_report(
     new_figure("a report")  # before anything is read
     place = Path(out)
     check_place(place, "the report", example="report.html", store=Path(store), overwrite=overwrite)
-    if lines < 1:
-        raise SchemaError(f"lines={lines}", expected="1 or more", code="value-out-of-range")
+    if max_lines < 1:
+        raise SchemaError(f"max_lines={max_lines}", expected="1 or more", code="value-out-of-range")
     if cards < 0:
         raise SchemaError(f"cards={cards}", expected="0 or more", code="value-out-of-range")
-    groups = groups_to_show(store, flightlines, signatures)
+    groups = groups_to_show(store, flightlines, library)
     shown, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
     measured = _measured(shown, libraries, problems)
     calibration = groups.opened.get("calibration")
@@ -144,10 +146,10 @@ def write_report(
     parts: list[tuple[str, Iterator[Part]]] = []
     for number, (name, line) in enumerate(shown.items()):
         share = part_of(progress, number, steps)
-        section = _flagged_section(line, lines, measured[name], cards, flags, sun_zenith, share)
+        section = _flagged_section(line, max_lines, measured[name], cards, flags, sun_zenith, share)
         parts.append((name, section))
-    parts += [(name, map_section(group, lines)) for name, group in maps.items()]
-    parts += [(name, library_section(library)) for name, library in libraries.items()]
+    parts += [(name, map_section(group, max_lines)) for name, group in maps.items()]
+    parts += [(name, library_section(paints)) for name, paints in libraries.items()]
     if validated:
         parts.append(("validation", validation_section(libraries, references)))
     if calibration is not None:

@@ -99,7 +99,7 @@ class LightSplit:
             raise SchemaError(
                 "'diffuse_fraction' of the line, or of its irradiance record, has no value",
                 mend="pass diffuse= with a measured spectrum, or 'model' where the sky was clear",
-                option="give --diffuse",
+                option="give --set diffuse=",
                 code="diffuse-fraction-empty",
             )
         if not has_value.all():  # bands without irradiance are interpolated

@@ -1,4 +1,4 @@
-"""Croissant metadata of a store: what machine-learning tools and dataset search read of a training set.
+"""Croissant metadata of a store, for machine-learning tools and dataset search.
 
 Croissant 1.1 (MLCommons) is JSON-LD, http://mlcommons.org/croissant/1.1. Its files are those of the store,
 its record sets the groups, each a record of arrays. Not written by ``mlcroissant``, which brings rdflib and
@@ -103,7 +103,9 @@ def write_croissant(
     check_place(place, "the metadata", example="croissant.json", store=folder, overwrite=overwrite)
     report = verify(folder)
     if not report.ok:
-        raise IncompleteStoreError(f"no metadata of a store that is not whole: {report}")
+        raise IncompleteStoreError(
+            f"no metadata of a store that is not whole: {report}", code="store-incomplete"
+        )
     groups = {group: open_store(folder, group) for group in report.groups}
     created = min(
         (str(line.attrs["created"]) for line in groups.values() if "created" in line.attrs), default=""
@@ -138,24 +140,30 @@ def write_croissant(
 
 
 def _check(place: Path, folder: Path, about: dict[str, str | None]) -> None:
-    """Refuse what no document can say, before a store is read."""
+    """Refuse invalid arguments before the store is read."""
     from datetime import date
 
     allowed = ("licence", "name", "description", "creator", "cite_as", "version", "published", "url")
     problems = Problems("Croissant metadata", SchemaError)
     for key, value in about.items():
         if key not in allowed:
-            problems.add(f"{key} is none of {', '.join(allowed)}")
+            problems.add(f"{key} is none of {', '.join(allowed)}", code="key-unknown")
         elif value is not None and not (isinstance(value, str) and value.strip()):
             problems.add(
-                f"{key} must be text that is not empty, found {value!r}; say {_UNKNOWN!r} of a licence"
+                f"{key} must be text that is not empty, found {value!r}; say {_UNKNOWN!r} of a licence",
+                code="text-empty",
             )
     try:
         date.fromisoformat(about.get("published") or "2000-01-01")
     except (TypeError, ValueError):
-        problems.add(f"published must be a date YYYY-MM-DD, found {about['published']!r}")
+        problems.add(
+            f"published must be a date YYYY-MM-DD, found {about['published']!r}", code="date-unreadable"
+        )
     if place.absolute().parent.resolve() != folder.absolute().parent.resolve():
-        problems.add(f"{place} must be in the folder of the store, {folder.absolute().parent}")
+        problems.add(
+            f"{place} must be in the folder of the store, {folder.absolute().parent}",
+            code="output-outside-store",
+        )
     problems.raise_if_any()
 
 
@@ -196,7 +204,7 @@ def _metadata(folder: Path, root: str, group: str) -> dict[str, Any]:
 
 
 def _record_set(root: str, group: str, line: xr.Dataset) -> dict[str, Any]:
-    """Return a group as a set of one record, with what its attributes say of seeds and scene."""
+    """Return a group as a set of one record, with the seeds and scene of its attributes."""
     identity = f"records/{_identity(group)}" if group else "records"
     return {
         "@type": "cr:RecordSet",

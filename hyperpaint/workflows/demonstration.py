@@ -76,9 +76,15 @@ class Agreement:
     def cells(self) -> tuple[str, ...]:
         """A row of the table of a `Comparison`."""
         return (
-            self.material, f"{self.pixels}", f"{self.true:.4f}", f"{self.recovered:.4f}", f"{self.bias:+.5f}",
-            f"{self.rmse_of_mean:.5f}", f"{self.rmse:.5f}", f"{100 * self.oxygen:.2f} %",
-        )  # fmt: skip
+            self.material,
+            f"{self.pixels}",
+            f"{self.true:.4f}",
+            f"{self.recovered:.4f}",
+            f"{self.bias:+.5f}",
+            f"{self.rmse_of_mean:.5f}",
+            f"{self.rmse:.5f}",
+            f"{100 * self.oxygen:.2f} %",
+        )
 
 
 @dataclass(frozen=True)
@@ -92,7 +98,7 @@ class Comparison:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is outside the tolerance, one line each."""
+        """Values outside the tolerance, one line each."""
         problems = [
             f"{one.material}: bias {one.bias:+.4f}, tolerance {MAX_BIAS}"
             for one in (*self.materials, self.overall)
@@ -144,7 +150,7 @@ def compare(store: Path, truth: Path) -> Comparison:
         for slab, true in blocks_with_truth(line, true_scene, ["reflectance", "surface"]):
             sums.add(slab, true)
     if sums is None:
-        raise StoreError(f"{store} holds no flight line to compare")
+        raise StoreError(f"{store} holds no flight line to compare", code="flightline-missing")
     paints = compare_paints(store, truth, BANDS_NM) if "car_id" in true_scene else ()
     return replace(sums.comparison(names), paints=paints)
 
@@ -185,7 +191,7 @@ class _Sums:
         self.squared += member @ error**2
 
     def comparison(self, names: list[str]) -> Comparison:
-        """Return what the sums say."""
+        """Return the statistics of the sums."""
         counts = self.count.max(axis=1)
         seen = [index for index in range(len(names)) if counts[index] > 0]
         materials = tuple(self._agreement(names[index], [index]) for index in seen)
@@ -216,8 +222,8 @@ _HEAD_BYTES = 2**16
 def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     """Refuse a folder whose content a simulated collect must not replace.
 
-    Raises `StoreError`: it is not empty and no earlier demonstration; with ``overwrite``, it holds raw data
-    that no simulation wrote.
+    Raises `StoreError`: it is not empty and not an earlier demonstration; with ``overwrite``, it holds raw
+    data that no simulation wrote.
     """
     if not folder.is_dir() or not any(folder.iterdir()):
         return
@@ -230,7 +236,9 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
         toml.exists() and not simulated
     ):
         raise StoreError(
-            f"{folder} holds files of a collect that were not simulated, which stay; name another folder"
+            f"{folder} holds raw files that no simulation wrote",
+            mend="name another folder",
+            code="raw-data-present",
         )
     if overwrite or (simulated and (folder / STORE).is_dir() and not others):
         return
@@ -238,17 +246,19 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     mend = "name another folder, or pass {} to write into it"
     raise StoreError(
         f"{folder} is not empty ({shown})",
-        mend=mend.format("overwrite=True"), option=mend.format("--overwrite"),
-    )  # fmt: skip
+        mend=mend.format("overwrite=True"),
+        option=mend.format("--overwrite"),
+        code="folder-not-empty",
+    )
 
 
 def run_demonstration(
     folder: Path,
     *,
-    lines: int,
-    bands: int,
-    columns: int,
-    seed: int,
+    lines: int = 256,
+    bands: int = 272,
+    columns: int = 320,
+    seed: int = 0,
     scene: str = "rendered",
     samples: int | None = None,
     overwrite: bool = False,
@@ -262,12 +272,37 @@ def run_demonstration(
     where matplotlib is installed, ``quicklook.png`` in the folder, and replaces those of an earlier
     demonstration.
 
-    ``lines`` to ``samples`` are as for `simulate_collect`; with ``overwrite`` the folder may hold other
-    files, which stay; ``progress`` shows the processing on stderr; ``simulated`` is called with lines done
-    and to do while the collect is simulated, ``say`` with every text.
+    Parameters
+    ----------
+    folder
+        Folder of all products.
+    lines
+        Scan lines.
+    bands
+        Spectral bands.
+    columns
+        Columns of the detector.
+    seed
+        Random seed; the same seed gives the same files.
+    scene
+        "rendered": a ray-traced car park; "plan": a flat picture.
+    samples
+        Rays a pixel of a rendered scene; by default 16.
+    overwrite
+        Write into a folder that holds other files, which stay.
+    progress
+        Show the processing on stderr.
+    simulated
+        Called with lines done and to do while the collect is simulated.
+    say
+        Called with every text.
 
-    Raises `StoreError`: the folder holds something that must stay, or cannot be written; `SchemaError`: a
-    size or the scene is out of range; all problems are listed.
+    Raises
+    ------
+    StoreError
+        The folder holds files that must stay, or cannot be written.
+    SchemaError
+        A size or the scene is out of range; all problems are listed.
     """
     from hyperpaint.simulation import simulate_collect
 
@@ -275,9 +310,16 @@ def run_demonstration(
     effects = EFFECTS if samples is None else {**EFFECTS, "samples": samples}
     begin = time.perf_counter()
     collect = simulate_collect(
-        folder, lines=lines, bands=bands, columns=columns, seed=seed, scene=scene, overwrite=True,
-        progress=simulated, **effects,
-    )  # fmt: skip
+        folder,
+        lines=lines,
+        bands=bands,
+        columns=columns,
+        seed=seed,
+        scene=scene,
+        overwrite=True,
+        progress=simulated,
+        **effects,
+    )
     middle = time.perf_counter()
     say(f"simulated {lines} lines x {bands} bands x {columns} columns in {middle - begin:.1f} s: {collect}")
     outcome = run(collect, folder / STORE, overwrite=True, progress=progress)
@@ -286,12 +328,6 @@ def run_demonstration(
     say(f"\n{comparison}\n\n{_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged)}")
     if comparison.paints:
         say(f"\n{signature_table(comparison.paints)}")
-    _say_verdict(comparison, say)
-    _draw(outcome.path, folder / PICTURE, say)
-    return comparison
-
-
-def _say_verdict(comparison: Comparison, say: Callable[[str], None]) -> None:
     overall = comparison.overall
     say(
         f"overall bias {overall.bias:+.5f} (tolerance {MAX_BIAS}, for each material too), "
@@ -300,10 +336,12 @@ def _say_verdict(comparison: Comparison, say: Callable[[str], None]) -> None:
     )
     for problem in comparison.problems:
         say(f"  {problem}")
+    _draw(outcome.path, folder / PICTURE, say)
+    return comparison
 
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
-    """Write a quicklook of the first line where matplotlib is installed; else say how to get it."""
+    """Write a quicklook of the first line, where matplotlib is installed."""
     import xarray as xr
 
     from hyperpaint.io.store import list_groups

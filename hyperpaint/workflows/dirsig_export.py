@@ -1,4 +1,4 @@
-"""A scene file as a scene of the simulator DIRSIG, painted with a library that was measured."""
+"""A scene file as a DIRSIG scene, painted with a measured library."""
 
 from __future__ import annotations
 
@@ -77,9 +77,15 @@ def export_dirsig_scene(
         repaint = dealt_paints(parts.scene, list(map(str, library["signature"].values)), repaint)
     libraries += [*named_libraries(parts.spectra), _formulas(parts, repaint)]
     return write_dirsig_scene(
-        parts.scene, folder, libraries, repaint=repaint, origin=ORIGIN, overwrite=overwrite,
-        progress=progress, **options,
-    )  # fmt: skip
+        parts.scene,
+        folder,
+        libraries,
+        repaint=repaint,
+        origin=ORIGIN,
+        overwrite=overwrite,
+        progress=progress,
+        **options,
+    )
 
 
 def dealt_paints(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -> dict[str, str]:
@@ -118,9 +124,9 @@ def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
 
 
 def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
-    """Return the spectra of a scene as the simulator knows them: the file's own, and the built-in ones.
+    """Return the spectra of a scene from the simulator: those of the file, and the built-in ones.
 
-    A paint with flakes is what pigment and flakes reflect together; DIRSIG has no flakes.
+    The reflectance of a paint with flakes is the sum of pigment and flakes; DIRSIG has no flakes.
     """
     import xarray as xr
 

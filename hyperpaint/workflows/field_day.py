@@ -30,27 +30,30 @@ RECORD = "steps.json"
 something else wrote is not replaced unasked."""
 
 _PRODUCTS = {
-    "signatures": "paints.zarr", "validate": "agreement.csv", "mosaic": "mosaic.tif", "dirsig": "dirsig",
+    "signatures": "paints.zarr",
+    "validate": "agreement.csv",
+    "mosaic": "mosaic.tif",
+    "dirsig": "dirsig",
     "report": "report.html",
-}  # fmt: skip
+}
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """What became of one step.
+    """Outcome of one step.
 
     Attributes
     ----------
     step
         One of `STEPS`.
     state
-        ``"done"``, ``"unchanged"`` (there already, from the same inputs), ``"left out"`` or ``"failed"``.
+        ``"done"``, ``"unchanged"`` (complete, from the same inputs), ``"left out"`` or ``"failed"``.
     text
-        What was written, or why nothing was.
+        Products written, or the reason for none.
     paths
-        What is there to be looked at.
+        Files to look at.
     """
 
     step: str
@@ -136,24 +139,41 @@ def run_field_day(
     >>> print(run_field_day("2021_07_20/collect.toml"))                           # doctest: +SKIP
     """
     from hyperpaint.io.collect.collect_toml import read_collect
+    from hyperpaint.regions import read_regions
 
-    _check_steps(skip)
+    problems = Problems("the field day cannot be run", SchemaError)
+    for name in skip:
+        if name == "process":
+            problems.add(
+                "skip='process', which all other steps need",
+                mend="call the functions of those steps",
+                code="step-required",
+            )
+        elif name not in STEPS:
+            problems.add(
+                f"skip={name!r}", expected=f"one of {', '.join(map(repr, STEPS[1:]))}", code="choice-unknown"
+            )
+    problems.raise_if_any()
     path = Path(collect)
     if path.is_dir():
         path = path / "collect.toml"
         if not path.exists():
             raise CollectError(
                 f"{path.parent} holds no collect.toml",
-                mend=f"`hyperpaint init {path.parent}` writes one from what lies there",
+                mend=f"write one with `hyperpaint init {path.parent}`",
+                code="collect-missing",
             )
     settings = read_collect(path)
     folder = store_of(path).parent if out is None else Path(out)
     if regions is None and (path.parent / "regions.geojson").is_file():
         regions = path.parent / "regions.geojson"
+    # before hours of processing, not after them
+    if regions is not None and not Path(regions).exists():
+        raise SchemaError(f"no file of regions {regions}", mend="check the path", code="file-not-found")
     day = _Day(
         settings=settings,
         out=folder,
-        regions=None if regions is None else _read_regions(Path(regions)),
+        regions=None if regions is None else read_regions(regions),
         skip=frozenset(skip),
         specular_sky=specular_sky,
         alignment=alignment,
@@ -174,28 +194,9 @@ def store_of(collect: Path) -> Path:
     return collect.parent / "products" / "lot.zarr"
 
 
-def _read_regions(path: Path) -> Regions:
-    """Return the regions of a file: before hours of processing, not after them."""
-    from hyperpaint.regions import read_regions
-
-    if not path.exists():
-        raise SchemaError(f"regions {path}: no such file; check the path")
-    return read_regions(path)
-
-
-def _check_steps(skip: Collection[str]) -> None:
-    problems = Problems("the field day cannot be run", SchemaError)
-    for name in skip:
-        if name == "process":
-            problems.add("skip='process': all other steps need the store; call theirs instead")
-        elif name not in STEPS:
-            problems.add(f"skip={name!r}: expected {', '.join(map(repr, STEPS[1:]))}")
-    problems.raise_if_any()
-
-
 @dataclass
 class _Day:
-    """A run under way."""
+    """A run in progress."""
 
     settings: Collect
     out: Path
@@ -220,15 +221,8 @@ class _Day:
     def library(self) -> Path:
         return self.out / "paints.zarr"
 
-    @property
-    def _steps(self) -> dict[str, Callable[[], str]]:
-        return {
-            "signatures": self._signatures, "validate": self._validate, "map": self._map,
-            "mosaic": self._mosaic, "dirsig": self._dirsig, "report": self._report,
-        }  # fmt: skip
-
     def do(self, step: str) -> None:
-        """Do one step, unless it is left out or its products are those of the same inputs."""
+        """Run one step, unless it is left out or its products are current."""
         if step in self.skip:
             self._note(StepOutcome(step, "left out", "as asked"))
             return
@@ -250,7 +244,14 @@ class _Day:
             self._refuse_foreign(entry, products)
             # whatever is there from now on is of this run, should it be interrupted
             self._write_record({step: _UNKNOWN})
-            text = self._steps[step]()
+            text = {
+                "signatures": self._signatures,
+                "validate": self._validate,
+                "map": self._map,
+                "mosaic": self._mosaic,
+                "dirsig": self._dirsig,
+                "report": self._report,
+            }[step]()
         except PaintError as error:
             # the steps after it do not depend on it, but for the library, which they look for
             self.errors.append(error)
@@ -263,7 +264,7 @@ class _Day:
         self._note(StepOutcome(step, "done", text, products))
 
     def _refuse_foreign(self, entry: Any, products: Collection[Path]) -> None:
-        """Refuse to replace what another command wrote where a product belongs."""
+        """Refuse to replace products of other commands (`StoreError`)."""
         if self.overwrite or entry == _UNKNOWN:
             return
         states = entry["products"] if entry else {}
@@ -275,6 +276,7 @@ class _Day:
                 f"{_listed(foreign)}: not written by a run, or changed since",
                 mend="move it away, or pass overwrite=True",
                 option="move it away, or use --overwrite",
+                code="product-foreign",
             )
 
     @property
@@ -285,10 +287,10 @@ class _Day:
         self.outcomes.append(outcome)
         self.say(outcome)
 
-    # --- what a step needs and is made from ---
+    # --- inputs of a step ---
 
     def _lacks(self, step: str) -> str:
-        """Return why the collect has nothing for a step; empty where it has."""
+        """Return the reason to leave out a step; empty where its inputs exist."""
         needs_library = step in ("validate", "dirsig")
         if needs_library and self._library_failed:
             return "the signatures failed; a library that is there is of an earlier run"
@@ -324,7 +326,7 @@ class _Day:
         return tuple(name.removeprefix("flightlines/") for name in located)
 
     def _digest(self, step: str) -> str:
-        """Return a digest of what a step is made from: the store's groups, regions, settings, the version."""
+        """Return a digest of the inputs of a step: groups of the store, regions, settings, version."""
         from hyperpaint.io.store import list_groups, open_store
         from hyperpaint.io.store.groups import version_of_program
         from hyperpaint.io.store.manifest import INPUTS
@@ -359,9 +361,11 @@ class _Day:
         except ValueError:
             record = None
         entries = record if isinstance(record, dict) else dict.fromkeys(STEPS)
-        # what a spoilt record does not say any more may be of a run
-        return {step: _UNKNOWN if step in STEPS and not _is_entry(entry) else entry
-                for step, entry in entries.items()}  # fmt: skip
+        # entries that a damaged record has lost may belong to a run
+        return {
+            step: _UNKNOWN if step in STEPS and not _is_entry(entry) else entry
+            for step, entry in entries.items()
+        }
 
     def _write_record(self, entries: Mapping[str, Any]) -> None:
         from hyperpaint.io.files.publishing import publish_file
@@ -375,9 +379,13 @@ class _Day:
         from .pipeline import run
 
         done = run(
-            self.settings.path, self.store, alignment=self.alignment, accept=self.accept,
-            overwrite=self.overwrite, progress=self.is_watched,
-        )  # fmt: skip
+            self.settings.path,
+            self.store,
+            alignment=self.alignment,
+            accept=self.accept,
+            overwrite=self.overwrite,
+            progress=self.is_watched,
+        )
         state = "done" if done.written else "unchanged"
         corrected = [f"{name}: {text}" for name, text in done.corrected.items()]
         return StepOutcome("process", state, "\n".join([str(self.store), *corrected]), (self.store,))
@@ -388,9 +396,15 @@ class _Day:
         # lines carry all of [geometry] but a height model, which only regions of a map need
         is_map = self.regions is not None and self.regions.coordinates == "map"
         library = write_signatures(
-            self.store, self.regions, self.library, overwrite=True, specular_sky=self.specular_sky,
-            location=self._heights if is_map else {}, drop_small=True, progress=self.progress("signatures"),
-        )  # fmt: skip
+            self.store,
+            self.regions,
+            self.library,
+            overwrite=True,
+            specular_sky=self.specular_sky,
+            location=self._heights if is_map else {},
+            drop_small=True,
+            progress=self.progress("signatures"),
+        )
         left_out = [f"left out {text}" for text in library.attrs.get("left_out", ())]
         return "\n".join([f"{self.library}: {library.sizes['signature']} paints", *left_out])
 
@@ -424,7 +438,7 @@ class _Day:
         from .maps import mosaic_of_store, write_map
 
         path = self.out / _PRODUCTS["mosaic"]
-        # lines without navigation lie nowhere; the map has said which there are
+        # lines without navigation have no place; the step map lists them
         lines = self._mapped()
         mosaic = mosaic_of_store(self.store, lines, progress=self.progress("mosaic"), **self._heights)
         write_map(mosaic, path, overwrite=True)
@@ -432,7 +446,7 @@ class _Day:
 
     @property
     def _heights(self) -> dict[str, Any]:
-        """What a height model needs to place the lines; nothing without one."""
+        """Arguments of a height model for `hyperpaint.geometry.locate`; empty without one."""
         geometry = self.settings.geometry
         return {name: geometry[name] for name in ("dem", "dem_heights", "geoid") if name in geometry}
 
@@ -442,19 +456,25 @@ class _Day:
 
         folder = self.out / "dirsig"
         materials = write_dirsig(
-            open_library(self.library), folder, gaps="interpolate", overwrite=True,
+            open_library(self.library),
+            folder,
+            gaps="interpolate",
+            overwrite=True,
             progress=self.progress("dirsig"),
-        )  # fmt: skip
+        )
         return f"{folder}: {materials.sizes['signature']} materials"
 
     def _report(self) -> str:
         from hyperpaint.report.store_report import write_report
 
-        signatures = self.library if self.library.exists() and not self._library_failed else None
+        library = self.library if self.library.exists() and not self._library_failed else None
         done = write_report(
-            self.store, self.out / "report.html", signatures=signatures, overwrite=True,
+            self.store,
+            self.out / "report.html",
+            library=library,
+            overwrite=True,
             progress=self.progress("report"),
-        )  # fmt: skip
+        )
         problems = f"; cannot be read: {'; '.join(done.problems)}" if done.problems else ""
         return f"{done.path}{problems}"
 
@@ -467,7 +487,7 @@ _HASH = "blake2b"
 
 
 def _is_entry(entry: Any) -> bool:
-    """Tell a record of checksums from anything else, such as the sizes and times of version 0.2."""
+    """Return whether an entry is a record of checksums, as version 0.3 writes it."""
     products = entry["products"] if isinstance(entry, dict) and set(entry) == set(_UNKNOWN) else None
     return isinstance(products, dict) and all(
         not state or str(state).startswith(f"{_HASH}:") for state in products.values()
@@ -475,7 +495,7 @@ def _is_entry(entry: Any) -> bool:
 
 
 def _states(paths: Iterable[Path]) -> dict[str, str]:
-    """Return checksums of files by name, of a folder one of all its files, of a store one of its metadata."""
+    """Return a checksum for every file, every folder (all its files) and every store (its metadata)."""
     states: dict[str, str] = {}
     for path in paths:
         files = [path] if path.is_file() else []

@@ -1,4 +1,4 @@
-"""What lies in the folder of a field day: cubes, darks, spectra, the calibration and surveyed points."""
+"""Files of a field day: cubes, darks, spectra, calibration and surveyed points of a folder."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ moves the outer columns of a 20 degree swath by 0.18 m."""
 
 @dataclass(frozen=True)
 class Lens:
-    """What a header says of the camera."""
+    """Optics of the camera, from a header."""
 
     focal_length_mm: float
     pixel_pitch_um: float
@@ -63,7 +63,7 @@ class Survey:
 
 @dataclass(frozen=True)
 class FlightCube:
-    """One raw cube of a flight, and what lies beside it."""
+    """One raw cube of a flight, and its companion files."""
 
     header: Path
     frame_index: Path | None  # None: line times must come from elsewhere
@@ -74,7 +74,7 @@ class FlightCube:
 
 @dataclass(frozen=True)
 class FieldFolder:
-    """What was found in the folder of a field day."""
+    """Files of a field day by their kind."""
 
     folder: Path
     cubes: tuple[FlightCube, ...]
@@ -101,28 +101,34 @@ def find_field_files(
     dark: str | os.PathLike[str] | None = None,
     calibration: str | os.PathLike[str] | None = None,
 ) -> FieldFolder:
-    """Look at what the folder of a field day holds; headers and small files are read, no cube.
+    """Find the files of a field day in a folder; headers and small files are read, no cube.
 
     Parameters
     ----------
     folder
-        Searched with the folders below it, to a depth of six.
-    asd, dark, calibration
-        Folders, and the calibration or lab sweep, that lie elsewhere.
+        Folder to search, with its subfolders to a depth of six.
+    asd
+        Folder of ASD files, where they lie elsewhere.
+    dark
+        Folder of dark cubes, where they lie elsewhere.
+    calibration
+        Calibration or lab sweep of the camera; by default the one in the folder.
 
     Raises
     ------
     CollectError
-        There is no raw cube, the folder is none, or holds more than a field day does.
+        ``folder`` has no raw cube, is not a folder, or holds too many files.
 
     Notes
     -----
-    An integer ENVI cube is raw; one with ``dark`` in its name, or in that of a folder between, is a dark. A
-    folder of ASD files is irradiance or reflectance by what its files hold, in each case all of one kind.
+    An integer ENVI cube is raw; one with ``dark`` in its name, or in the name of a folder between, is a dark.
+    ASD files of a folder are irradiance or reflectance by their content, and all of one kind.
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise CollectError(f"{folder} is no folder; expected the one that holds the flight's cubes")
+        raise CollectError(
+            f"{folder} is not a folder", expected="the folder of the flight's cubes", code="folder-not-found"
+        )
     seen = _Seen(folder)
     for path in _walk(folder):
         seen.add(path)
@@ -135,7 +141,7 @@ def find_field_files(
 
 
 class _Seen:
-    """Files of a folder by what they are."""
+    """Files of a folder by their kind."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -161,9 +167,11 @@ class _Seen:
             self.surveys.append(path)
 
     def add_folder(self, folder: Path, kind: str) -> None:
-        """Add what lies elsewhere; a dark there needs no name that says so."""
+        """Add files that lie elsewhere; a dark there needs no ``dark`` in its name."""
         if not folder.is_dir():
-            raise CollectError(f"{folder} is no folder; expected one of {kind} files")
+            raise CollectError(
+                f"{folder} is not a folder", expected=f"a folder of {kind} files", code="folder-not-found"
+            )
         for path in _walk(folder):
             if kind == "dark" and path.suffix.lower() == ".hdr":
                 self._add_cube(path, is_dark=True)
@@ -191,12 +199,13 @@ class _Seen:
         return os.path.relpath(path, self.folder)
 
     def result(self) -> FieldFolder:
-        """Return what was found, in the order of flight."""
+        """Return all files, cubes in the order of flight."""
         if not self.raw:
             seen = f"; {'; '.join(self.notes)}" if self.notes else ""
             raise CollectError(
-                f"no raw cube in {self.folder}, expected ENVI headers (raw_0.hdr) beside cubes, at most "
-                f"{MAX_DEPTH} folders deep{seen}"
+                f"no raw cube in {self.folder}{seen}",
+                expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
+                code="cube-missing",
             )
         stored, sweep = self._calibration()
         irradiance, references = self._instruments()
@@ -240,7 +249,7 @@ class _Seen:
             yield FlightCube(header, *beside, has_exposure, lens)
 
     def _survey(self) -> Survey | None:
-        """Return the surveyed points, of which there is one file, where they lie at about one height."""
+        """Return the surveyed points of the one such file, where their heights agree."""
         if len(self.surveys) != 1:
             if self.surveys:
                 names = ", ".join(map(self._shown, self.surveys))
@@ -262,7 +271,7 @@ class _Seen:
         return Survey(path, float(np.median(heights)), spread, heights.size)
 
     def _calibration(self) -> tuple[Path | None, Path | None]:
-        """Return the calibration, else the lab sweep, of which there is one."""
+        """Return the one calibration, else the one lab sweep."""
         from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 
         calibrations, sweeps, reasons = [], [], []
@@ -286,7 +295,7 @@ class _Seen:
         return (several[0], None) if calibrations else (None, several[0] if sweeps else None)
 
     def _instruments(self) -> tuple[list[tuple[Path, str]], list[tuple[str, Path, str]]]:
-        """Return folders of irradiance, and of reflectance with what measured it."""
+        """Return folders of irradiance, and folders of reflectance with their instruments."""
         irradiance: list[tuple[Path, str]] = []
         references: list[tuple[str, Path, str]] = []
         for (folder, suffix), files in sorted(self.spectra.items()):
@@ -310,7 +319,7 @@ class _Seen:
 def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     """Return the heights above the ellipsoid [m] of a table of surveyed points.
 
-    Raises `FormatError`: it has no column that says so in its name, or cells that are no finite numbers.
+    Raises `FormatError`: no column is named as ellipsoidal height, or a height is not a finite number.
     """
     from hyperpaint.io.files.reading import read_limited_text
     from hyperpaint.io.navigation.control_points import column_heading, metres_of
@@ -321,20 +330,22 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     try:
         rows = list(csv.reader(line for line in text.splitlines() if line.strip() and line[0] != "#"))
     except csv.Error as error:
-        raise FormatError(f"it is no table of text, {error}; expected rows of short cells") from error
+        raise FormatError(
+            f"not a table of text ({error})", expected="rows of short cells", code="text-unreadable"
+        ) from error
     columns = [n for n, cell in enumerate(rows[0]) if _HEIGHT.search(cell)] if rows else []
     if len(columns) != 1 or len(rows) < 2:
         raise FormatError(
-            f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows; "
-            "expected one that says so, such as ellipsoidal_height_m: heights above the sea differ by tens "
-            "of metres"
+            f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows",
+            expected="one such as ellipsoidal_height_m (heights above the sea differ by tens of metres)",
+            code="height-column-missing",
         )
     try:
         heights = np.array([float(row[columns[0]]) for row in rows[1:]])
     except (ValueError, IndexError) as error:
-        raise FormatError(f"a height is no number: {error}") from error
+        raise FormatError(f"a height is not a number: {error}", code="number-unreadable") from error
     if not np.isfinite(heights).all():
-        raise FormatError("a height is not finite")
+        raise FormatError("a height is not finite", code="not-finite")
     problems = Problems("its heights cannot be used", FormatError)
     metres = metres_of(*column_heading(rows[0][columns[0]]), problems)
     problems.raise_if_any()
@@ -342,7 +353,7 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
 
 
 def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
-    """Return the spectra of ASD files and what they hold, without warnings, which come when they are used."""
+    """Return spectra and quantity of ASD files, without the warnings of a later reading."""
     from hyperpaint.io.spectrometers.asd import read_spectra
 
     with warnings.catch_warnings():
@@ -352,14 +363,14 @@ def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
 
 @dataclass(frozen=True)
 class _Record:
-    """When the irradiance was logged, by the clock of its PC."""
+    """Times of the irradiance record, by the clock of its PC."""
 
     first: np.datetime64 | None = None
     last: np.datetime64 | None = None
     utc_offset_h: float | None = None
 
     def offsets_for(self, cubes: Iterable[FlightCube]) -> tuple[float, float] | None:
-        """Return the seconds to be added to the clock with which the record covers all cubes."""
+        """Return the clock offsets [s] with which the record covers all cubes."""
         spans = [span for cube in cubes if (span := _flown(cube)) is not None]
         if self.first is None or self.last is None or self.utc_offset_h is None or not spans:
             return None
@@ -370,7 +381,7 @@ class _Record:
 
 
 def _record_times(files: list[Path]) -> _Record:
-    """Return the times of the first and last file by name, as a logger numbers them."""
+    """Return the times of the first and the last file by name."""
     if not files:
         return _Record()
     ordered = sorted(files)
@@ -387,7 +398,7 @@ def _record_times(files: list[Path]) -> _Record:
 
 
 def _flown(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
-    """Return when the first and the last line of a cube's frame index were recorded [UTC]."""
+    """Return the times of the first and the last line of a cube's frame index [UTC]."""
     from hyperpaint.io.flightline.headwall import read_frame_index
     from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
@@ -403,12 +414,16 @@ def _flown(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
 
 
 def _walk(folder: Path) -> Iterator[Path]:
-    """Yield files, and stores as they are, in the order of their names; hidden ones are left out."""
+    """Yield files and stores in the order of their names; hidden ones are left out."""
     entries = 0
     for place, folders, names in os.walk(folder):
         entries += len(folders) + len(names)
         if entries > MAX_ENTRIES:
-            raise CollectError(f"{folder} holds more than {MAX_ENTRIES} files; name the folder of one flight")
+            raise CollectError(
+                f"{folder} holds more than {MAX_ENTRIES} files",
+                mend="name the folder of one flight",
+                code="folder-too-large",
+            )
         stores = [name for name in folders if Path(name).suffix.lower() in _STORES]
         yield from (Path(place, name) for name in sorted(stores))
         depth = len(Path(place).relative_to(folder).parts)

@@ -30,7 +30,7 @@ _ENTRY = re.compile(r"(\d{1,9}) ([0-9a-f]{32})")
 
 
 class FlightBlocks:
-    """What has been written of a group in flight; ``form`` says names, dims and dtypes of its arrays."""
+    """Blocks of a group in flight; ``form``: names, dims and dtypes of its arrays."""
 
     def __init__(self, folder: Path, form: xr.Dataset, codec: Codec) -> None:
         self.folder = folder
@@ -46,7 +46,7 @@ class FlightBlocks:
 
     @classmethod
     def begun(cls, stage: Staging, group: str, form: xr.Dataset, codec: Codec) -> list[FlightBlocks]:
-        """Return what earlier attempts, killed or ended, wrote of a group."""
+        """Return the blocks of earlier attempts at a group, killed or ended."""
         return [cls(folder, form, codec) for folder in stage.leftovers(group, flight_content(codec))]
 
     @classmethod

@@ -36,17 +36,17 @@ def form_of(bands: int, columns: int, dtype: np.dtype[Any]) -> xr.Dataset:
 
 
 def digest_of(plan: Plan, first: int) -> str:
-    """Return what names all that makes the products of a slab, beside its counts."""
+    """Return a digest of the inputs of a slab's products, counts excepted."""
     from dask.base import tokenize
 
     return str(tokenize(NUMERICS_VERSION, KEPT_BITS, plan.digest(first, first + CHUNK_LINES)))
 
 
 def take_up(stage: Staging, job: Job) -> None:
-    """Hand over to the writer what was written of a line in flight, as far as it is what would be written.
+    """Hand over to the writer the slabs of a line in flight that equal those of the finished line.
 
-    Every slab is judged: its counts by their checksum, read again from the cube; its products by all that
-    they were calibrated with.
+    Every slab is compared: its counts by their checksum, read again from the cube; its products by their
+    calibration.
     """
     from hyperpaint.radiometry.slabs import plan_of
 

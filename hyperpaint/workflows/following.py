@@ -125,7 +125,7 @@ class Following:
         self._grown_at = self._recorded_at = 0.0
 
     def prepare(self) -> None:
-        """Open what is there before the first line, and load the kernels, so that no line waits for them."""
+        """Open the available files and load the kernels before the first line arrives."""
         from hyperpaint.io.collect.collect_toml import parse_collect
         from hyperpaint.radiometry.counts_to_reflectance import reflectance
         from hyperpaint.radiometry.example_pixel import worked_example
@@ -144,7 +144,7 @@ class Following:
     # --- one turn ---
 
     def look(self) -> bool:
-        """Look at the files, and write what is final; return whether more could be written at once."""
+        """Look at the files, and write complete slabs; return whether more could be written at once."""
         waits: list[str] = []
         sizes = []
         with warnings.catch_warnings():
@@ -178,7 +178,7 @@ class Following:
         return any(line.done + CHUNK_LINES <= line.final for line in self._lines.values())
 
     def has_ended(self, idle: float) -> bool:
-        """Tell whether the flight has ended; ``idle``: time without growth that says so [s]."""
+        """Return whether the flight has ended; ``idle``: time without growth after which it has [s]."""
         quiet, recorded = self._clock() - self._grown_at, self._clock() - self._recorded_at
         if not any(self._recorded):
             return False
@@ -245,7 +245,7 @@ class Following:
     # --- blocks ---
 
     def _begin(self, line: _Line) -> None:
-        """Take up what earlier attempts wrote, from the first slab on."""
+        """Take up the blocks of earlier attempts, from the first slab on."""
         from .flight_blocks import FlightBlocks
 
         header = line.growing.header
@@ -361,9 +361,11 @@ class Following:
 
         entry = None if line.settings is None else line.settings.irradiance
         if entry is None or not files:
-            raise CollectError("no irradiance yet")
+            raise CollectError("no irradiance yet", code="irradiance-missing")
         if entry.on_aircraft:
-            raise CollectError("a record from the aircraft is made level when it is whole")
+            raise CollectError(
+                "a record from the aircraft is made level when it is whole", code="record-incomplete"
+            )
         if self._record is None or self._record[0] != files:
             self._record = (files, open_irradiance([path for path, _, _ in files], **entry.options))
         return self._record[1]
@@ -466,5 +468,6 @@ def _collect_of(folder: Path, collect: str | Path | None) -> Path:
             f"{folder}: no collect.toml there, nor in the folder above",
             mend="give collect=; what it names may still be to come",
             option="give --collect; what it names may still be to come",
+            code="collect-missing",
         )
     return found

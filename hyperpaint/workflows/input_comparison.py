@@ -26,7 +26,7 @@ _RAW = ("counts", "radiance")
 
 @dataclass(frozen=True)
 class InputReport:
-    """What `compare_inputs` found."""
+    """Result of `compare_inputs`."""
 
     collect: Path  #: The ``collect.toml`` that was opened.
     blocks: int  #: Blocks of cubes that were read.
@@ -40,13 +40,13 @@ class InputReport:
 
 
 def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
-    """Read every input of a store whole, and compare it with what the store was made from.
+    """Read every input of a store, and compare it with the store's record of its inputs.
 
-    Cubes are held against the checksums of the stored samples, block by block; of all other files the values
-    that are read from them count. ``collect``: where the ``collect.toml`` is now; by default where it was.
+    Cubes are compared with the checksums of the stored samples, block by block; other files by their values.
+    ``collect``: present path of the ``collect.toml``; by default the recorded one.
 
-    Raises `StoreError`: the store was not made by `process`, or its ``collect.toml`` is not known;
-    `CollectError`: that, or what it names, cannot be opened.
+    Raises `StoreError`: `process` did not write the store, or its ``collect.toml`` is not found;
+    `CollectError`: the collect, or one of its files, cannot be opened.
     """
     from .laboratory import opened_collect
 
@@ -56,9 +56,10 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
     source = Path(command[2]) if collect is None else collect
     if not source.is_file():
         raise StoreError(
-            f"there is no {source}, from which {store} was made",
-            mend="say where it is now: compare_inputs(store, collect)",
-            option="say where it is now: --collect COLLECT.toml",
+            f"{source}, the collect of {store}, does not exist",
+            mend="pass its present path: compare_inputs(store, collect)",
+            option="give its present path: --collect COLLECT.toml",
+            code="file-not-found",
         )
     opened = opened_collect(source, need_irradiance="radiance" not in command)
     problems: list[str] = []
@@ -83,20 +84,21 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
 
 
 def _words(location: Location, manifest: Manifest | None) -> list[str]:
-    """Return the command that a store was made by."""
+    """Return the words of the command that wrote a store."""
     try:
         words = shlex.split(manifest.command) if manifest is not None else []
     except ValueError:  # unbalanced quotes: hyperpaint did not write it
         words = []
     if words[:2] != ["hyperpaint", "process"] or len(words) < 3:
         raise StoreError(
-            f"{location.url} does not say what it was made from: hyperpaint process did not write it"
+            f"{location.url} records no inputs: hyperpaint process did not write it",
+            code="inputs-unrecorded",
         )
     return words
 
 
 def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> Iterator[str]:
-    """Yield the blocks of a cube whose samples are not those that were stored."""
+    """Yield the blocks of a cube whose samples differ from the stored ones."""
     import numpy as np
 
     name = str(cube.name)

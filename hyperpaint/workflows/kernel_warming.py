@@ -47,12 +47,7 @@ class Warmth(NamedTuple):
 
 
 def warm_kernels(progress: Progress | None = None) -> Warmth:
-    """Compile what reflectance, smoothing, flags, maps, signatures and renders take, and keep it on disk.
-
-    What is there already is not compiled again.
-
-    Raises `StoreError`: compiled kernels cannot be kept.
-    """
+    """Compile the kernels of reflectance, smoothing, flags, maps, signatures and renders, on disk."""
     from numba.core.registry import cpu_target
 
     from hyperpaint.kernels.radiometry import calibrate_slab
@@ -61,7 +56,7 @@ def warm_kernels(progress: Progress | None = None) -> Warmth:
     place = getattr(cache, "cache_path", None)
     mend = "set NUMBA_CACHE_DIR to a folder that can be written, and NUMBA_DISABLE_JIT to nothing"
     if place is None:
-        raise StoreError(f"there is no folder for compiled kernels; {mend}")
+        raise StoreError(f"there is no folder for compiled kernels; {mend}", code="cache-folder-missing")
     with tempfile.TemporaryDirectory(prefix="hyperpaint-warm-") as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
         warnings.filterwarnings("error", "compiled kernels cannot be kept", PaintWarning)
@@ -72,7 +67,7 @@ def warm_kernels(progress: Progress | None = None) -> Warmth:
                     progress(done, len(_JOBS))
                 job(Path(folder))
         except PaintWarning as refusal:
-            raise StoreError(str(refusal)) from refusal
+            raise StoreError(str(refusal), code="cache-folder-refused") from refusal
     if progress is not None:
         progress(len(_JOBS), len(_JOBS))
     triple, processor, _ = cpu_target.target_context.codegen().magic_tuple()

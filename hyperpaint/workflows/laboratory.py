@@ -36,7 +36,7 @@ def calibrate_sweep(
     try:
         calibration = calibrate(sweep, progress=progress, **options)
     except SchemaError as error:
-        raise SchemaError(f"{path}: {error}") from error
+        raise error.about(str(path)) from error
     return calibration.assign_attrs(sweep=Path(path).name)
 
 
@@ -45,14 +45,14 @@ def write_calibration(
     out: str | os.PathLike[str],
     *,
     overwrite: bool = False,
-    report: str | os.PathLike[str] | None = None,
+    picture: str | os.PathLike[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> xr.Dataset:
     """Write the calibration of a stored lab sweep into a store, and return it; see `calibrate_sweep`.
 
-    ``overwrite`` replaces another calibration; one of the same content is left alone. ``report``: picture to
-    draw of it, see `hyperpaint.pictures.calibration_report`.
+    ``overwrite`` replaces another calibration; one of the same content is left alone. ``picture``: file to
+    draw it into, see `hyperpaint.pictures.calibration_report`.
 
     Raises `FormatError`, `SchemaError`: as `calibrate_sweep`, or the picture cannot be written;
     `MissingExtraError`: the picture needs matplotlib; `StoreError`: the store cannot be written, or holds
@@ -61,18 +61,22 @@ def write_calibration(
     from hyperpaint.io.store import to_store
 
     if Path(out).resolve() == Path(sweep).resolve():
-        raise SchemaError(f"{out} is the sweep itself; choose another path for the calibration")
-    if report is not None:
+        raise SchemaError(
+            f"{out} is the sweep itself",
+            mend="choose another path for the calibration",
+            code="output-is-input",
+        )
+    if picture is not None:
         from hyperpaint.pictures.figures import check_picture
 
-        check_picture(Path(report))
+        check_picture(Path(picture))
     calibration = calibrate_sweep(sweep, progress=progress, **options)
     to_store(calibration, Path(out), overwrite=overwrite)
-    if report is not None:
+    if picture is not None:
         from hyperpaint.io.flightline.calibration_store import open_sweep
         from hyperpaint.pictures.plot_calibration import calibration_report
 
-        calibration_report(calibration, open_sweep(sweep), Path(report))
+        calibration_report(calibration, open_sweep(sweep), Path(picture))
     return calibration
 
 
@@ -123,20 +127,24 @@ def open_collect(
 def opened_collect(
     collect: str | os.PathLike[str] | Collect, *, need_irradiance: bool = True, chunks: Any = "auto"
 ) -> OpenedCollect:
-    """Open a collect, as `open_collect` does, and keep what it says."""
+    """Open a collect, as `open_collect` does, with its settings."""
     from hyperpaint.io.collect.collect_opening import open_with_settings
     from hyperpaint.light.aircraft_receiver import level_irradiance
 
     opened = open_with_settings(
-        collect, need_irradiance=need_irradiance, chunks=chunks, calibrate=calibrate_sweep, mount=_mounted,
+        collect,
+        need_irradiance=need_irradiance,
+        chunks=chunks,
+        calibrate=calibrate_sweep,
+        mount=_mounted,
         level=level_irradiance,
-    )  # fmt: skip
+    )
     _declare_panels(opened)
     return opened
 
 
 def _declare_panels(opened: OpenedCollect) -> None:
-    """Note on every flight line the panels that ``[[panels]]`` lays on it, as attribute ``panels``."""
+    """Set the attribute ``panels`` of every flight line from ``[[panels]]``."""
     from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 
     lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
@@ -144,7 +152,9 @@ def _declare_panels(opened: OpenedCollect) -> None:
     for panel in opened.settings.panels:
         if panel.line not in lines:
             raise CollectError(
-                f"[[panels]] line = {panel.line!r}, expected one of {', '.join(map(str, lines))}"
+                f"[[panels]] line = {panel.line!r}",
+                expected=f"one of {', '.join(map(str, lines))}",
+                code="choice-unknown",
             )
         known: Any = panel.reflectance
         if isinstance(known, Path):
@@ -158,11 +168,11 @@ def _declare_panels(opened: OpenedCollect) -> None:
 
 
 def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
-    """Return a flight line with what ``[geometry]`` says of its camera and of the ground.
+    """Return a flight line with the geometry of its camera and of the ground from ``[geometry]``.
 
-    Attributes ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are what
-    `hyperpaint.geometry.locate` goes by; the field of view, or the file that ``look_angle`` names, becomes
-    the angle of every column, which a crop of the line keeps.
+    Attributes ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are defaults of
+    `hyperpaint.geometry.locate`; the field of view, or the file ``look_angle``, becomes the angle of every
+    column, which a crop of the line keeps.
     """
     names = {"ground": "ground", "boresight_deg": "boresight", "lever_arm_m": "lever_arm"}
     attrs = {
@@ -190,7 +200,9 @@ def _column_angles(path: Path, columns: int) -> Floats:
     angles = numbers(text.replace(",", " ").split())
     if angles is None or len(angles) != columns:
         found = "words" if angles is None else f"{len(angles)} numbers"
-        raise FormatError(f"{path}: {found}, expected {columns} angles, one a column [degree]")
+        raise FormatError(
+            f"{path}: {found}", expected=f"{columns} angles, one a column [degree]", code="length-mismatch"
+        )
     return np.asarray(angles, np.float64)
 
 
@@ -202,8 +214,9 @@ def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
     declared = Convention.from_attrs(line.attrs)
     if declared is None or declared.column_order is None:
         raise SchemaError(
-            "[geometry] fov_deg does not say which way the columns go; declare [navigation] "
-            'column_order = "left_to_right" or "right_to_left"'
+            "[geometry] fov_deg without the direction of the columns",
+            mend='declare [navigation] column_order = "left_to_right" or "right_to_left"',
+            code="column-order-missing",
         )
     camera = PinholeCamera(line.sizes[CROSS_TRACK], field_of_view=fov_deg, edges="outer")
     return camera.look_across(declared.column_order)

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from hyperpaint.regions import Regions
     from hyperpaint.validation import Validation
 
-_MOST_TOLD = 10
-_MOST_REFUSED = 200
+MAX_LISTED_REJECTIONS = 10
+MAX_STORED_REJECTIONS = 200
 NOT_LOOKED_FOR = "not looked for"
 """Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours."""
 _SHARED = ("glint", "shadow", "adjacency", "sun_zenith")
@@ -98,10 +98,16 @@ def write_signatures(
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
-        raise SchemaError(f"{out} is in the store itself; choose another path for the library")
+        raise SchemaError(
+            f"{out} is in the store itself",
+            mend="choose another path for the library",
+            code="output-in-store",
+        )
     if keep:
         if options.get("exclude") is not None:
-            raise SchemaError("keep= and exclude= say the same in two ways; pass one of them")
+            raise SchemaError(
+                "keep= and exclude= exclude each other", mend="pass one of them", code="option-conflict"
+            )
         options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
     given = None if regions is None else regions_from(regions)
     lines, looked_at = _lines(store, () if given is None else given.flightlines)
@@ -134,7 +140,7 @@ def write_signatures(
         library = extract_signatures(lines, targets, progress=share, **options)
     library.attrs |= {"store": around.name, "flags": origin}
     if refused:
-        library.attrs["refused"] = refused[:_MOST_REFUSED]
+        library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
     to_store(library, Path(out), overwrite=overwrite)
     return library
 
@@ -142,18 +148,27 @@ def write_signatures(
 def _placed(
     lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
 ) -> dict[str, xr.Dataset]:
-    """Return lines with places, by the options that are given for it."""
+    """Return the lines with ground coordinates."""
     from hyperpaint.geometry import locate
 
     from .maps import location_of
 
     problems = Problems("signatures cannot be extracted", SchemaError)
     if maps and regions is None:
-        problems.add("regions are proposed on flight lines, and this is a map; draw some, and name them")
+        problems.add(
+            "regions are proposed on flight lines, not on a map",
+            mend="draw and name some",
+            code="regions-missing",
+        )
     if location and maps:
-        problems.add(f"a map has its places; {', '.join(location)} would do nothing")
+        problems.add(
+            "a map is located already", mend=f"leave out {', '.join(location)}", code="location-on-map"
+        )
     elif location and (regions is None or regions.coordinates != "map"):
-        problems.add(f"{', '.join(location)} place lines for regions of a map, and these are of the sensor")
+        problems.add(
+            f"{', '.join(location)} apply to regions in map coordinates, and these are in sensor coordinates",
+            code="location-unused",
+        )
     problems.raise_if_any()
     return {name: locate(line, **location_of(line, **location)) for name, line in lines.items()}
 
@@ -161,7 +176,7 @@ def _placed(
 def _lines(
     store: str | os.PathLike[str], wanted: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
-    """Return the flight lines that are wanted, all if none is named, and which have flags."""
+    """Return the named flight lines (all by default), and the names of those that have flags."""
     from hyperpaint.io.store import list_groups, open_store
     from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
@@ -177,8 +192,9 @@ def _lines(
         opened[name] = open_store(store, f"flightlines/{name}")
     if not opened:
         raise StoreError(
-            f"{store} holds no flight line; expected groups flightlines/<id>, as hyperpaint process writes, "
-            "or a map (y, x)"
+            f"{store} holds no flight line",
+            expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
+            code="flightline-missing",
         )
     lines, flagged = {}, set()
     for name, line in opened.items():
@@ -193,21 +209,22 @@ def _lines(
 
 
 def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged:
-    """Return a line with its flags; errors of `flag_line` get a note on how to do without."""
+    """Return a line with its flags; an error gets a note on ``flags=False``."""
     try:
         return flag_line(line, **options)
     except PaintError as error:
         error.note(
             f"flight line {name!r} has no flags of glint or shadow yet",
-            mend="flags=False does without", option="--no-flags does without",
-        )  # fmt: skip
+            mend="flags=False does without",
+            option="--no-flags does without",
+        )
         raise
 
 
 def _origin(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], looked_at: frozenset[str]
 ) -> str:
-    """Return where the flags of glint, shadow and neighbours are from."""
+    """Return the source of the flags of glint, shadow and neighbours."""
     origins = []
     for name, line in lines.items():
         if name in flagged:
@@ -221,14 +238,11 @@ def _origin(
 def _proposed(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
 ) -> tuple[Regions, list[str]]:
-    """Return the regions that are proposed on flight lines, by the surveys there are, and what is refused.
-
-    What is refused is said with its place and the reasons, cars before scenery.
-    """
+    """Return the proposed regions, and the rejected ones with place and reasons, cars first."""
     from hyperpaint.regions import Regions
     from hyperpaint.regions.proposals import propose_regions
 
-    # with several lines, names of paints begin with that of their line
+    # with several lines, names of paints begin with the name of the line
     by_line = {}
     for name, line in lines.items():
         paint = "paint" if len(lines) == 1 else f"{name}_paint"
@@ -246,9 +260,11 @@ def _proposed(
         for across, along in [region.polygon.mean(axis=0)]
     ]
     if not len(regions):
-        shown = "".join(f"\n  {text}" for text in refused[:_MOST_TOLD])
+        shown = "".join(f"\n  {text}" for text in refused[:MAX_LISTED_REJECTIONS])
         raise SchemaError(
-            f"no region can be proposed, {len(refused)} were refused; draw some, and name them{shown}"
+            f"no region can be proposed, {len(refused)} were rejected{shown}",
+            mend="draw and name some",
+            code="proposals-empty",
         )
     return regions, refused
 
@@ -298,15 +314,17 @@ def validate_files(
 
 
 def _store_of(signatures: xr.Dataset, library: Path) -> Path:
-    """Return the store that a library was made from."""
+    """Return the store that a library was extracted from."""
     name = signatures.attrs.get("store")
     place = library.absolute().parent / str(name)
     # only a name: no path from inside a file leads out of the folder
     plain = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
     if not plain or not (place / "references").is_dir():
         raise SchemaError(
-            f"no references: the store that {library} was made from has none, or is not beside it; name "
-            "files with --reference"
+            f"no references: the store of {library} has none, or is not beside it",
+            mend="pass references=",
+            option="name files with --reference",
+            code="references-missing",
         )
     return place
 
@@ -351,7 +369,7 @@ def _as_csv(validation: Validation) -> str:
 
 
 def _pairs_of(validation: Validation) -> list[dict[str, Any]]:
-    """Return what is known of each pair, as JSON holds it."""
+    """Return the statistics of each pair, ready for JSON."""
     table = validation.statistics
     pairs = []
     for row in range(table.sizes["pair"]):
@@ -376,7 +394,9 @@ def _as_json(validation: Validation) -> str:
         "parts": {
             str(part): [_plain(float(edge)) for edge in edges]
             for part, *edges in zip(
-                table["part"].values, table["first_wavelength"].values, table["last_wavelength"].values,
+                table["part"].values,
+                table["first_wavelength"].values,
+                table["last_wavelength"].values,
                 strict=True,
             )
         },
@@ -385,12 +405,12 @@ def _as_json(validation: Validation) -> str:
         "unpaired_signatures": list(validation.unpaired_signatures),
         "unpaired_references": list(validation.unpaired_references),
         "missing": list(validation.missing),
-    }  # fmt: skip
+    }
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as Python writes it; None for a number that is none."""
+    """Return a value as a Python object; None for NaN and infinity."""
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
@@ -39,22 +39,56 @@ def location_of(
     *,
     ground: float | None = None,
     dem: Path | None = None,
-    dem_heights: str | None = None,
+    dem_heights: Literal["ellipsoid", "geoid"] | None = None,
     geoid: float | None = None,
     field_of_view: float | None = None,
     focal_length_mm: float | None = None,
     pixel_pitch_um: float | None = None,
-    column_order: Any = None,
+    column_order: Literal["left_to_right", "right_to_left"] | None = None,
     boresight: tuple[float, float, float] | None = None,
     lever_arm: tuple[float, float, float] | None = None,
     clock_offset: float | None = None,
     crs: str | None = None,
 ) -> dict[str, Any]:
-    """Return options of `hyperpaint.geometry.locate` from plain numbers and paths, as commands take them.
+    """Return arguments of `hyperpaint.geometry.locate` from plain numbers and paths, as commands take them.
 
-    Raises `SchemaError`: an order of columns for a line without a convention; a DEM does not say what its
-    heights are above; `FormatError`: it cannot be read; `MissingExtraError`:
-    it needs rasterio (extra ``geo``).
+    Parameters
+    ----------
+    flightline
+        The line to be located.
+    ground
+        Height of level ground above the ellipsoid [m].
+    dem
+        Raster of heights, instead of ``ground``.
+    dem_heights
+        Surface that the heights of ``dem`` are above.
+    geoid
+        Height of the geoid above the ellipsoid at the site [m].
+    field_of_view
+        Angle between the outer edges of the columns [degree].
+    focal_length_mm
+        Focal length, with ``pixel_pitch_um`` instead of ``field_of_view`` [mm].
+    pixel_pitch_um
+        Distance of the columns on the detector [um].
+    column_order
+        Direction of the columns, seen in flight direction.
+    boresight
+        Roll, pitch and heading of the camera in the body [degree].
+    lever_arm
+        Camera from the antenna: forward, right, down [m].
+    clock_offset
+        Time added to the line times [s].
+    crs
+        CRS of the map, such as EPSG:32618; by default the UTM zone of the line.
+
+    Raises
+    ------
+    SchemaError
+        ``column_order`` for a line without a convention; or the height reference of ``dem`` is unknown.
+    FormatError
+        ``dem`` cannot be read.
+    MissingExtraError
+        ``dem`` needs rasterio (extra ``geo``).
     """
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
@@ -71,10 +105,10 @@ def location_of(
         convention = Convention.from_attrs(flightline.attrs)
         if convention is None:
             raise SchemaError(
-                "the store does not declare what the angles and heights of its line mean, and makers differ: "
-                "--column-order does not say it; declare roll_positive, pitch_positive, heading_positive, "
-                "heading_reference, euler_order and height_reference in the table [navigation] of "
-                "collect.toml and process the collect again"
+                "the store does not declare the signs of angles and the height reference of its line",
+                mend="declare roll_positive, pitch_positive, heading_positive, heading_reference, "
+                "euler_order and height_reference in [navigation] of collect.toml and process again",
+                code="convention-missing",
             )
         location["convention"] = convention.replace(column_order=column_order)
     return {name: value for name, value in location.items() if value is not None}
@@ -96,7 +130,9 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
     missing = [name for name in names if name not in held]
     if missing or not held:
         present, absent = ", ".join(held) or "none", ", ".join(missing) or "named line"
-        raise SchemaError(f"{store} holds the flight lines {present}; there is no {absent}")
+        raise SchemaError(
+            f"{store} has no {absent}", expected=f"flight lines {present}", code="flightline-unknown"
+        )
     lines = {name: open_store(store, f"{prefix}{name}") for name in names or held}
     given = {name: options.pop(name) for name in LOCATION & set(options)}
     # one camera flew them all
@@ -116,43 +152,36 @@ def write_map(
 ) -> str:
     """Write a map as GeoTIFF with overviews, or all of it as a Zarr store, by the end of its name.
 
-    With ``stac`` a STAC item stands beside it, ``<name>.json``; ``seams`` is a GeoJSON file of the area that
-    each line of a mosaic shows. Both are one product with the map. With ``geozarr`` the store says in the
-    attributes of GeoZarr too where it lies; netCDF has no place for these. Returns what was written beside
-    the map itself.
+    Parameters
+    ----------
+    orthomap
+        A map or mosaic.
+    path
+        File (.tif) or store (.zarr).
+    stac
+        Write a STAC item beside the map, ``<name>.json``.
+    seams
+        GeoJSON file for the area that each line of a mosaic shows.
+    geozarr
+        Write the attributes of GeoZarr into the store.
+    overwrite
+        Replace an existing map.
+    progress
+        Show a progress bar.
 
-    Raises `SchemaError`: nothing tells when or where it was recorded, for a STAC item; `StoreError`: the
-    place is taken; `MissingExtraError`: a GeoTIFF needs rasterio (extra ``geo``).
+    Returns
+    -------
+    Text on the files beside the map.
+
+    Raises
+    ------
+    SchemaError
+        The map has no time or place for a STAC item.
+    StoreError
+        ``path`` exists.
+    MissingExtraError
+        A GeoTIFF needs rasterio (extra ``geo``).
     """
-    with map_planned(orthomap, str(path)):
-        return _write_map(orthomap, path, stac, seams, geozarr, overwrite=overwrite, progress=progress)
-
-
-def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
-    """Return where the tiles of a map are computed within the memory limit.
-
-    A thread holds the spectra of a tile, turned and encoded, and all share the lines that a row of tiles
-    shows: of a line that goes straight up or across, those of the row; of one that goes aslant, also as many
-    as it has columns.
-
-    Entering it raises `StoreError` where not even one thread stays within.
-    """
-    from hyperpaint.io.store import budget
-
-    cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
-    tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
-    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
-    aslant = min(rows, cols) / max(rows, cols, 1)
-    # lines of about a cell each, of twice the bytes: slabs are computed from others
-    held = int(tile * (1.0 + aslant * min(rows, cols) / 256.0) * 2)
-    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + held)
-
-
-def _write_map(
-    orthomap: xr.Dataset, path: Path, stac: bool, seams: Path | None, geozarr: bool, *, overwrite: bool,
-    progress: bool,
-) -> str:  # fmt: skip
-    """Do what `write_map` says."""
     from hyperpaint.io.files.publishing import check_place, published_files
     from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
 
@@ -160,17 +189,22 @@ def _write_map(
     companions = ([item] if stac else []) + ([] if seams is None else [seams])
     if stac:
         check_place(item, "the STAC item", example="map.json", overwrite=overwrite)
+    plan = map_planned(orthomap, str(path))
     orthomap = with_own_transform(orthomap)
     if geozarr and not is_tiff:
         orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
     if not is_tiff and not companions:
         from hyperpaint.io.store import to_store
 
-        to_store(orthomap, path, overwrite=overwrite, progress=progress)
+        with plan:
+            to_store(orthomap, path, overwrite=overwrite, progress=progress)
         return ""
     notes = []
     foreign = None if is_tiff else _no_map
-    with published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (*beside, target):
+    with (
+        plan,
+        published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (*beside, target),
+    ):
         texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
         if is_tiff:
             from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
@@ -191,32 +225,62 @@ def _write_map(
     return ", ".join(notes)
 
 
+def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
+    """Return a context in which the tiles of a map are computed within the memory limit.
+
+    A thread holds the spectra of a tile, rotated and encoded; all threads share the lines of a row of tiles:
+    of a flight straight north or east the lines of the row, of an oblique one also as many as it has columns.
+
+    Entering it raises `StoreError` where not even one thread fits.
+    """
+    from hyperpaint.io.store import budget
+
+    cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
+    tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
+    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
+    aslant = min(rows, cols) / max(rows, cols, 1)
+    # lines of about a cell each, of twice the bytes: slabs are computed from others
+    held = int(tile * (1.0 + aslant * min(rows, cols) / 256.0) * 2)
+    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + held)
+
+
 def _no_map(folder: Path) -> str:
-    """Return what a folder holds where it is no store of one map, nothing where it is."""
+    """Return "something other than a map" for a folder that is not a store of one map, else nothing."""
     from hyperpaint.io.store import list_groups
 
     return "" if list_groups(folder) == [""] else "something other than a map"
 
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
-    """Return a flight line of a store by its name, the only one by default, or a map."""
+    """Return a flight line of a store by its name, by default the only one; or the map of a store."""
     from hyperpaint.io.store import list_groups, open_store
 
     prefix = "flightlines/"
     lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
     if not lines and line is not None:
-        raise SchemaError(f"{store} holds no named flight lines, and there is no {line!r}; leave out --line")
+        raise SchemaError(
+            f"{store} has no flight line {line!r}, and no named ones",
+            mend="pass line=None",
+            option="leave out --line",
+            code="flightline-unknown",
+        )
     name = lines[0] if line is None and len(lines) == 1 else line
     if lines and name not in lines:
-        held = ", ".join(map(repr, lines))
-        asked = "give --line" if line is None else f"there is no {line!r}"
-        raise SchemaError(f"{store} holds the flight lines {held}; {asked}")
+        found = "several flight lines" if line is None else f"no flight line {line!r}"
+        expected = f"one of {', '.join(map(repr, lines))}"
+        raise SchemaError(
+            f"{store} has {found}",
+            expected=expected,
+            mend="pass line=",
+            option="give --line",
+            code="flightline-unknown",
+        )
     flightline: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store, "")
     return flightline
 
 
 def _track(line: xr.Dataset) -> tuple[Any, Any, Any] | None:
-    """Return longitudes, latitudes and altitudes of a line; None where it has none."""
+    """Return longitudes, latitudes and altitudes of a line, where it has all three."""
     names = ("longitude", "latitude", "altitude")
     return tuple(line[name].values for name in names) if set(names) <= set(line.variables) else None  # type: ignore[return-value]
 
@@ -233,7 +297,9 @@ def _heights(
     )
     if "height_reference" not in heights.attrs:
         raise SchemaError(
-            f"{path} does not say what its heights are above, and most DEMs are above the geoid; give "
-            "--dem-heights ellipsoid, or --dem-heights geoid with --geoid, the height of the geoid there [m]"
+            f"the height reference of {path} is unknown (most DEMs are above the geoid)",
+            mend="pass dem_heights='ellipsoid', or dem_heights='geoid' with geoid=, its height there [m]",
+            option="give --set dem_heights=ellipsoid, or --set dem_heights=geoid with --set geoid=METRES",
+            code="height-reference-missing",
         )
     return heights

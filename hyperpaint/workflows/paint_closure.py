@@ -42,7 +42,7 @@ class PaintAgreement:
     pixels: int  #: Pixels that were averaged.
     recovered: float  #: Mean over bands [1].
     error: float  #: Recovered against true signature of the same pixels: RMS over bands, relative.
-    field: float  #: Mean over bands of what a field spectrometer saw near normal [1].
+    field: float  #: Mean over bands of the field spectrum near normal [1].
 
 
 def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tuple[PaintAgreement, ...]:
@@ -92,7 +92,7 @@ Pixels = tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.int64]]
 
 
 def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, used: npt.NDArray[np.bool_]) -> Iterator[Pixels]:
-    """Yield recovered and true reflectance (pixel, band), paint and car of the pixels that count."""
+    """Yield recovered and true reflectance (pixel, band), paint and car of the clean pixels."""
     labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
     for seen, true in blocks_with_truth(line, truth, labels):
         chosen = (true["paint_id"].values >= 0) & (true["purity"].values > _PURE)
@@ -129,13 +129,17 @@ class _Signature:
         recovered, true = np.asarray(self.recovered) / self.pixels, np.asarray(self.true) / self.pixels
         error = float(np.sqrt(np.mean((recovered / true - 1.0) ** 2)))
         return PaintAgreement(
-            paint=name, cars=len(self.cars), pixels=self.pixels, recovered=float(recovered.mean()),
-            error=error, field=float(field.mean()),
-        )  # fmt: skip
+            paint=name,
+            cars=len(self.cars),
+            pixels=self.pixels,
+            recovered=float(recovered.mean()),
+            error=error,
+            field=float(field.mean()),
+        )
 
 
 def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
-    """Return what the field spectrometer saw of every paint, at the bands of the camera."""
+    """Return the field spectrum of every paint, at the bands of the camera."""
     from hyperpaint.io.spectrometers.asd import open_asd
 
     seen = open_asd(folder)
@@ -147,7 +151,7 @@ def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
 
 
 def signature_problems(paints: Sequence[PaintAgreement]) -> list[str]:
-    """Return what is outside the tolerance, one line each; signatures of few pixels are not judged."""
+    """Return signatures outside the tolerance, one line each; signatures of few pixels are not judged."""
     return [
         f"signature of {one.paint}: error {one.error:.2%}, tolerance {MAX_ERROR:.0%}"
         for one in paints
@@ -160,10 +164,14 @@ def signature_table(paints: Sequence[PaintAgreement]) -> str:
     head = ("signature", "cars", "pixels", "field", "recovered", "error")
     rows = [
         (
-            one.paint, f"{one.cars}", f"{one.pixels}", f"{one.field:.4f}", f"{one.recovered:.4f}",
+            one.paint,
+            f"{one.cars}",
+            f"{one.pixels}",
+            f"{one.field:.4f}",
+            f"{one.recovered:.4f}",
             f"{one.error:.2%}",
         )
         for one in paints
-    ]  # fmt: skip
+    ]
     lines = aligned([head, *rows])
     return "\n".join([lines[0], "-" * len(lines[0]), *lines[1:], "", _LEGEND])

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from hyperpaint.base.constants import ALIGNMENTS, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
@@ -22,6 +22,7 @@ from hyperpaint.base.errors import (
     needs_extra,
 )
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
+from hyperpaint.io.store.layout import Layout
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 
 from .collect_check import check_accepted, refuse_findings, warn_of_flags
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.io.collect.collect_toml import Collect
     from hyperpaint.io.store.budget import Demand
-    from hyperpaint.io.store.layout import Codec, Layout
+    from hyperpaint.io.store.layout import Codec
     from hyperpaint.io.store.writer import TakeUp
 
 WORKERS_WAIT = 60
@@ -46,7 +47,7 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run did."""
+    """Groups that a run wrote or found complete."""
 
     path: Path  #: The store.
     written: tuple[str, ...]  #: Groups that were written.
@@ -59,8 +60,10 @@ def local_folder(out: str | Path, command: str) -> Path:
     """Return the store's folder; refuse a URL (`StoreError`)."""
     if _URL.match(os.fspath(out)):
         raise StoreError(
-            f"{command} writes to a folder, not to {os.fspath(out)!r}; {command} to a folder and copy it, or "
-            "write the groups of open_collect with to_store, which takes URLs (guide, 'Object stores')"
+            f"{command} writes to a folder, not to {os.fspath(out)!r}",
+            mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
+            "which takes URLs (guide, 'Object stores')",
+            code="output-is-url",
         )
     return Path(out)
 
@@ -73,12 +76,12 @@ def kept_groups(
     command: str,
     only: tuple[str, str] | None = None,
 ) -> list[str]:
-    """Return the groups that are there already; refuse a store that holds anything else.
+    """Return the complete groups of a store; refuse a store of other content.
 
-    ``groups`` are those that are to be there, each with its `INPUTS`; ``command`` is named in messages. Where
-    ``only`` is a prefix and a subject, no other group of that prefix may be there: it is not of the subject.
+    ``groups``: the planned groups, each with its `INPUTS`; ``command``: name for messages. ``only``: a prefix
+    and its subject; another group of the prefix is refused, since it belongs to another subject.
 
-    Raises `StoreError`: groups of other inputs stand where ours would, or beside them; all are listed.
+    Raises `StoreError`: groups of other inputs stand in the place of ours, or beside them; all are listed.
     """
     from hyperpaint.io.store import is_complete
     from hyperpaint.io.store.groups import groups_above, problems_above
@@ -92,7 +95,7 @@ def kept_groups(
     problems = Problems(f"cannot write {out}", StoreError)
     above = dict.fromkeys(each for name in groups for each in groups_above(name))
     for text in problems_above(above, location, overwrite=overwrite):
-        problems.add(text)
+        problems.add(text, code="group-above")
     problems.raise_if_any()
     complete = []
     contents = run_contents(groups)
@@ -102,7 +105,11 @@ def kept_groups(
         of_run = len(content.split(" ", 2)) == 3  # a run names path, inputs and settings
         if name not in groups:
             if only is not None and name.startswith(only[0]) and of_run:
-                problems.add(f"it holds /{name}, which is not of {only[1]}; choose another path")
+                problems.add(
+                    f"it holds /{name}, which is not of {only[1]}",
+                    mend="choose another path",
+                    code="group-foreign",
+                )
         elif content == contents[name]:
             # where a chunk is missing, the group is written again
             if is_complete(out, name):
@@ -118,6 +125,7 @@ def kept_groups(
                 f"/{name} is there already, {state}",
                 mend="pass overwrite=True to replace it",
                 option="pass --overwrite to replace it",
+                code="store-exists",
             )
     problems.raise_if_any()
     return complete
@@ -128,7 +136,7 @@ def kept_groups(
 
 @contextlib.contextmanager
 def computing_on(address: str | None) -> Iterator[Client | None]:
-    """Make a cluster the place where dask computes; the caller's own, or threads, without an address.
+    """Compute with dask on a cluster; without an address, on the caller's own cluster or on threads.
 
     Raises `MissingExtraError`: distributed is not installed; `CollectError`: no scheduler answers there;
     `StoreError`: the cluster has no worker.
@@ -153,7 +161,9 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise CollectError(
-            f"no dask scheduler answers at {address!r} ({error}); expected something like tcp://host:8786"
+            f"no dask scheduler answers at {address!r} ({error})",
+            expected="an address such as tcp://host:8786",
+            code="scheduler-unreachable",
         ) from error
     with client, client.as_current(), dask.config.set(scheduler=client.get):
         _wait_for_workers(client)
@@ -161,19 +171,19 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
 
 
 def _wait_for_workers(client: Client) -> None:
-    """Wait for the first worker, whose memory decides how the run is done; refuse a cluster without any."""
+    """Wait for the first worker, whose memory sizes the tasks; refuse a cluster without any."""
     try:
         client.wait_for_workers(1, timeout=WORKERS_WAIT)
     except TimeoutError as error:
         raise StoreError(
-            f"no worker has come to the scheduler at {client.scheduler_info()['address']} within "
-            f"{WORKERS_WAIT} s; start some (dask worker ADDRESS), or wait longer yourself: "
-            "client.wait_for_workers(1)"
+            f"no worker joined the scheduler at {client.scheduler_info()['address']} within {WORKERS_WAIT} s",
+            mend="start some (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
+            code="worker-missing",
         ) from error
 
 
 def token_of(dataset: xr.Dataset) -> str:
-    """Return the digest of all that a group is made from."""
+    """Return the digest of the inputs of a group."""
     return str(dataset.attrs[INPUTS])
 
 
@@ -277,28 +287,57 @@ def process(
     40
     """
     return run(
-        collect, out, to=to, reflectance=reflectance, alignment=alignment, scheduler=scheduler,
-        memory_limit=memory_limit, accept=accept, overwrite=overwrite, progress=progress, codec=codec,
+        collect,
+        out,
+        to=to,
+        reflectance=reflectance,
+        alignment=alignment,
+        scheduler=scheduler,
+        memory_limit=memory_limit,
+        accept=accept,
+        overwrite=overwrite,
+        progress=progress,
+        codec=codec,
         layout=layout,
-    ).path  # fmt: skip
+    ).path
 
 
 def run(
-    collect: str | Path, out: str | Path, *, to: Product = "reflectance", reflectance: Kept = "stored",
-    alignment: Alignment | None = None, scheduler: str | None = None, memory_limit: str | int | None = None,
-    accept: Collection[str] = (), overwrite: bool = False, progress: bool = False, codec: Codec = "compact",
-    layout: Layout = "cube", take_up: TakeUp | None = None,
-) -> Outcome:  # fmt: skip
-    """Do what `process` does, and return what was written; the arguments are those of `process`.
+    collect: str | Path,
+    out: str | Path,
+    *,
+    to: Product = "reflectance",
+    reflectance: Kept = "stored",
+    alignment: Alignment | None = None,
+    scheduler: str | None = None,
+    memory_limit: str | int | None = None,
+    accept: Collection[str] = (),
+    overwrite: bool = False,
+    progress: bool = False,
+    codec: Codec = "compact",
+    layout: Layout = "cube",
+    take_up: TakeUp | None = None,
+) -> Outcome:
+    """Process a collect, as `process` does with the same arguments, and return the groups written.
 
-    ``take_up`` hands over what was written of a line in flight (`hyperpaint.workflows.following`).
+    ``take_up`` hands over blocks of a line in flight (`hyperpaint.workflows.following`).
     """
     from hyperpaint.io.store.budget import limited_threads, parse_size, share_one_heap
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.layout import with_layout
     from hyperpaint.io.store.writer import check_codec, check_room, run_contents, whole_run
 
-    _check_words(to, reflectance, alignment, accept, layout)
+    problems = Problems("cannot process", SchemaError)
+    for word, value, allowed in (
+        ("to", to, get_args(Product)),
+        ("reflectance", reflectance, get_args(Kept)),
+        ("alignment", alignment or "auto", ALIGNMENTS),
+        ("layout", layout, get_args(Layout)),
+    ):
+        if value not in allowed:
+            problems.add(f"{word}={value!r}", expected=" or ".join(map(repr, allowed)), code="choice-unknown")
+    check_accepted(accept, problems)
+    problems.raise_if_any()
     check_codec(codec)
     out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
@@ -331,10 +370,14 @@ def run(
         _rehearse(products, collect, client)
         lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
         again = {
-            "--to": None if to == "reflectance" else to, "--alignment": alignment, "--overwrite": overwrite,
-            "--reflectance": None if reflectance == "stored" else reflectance, "--accept": sorted(accept),
-            "--codec": {"compact": None}.get(codec, codec), "--layout": {"cube": None}.get(layout, layout),
-        }  # fmt: skip
+            "--to": None if to == "reflectance" else to,
+            "--alignment": alignment,
+            "--overwrite": overwrite,
+            "--reflectance": None if reflectance == "stored" else reflectance,
+            "--accept": sorted(accept),
+            "--codec": {"compact": None}.get(codec, codec),
+            "--layout": {"cube": None}.get(layout, layout),
+        }
         command = finishing_command(f"process {quote(str(opened.settings.path.absolute()))}", again)
         turn = stack.enter_context(
             whole_run(
@@ -362,29 +405,13 @@ def run(
     return Outcome(out, tuple(products), tuple(complete), corrected)
 
 
-def _check_words(
-    to: str, reflectance: str, alignment: str | None, accept: Collection[str], layout: str
-) -> None:
-    problems = Problems("cannot process", SchemaError)
-    for name, value, allowed in (
-        ("to", to, ("radiance", "reflectance")),
-        ("reflectance", reflectance, ("none", "stored")),
-        ("alignment", alignment or "auto", ALIGNMENTS),
-        ("layout", layout, ("cube", "explore")),
-    ):
-        if value not in allowed:
-            problems.add(f"{name}={value!r}, expected {' or '.join(map(repr, allowed))}")
-    check_accepted(accept, problems)
-    problems.raise_if_any()
-
-
-# --- what is to be written ---------------------------------------------------------------------------------
+# --- groups to write ---------------------------------------------------------------------------------------
 
 
 def opened_groups(
     collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
-    """Open a collect with so many lines a task; return it, and groups of a store that name their inputs."""
+    """Open a collect, ``lines`` lines a task; return it, and its groups with their inputs."""
     from .laboratory import opened_collect
 
     opened = opened_collect(
@@ -409,7 +436,7 @@ def opened_groups(
 
 
 def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
-    """Return a flight line whose camera and record have been compared; other groups as they are."""
+    """Return a flight line after `hyperpaint.alignment.align`; other groups unchanged."""
     if to == "radiance" or not name.startswith("flightlines/"):
         return dataset
     from hyperpaint.alignment import align
@@ -418,7 +445,7 @@ def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr
 
 
 def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:
-    """Return a flight line with all that is stored of it; other groups as they are."""
+    """Return a flight line with all its stored products; other groups unchanged."""
     if not name.startswith("flightlines/"):
         return dataset
     product: xr.Dataset
@@ -442,7 +469,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
 
 
 def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
-    """Compute the first slab of every line, so that values that cannot be are found before writing.
+    """Compute the first slab of every line, to find impossible values before writing.
 
     On a cluster this also compiles the kernels once, where the workers share a cache.
     """
@@ -473,10 +500,13 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
     if client is None:
         resident = budget.resident_memory()
         return budget.fit(
-            loads, lines=lines, threads=budget.thread_count(),
-            fixed=max(budget.PROCESS, resident + budget.RUNNING), limit=budget.process_limit(resident, limit),
+            loads,
+            lines=lines,
+            threads=budget.thread_count(),
+            fixed=max(budget.PROCESS, resident + budget.RUNNING),
+            limit=budget.process_limit(resident, limit),
             a_thread=budget.thread_space(),
-        )  # fmt: skip
+        )
     workers = client.scheduler_info(n_workers=-1)["workers"].values()
     limits = [worker["memory_limit"] for worker in workers if worker["memory_limit"]]
     if limit is None and limits:

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _PLAIN = (".csv", ".txt", ".tsv", ".asc", "")
-_MOST_BYTES = 64 << 20
+MAX_EXPORT_BYTES = 64 << 20
 _DIRSIG_MARKER, _MATERIALS = "paints.json", "materials.mat"
 
 
 def read_spectra(path: Path) -> Any:
-    """Return what a file of ``[spectra]`` holds, as `hyperpaint.simulation.relight` takes it.
+    """Return the spectra of a file of ``[spectra]``, as `hyperpaint.simulation.relight` takes them.
 
-    A file of two columns is (wavelength [nm], reflectance) in double precision; all else is a library.
+    A file of two columns is (wavelength [nm], reflectance) in double precision; other files are libraries.
     Raises `FormatError` or `StoreError` as `read_paints`.
     """
     if input_path(path, "spectra").is_file() and path.suffix.lower() in _PLAIN:
@@ -73,9 +73,14 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
     for material in read_materials(path):
         file = material.emissivity_file or material.reflectance_file
         if file is None:
-            problems.add(f"{material.name!r} names no emissivity or reflectance file")
+            problems.add(
+                f"material {material.name!r} without an emissivity or reflectance file",
+                code="material-without-file",
+            )
         elif not (path.parent / file).is_file():
-            problems.add(f"{material.name!r}: no file {file!r} beside the list")
+            problems.add(
+                f"material {material.name!r}: no file {file!r} beside the list", code="file-not-found"
+            )
         else:
             paint, record = open_library(path.parent / file), records.get(str(material.id), {})
             centre = path.parent / str(record.get("reflectance_file", file))
@@ -95,9 +100,9 @@ def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
 
 
 def _records_of_export(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return what our export says of each paint, by ID; nothing of a list of another origin."""
+    """Return the record of each paint by ID from an export of ours; empty for other material lists."""
     try:
-        document = json.loads(read_limited(folder / _DIRSIG_MARKER, _MOST_BYTES, "an export"))
+        document = json.loads(read_limited(folder / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
         return {str(record["id"]): dict(record) for record in document["paints"]}
     except (FormatError, OSError, ValueError, TypeError, KeyError):
         return {}

@@ -1,4 +1,4 @@
-"""What is stored of a render: a flight line, and what is true of every pixel."""
+"""Stored products of a render: a flight line, and the truth of every pixel."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Render:
     camera: Camera
     platform: Platform
     spectra: Mapping[str, Any]  #: The user's by name: (wavelength [nm], reflectance), or a paint library.
-    paints: Mapping[str, str]  #: Name of a spectrum, material or instance to that of its new spectrum.
+    paints: Mapping[str, str]  #: New spectrum by the name of a spectrum, material or instance.
     hold_edges: bool = False  #: As of `hyperpaint.simulation.relight`.
 
     def of(
@@ -53,9 +53,13 @@ class Render:
         from hyperpaint.simulation.rendering.relighting import relight
 
         relit = relight(
-            traced, self._bands(product), paints=dict(self.paints), atmosphere=self.atmosphere,
-            spectra=dict(self.spectra), hold_edges=self.hold_edges,
-        )  # fmt: skip
+            traced,
+            self._bands(product),
+            paints=dict(self.paints),
+            atmosphere=self.atmosphere,
+            spectra=dict(self.spectra),
+            hold_edges=self.hold_edges,
+        )
         picture = overview(relit)
         line = relit.rename(reflectance="true_reflectance")
         line["true_reflectance"] = _rounded(line["true_reflectance"])
@@ -63,9 +67,13 @@ class Render:
             line = line.drop_vars("true_reflectance")
         if product == "counts":
             counts = counts_of(
-                line["radiance"], self.camera, self.platform.exposure_time, seed, self.atmosphere.name,
+                line["radiance"],
+                self.camera,
+                self.platform.exposure_time,
+                seed,
+                self.atmosphere.name,
                 noise=noise,
-            )  # fmt: skip
+            )
             line = line.drop_vars("radiance").merge(counts)
         line = irradiance_series(line, self.platform).assign_coords(pose_of(self.platform))
         line = line.assign(look_angle=_look_angle(self.platform))
@@ -74,9 +82,9 @@ class Render:
         return line
 
     def _bands(self, product: str) -> BandSet:
-        """Return the bands: as the detector weighs them for counts, line shapes alone for radiance.
+        """Return the bands: weighted by the detector for counts, line shapes alone for radiance.
 
-        What reads radiance back knows of no responsivity, and matches the irradiance without one too.
+        Readers of radiance know no responsivity, and match the irradiance without one too.
         """
         from hyperpaint.simulation.rendering.camera_bands import BandSet
 
@@ -123,7 +131,7 @@ def pose_of(platform: Platform) -> dict[str, xr.Variable]:
 
 
 def _look_angle(platform: Platform) -> xr.Variable:
-    """Return the angles that the middles of the columns look at, from the camera's axis to the right."""
+    """Return the viewing angles of the column centres, from the camera's axis to the right."""
     edges = platform.column_edges
     return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
@@ -153,7 +161,7 @@ def counts_of(
     number, stops = cube.shape[0], np.cumsum(cube.chunks[0]).tolist()
     exposure = _Exposure(
         detector, camera.optics, scale, factor, camera.pedestal, key if noise else None, number
-    )  # fmt: skip
+    )
     blocks = []
     for start, stop in zip([0, *stops], stops, strict=False):
         # lines around a block that blur into it
@@ -161,9 +169,14 @@ def counts_of(
         seen = cube[first:last].rechunk(-1)
         chunks = ((stop - start,), *seen.chunks[1:])
         block = da.map_blocks(
-            exposure.counts, seen, first=first, lines=range(start, stop), dtype=np.uint16, chunks=chunks,
+            exposure.counts,
+            seen,
+            first=first,
+            lines=range(start, stop),
+            dtype=np.uint16,
+            chunks=chunks,
             meta=np.empty((0, 0, 0), dtype=np.uint16),
-        )  # fmt: skip
+        )
         blocks.append(block)
     counts = da.concatenate(blocks)
     variables = {
@@ -180,7 +193,7 @@ def counts_of(
 
 @dataclass(frozen=True)
 class _Exposure:
-    """How a camera counts the lines of a scene."""
+    """Counting of the lines of a scene by a camera."""
 
     detector: Detector
     optics: Optics | None
@@ -210,14 +223,14 @@ class _Exposure:
 
 
 def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
-    """Return the mean of some dark frames: the dark, with what noise and rounding leave of themselves."""
+    """Return the mean of simulated dark frames: dark, with the residue of noise and rounding."""
     rng = np.random.default_rng([key[0], _DARK])
     spread = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
     return np.asarray(detector.dark + spread * rng.standard_normal(detector.dark.shape))
 
 
 def _variable(name: str, values: Any) -> xr.Variable:
-    """Return values under the dims, dtype and attributes of the table of variables."""
+    """Return values with dims, dtype and attributes from the table of variables."""
     from hyperpaint.simulation.stores import labelled
 
     return labelled(VARIABLES[name], values)

@@ -37,11 +37,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.input_files import open_input
+from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
@@ -60,23 +61,24 @@ TRANSPORT = "transport"
 """Group of the traced scene."""
 
 RENDERS = "renders/"
-"""Groups of the renders begin so."""
+"""Prefix of the groups of renders."""
 
-# bytes on disk, compressed: a pixel of the traced scene has hundreds, a sample of a render two
-_LEAST_TRACED, _LEAST_SAMPLE = 30, 1
+# lower bounds of compressed bytes: a pixel of the traced scene takes hundreds, a sample of a render two
+MIN_BYTES_PER_PIXEL, MIN_BYTES_PER_SAMPLE = 30, 1
 
 CLUSTER_LINES = 64
 """Lines in one task on a cluster; tracing a line takes some tenths of a second."""
 
 
+@renamed(paints="library")
 def render_scene(
     path: str | Path,
     out: str | Path,
     *,
     samples: int | None = None,
-    to: str | None = None,
+    to: Literal["radiance", "counts"] | None = None,
     atmospheres: Sequence[str] = (),
-    paints: str | Path | None = None,
+    library: str | Path | None = None,
     hold_edges: bool | None = None,
     scheduler: str | None = None,
     overwrite: bool = False,
@@ -107,7 +109,7 @@ def render_scene(
         ``"radiance"`` or ``"counts"``, in place of what the file says.
     atmospheres
         Names of those of the file that are to be rendered; all by default.
-    paints
+    library
         A paint library, such as signatures of a flight: anything that `hyperpaint.write_library` or
         `hyperpaint.write_dirsig` wrote. A paint that is called like a spectrum, a material or a thing of the
         scene goes there, the others in turn to the cars that are left; what the file says in ``[paints]``
@@ -157,17 +159,33 @@ def render_scene(
     (2, 272, 2)
     """
     return run(
-        path, out, samples=samples, to=to, atmospheres=atmospheres, paints=paints, hold_edges=hold_edges,
-        scheduler=scheduler, overwrite=overwrite, progress=progress,
-    ).path  # fmt: skip
+        path,
+        out,
+        samples=samples,
+        to=to,
+        atmospheres=atmospheres,
+        library=library,
+        hold_edges=hold_edges,
+        scheduler=scheduler,
+        overwrite=overwrite,
+        progress=progress,
+    ).path
 
 
 def run(
-    path: str | Path, out: str | Path, *, samples: int | None = None, to: str | None = None,
-    atmospheres: Sequence[str] = (), paints: str | Path | None = None, hold_edges: bool | None = None,
-    scheduler: str | None = None, overwrite: bool = False, progress: bool = False,
-) -> Outcome:  # fmt: skip
-    """Do what `render_scene` does, and return what was written; the arguments are those of `render_scene`."""
+    path: str | Path,
+    out: str | Path,
+    *,
+    samples: int | None = None,
+    to: Literal["radiance", "counts"] | None = None,
+    atmospheres: Sequence[str] = (),
+    library: str | Path | None = None,
+    hold_edges: bool | None = None,
+    scheduler: str | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> Outcome:
+    """Render a scene, as `render_scene` does with the same arguments, and return the groups written."""
     from hyperpaint.io.store import open_group
     from hyperpaint.io.store.computing import errors_of_the_cluster
     from hyperpaint.io.store.writer import check_room, run_contents, whole_run
@@ -179,11 +197,11 @@ def run(
     file = _changed(read_scene_file(path), samples, to)
     if hold_edges is not None:
         file = dataclasses.replace(file, hold_edges=hold_edges)
-    refuse_to_write_over(out, (file, paints and Path(paints)), "render")
+    refuse_to_write_over(out, (file, library and Path(library)), "render")
     _check_disk_roughly(file, out)
     parts = build_parts(file)
-    if paints is not None:
-        file, parts = _painted(file, parts, Path(paints))
+    if library is not None:
+        file, parts = _painted(file, parts, Path(library))
     chosen = [each.name for each in chosen_atmospheres(parts, atmospheres)]
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
@@ -202,10 +220,13 @@ def run(
         contents = run_contents(planned)
         writing = {name: planned[name] for name in pending}
         again = {
-            "--samples": samples, "--to": to, "--atmosphere": list(atmospheres), "--overwrite": overwrite,
-            "--paints": paints and Path(paints).absolute(),
+            "--samples": samples,
+            "--to": to,
+            "--atmosphere": list(atmospheres),
+            "--overwrite": overwrite,
+            "--library": library and Path(library).absolute(),
             "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
-        }  # fmt: skip
+        }
         command = finishing_command(f"render {quote(str(Path(path).absolute()))}", again)
         turn = stack.enter_context(
             whole_run(out, contents, writing, attrs, command=command, overwrite=overwrite)
@@ -217,20 +238,27 @@ def run(
                 stored = open_group(out, TRANSPORT)
                 dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
             if progress:
-                sys.stderr.write(_announcement(name, file))
+                size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
+                product = f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
+                tracing = f"tracing {size}, {file.sampling.samples} rays a pixel\n"
+                sys.stderr.write(tracing if name == TRANSPORT else product)
             turn.write(name, dataset.assign_attrs(settings), progress=progress)
     return Outcome(out, tuple(pending), tuple(complete))
 
 
 def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
-    """Return the file with what the call says in its place."""
+    """Return the scene file with values that the call replaces."""
     problems = Problems("cannot render", SchemaError)
     if samples is not None and not (
         isinstance(samples, int) and not isinstance(samples, bool) and 1 <= samples <= MOST_SAMPLES
     ):
-        problems.add(f"samples={samples!r}, expected a whole number from 1 to {MOST_SAMPLES}")
+        problems.add(
+            f"samples={samples!r}",
+            expected=f"a whole number from 1 to {MOST_SAMPLES}",
+            code="value-out-of-range",
+        )
     if to not in (None, "radiance", "counts"):
-        problems.add(f"to={to!r}, expected 'radiance' or 'counts'")
+        problems.add(f"to={to!r}", expected="'radiance' or 'counts'", code="choice-unknown")
     problems.raise_if_any()
     if samples is not None:
         file = dataclasses.replace(file, sampling=dataclasses.replace(file.sampling, samples=samples))
@@ -238,7 +266,7 @@ def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
 
 
 def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Parts]:
-    """Return the file and its parts with the paints of a library; what the file says comes before."""
+    """Return the file and its parts with the paints of a library; paints of the file take precedence."""
     from hyperpaint.simulation.rendering.given_spectra import by_name
     from hyperpaint.simulation.rendering.painting import dealt_paints
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
@@ -252,40 +280,41 @@ def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Pa
 
 
 def _check_disk_roughly(file: SceneFile, out: Path) -> None:
-    """Refuse what no disk here holds, before anything as large is built; `check_room` looks closer later."""
+    """Refuse a scene larger than the free disk before it is built; `check_room` is exact later."""
     folder = next(parent for parent in out.absolute().parents if parent.exists())
     pixels = file.platform["lines"] * file.platform["columns"]
-    least = pixels * (_LEAST_TRACED + _LEAST_SAMPLE * file.camera.get("bands", 272))
+    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
     free = shutil.disk_usage(folder).free
     if least > free:
         raise StoreError(
-            f"{file.path} needs {size_text(least)} of disk at the very least, but {size_text(free)} are free "
-            f"in {folder}; take fewer lines, columns or bands, or another disk"
+            f"{file.path} needs at least {size_text(least)} of disk; {size_text(free)} are free in {folder}",
+            mend="take fewer lines, columns or bands, or another disk",
+            code="disk-full",
         )
 
 
-def _announcement(name: str, file: SceneFile) -> str:
-    size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
-    if name == TRANSPORT:
-        return f"tracing {size}, {file.sampling.samples} rays a pixel\n"
-    return f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
-
-
-# --- what is to be written ---------------------------------------------------------------------------------
+# --- groups to write ---------------------------------------------------------------------------------------
 
 
 def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
-    """Return the scene, to be traced in blocks of so many lines."""
+    """Return the scene, traced lazily in blocks of ``lines`` lines."""
     from hyperpaint.simulation.rendering.tracing import trace
 
     from .render_products import pose_of
 
     sampling = file.sampling
     traced = trace(
-        parts.scene, parts.platform, parts.suns, samples=sampling.samples, depth=sampling.depth,
-        seed=sampling.seed, slots=sampling.slots, overcast=parts.overcast, sun_radius=sampling.sun_radius_deg,
+        parts.scene,
+        parts.platform,
+        parts.suns,
+        samples=sampling.samples,
+        depth=sampling.depth,
+        seed=sampling.seed,
+        slots=sampling.slots,
+        overcast=parts.overcast,
+        sun_radius=sampling.sun_radius_deg,
         chunk_lines=lines,
-    )  # fmt: skip
+    )
     inputs = {
         "format": [FORMAT_VERSION, NUMERICS_VERSION],
         "scene": {**file.scene, "name": file.name},
@@ -322,14 +351,17 @@ def _renders(
                 atmosphere, parts.camera, parts.platform, parts.spectra, file.paints, file.hold_edges
             )
             renders[RENDERS + atmosphere.name] = render.of(
-                traced, product=file.product, true_reflectance=file.true_reflectance, seed=file.sampling.seed,
+                traced,
+                product=file.product,
+                true_reflectance=file.true_reflectance,
+                seed=file.sampling.seed,
                 noise=parts.noise,
-            ).assign_attrs({INPUTS: _digest(inputs)})  # fmt: skip
+            ).assign_attrs({INPUTS: _digest(inputs)})
     return renders
 
 
 def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
-    """Refuse to trace anew under renders that would stay, of what was traced before."""
+    """Refuse to replace the traced scene below renders of other parameters."""
     from hyperpaint.io.store import list_groups
 
     if TRANSPORT in complete or not out.exists():
@@ -337,13 +369,14 @@ def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[st
     left = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
     if left:
         raise StoreError(
-            f"{out} holds /{', /'.join(left)}, of a scene traced with other parameters; render them too, or "
-            "choose another path"
+            f"{out} holds /{', /'.join(left)}, of a scene traced with other parameters",
+            mend="render them too, or choose another path",
+            code="renders-outdated",
         )
 
 
 def _light(atmosphere: Any) -> str:
-    """Return a digest of everything that an atmosphere is."""
+    """Return a digest of all fields of an atmosphere."""
     import numpy as np
 
     digest = hashlib.sha256()
@@ -379,7 +412,9 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     opened = {group: open_store(store, group) for group in groups}
     shown = {group: dataset["overview"] for group, dataset in opened.items() if "overview" in dataset}
     if not shown:
-        raise StoreError(f"{store} has no overview to draw: a picture takes three visible bands")
+        raise StoreError(
+            f"{store} has no overview to draw, which needs three visible bands", code="overview-missing"
+        )
     lines, columns = next(iter(shown.values())).shape[:2]
     size = (_WIDTH * len(shown), _WIDTH * min(lines / columns, 5.0) + 0.4)
     figure = new_figure("a picture", figsize=size, layout="constrained")

@@ -1,4 +1,4 @@
-"""What a store is made from: how inputs are named, compared, and never written over."""
+"""Inputs of a store: their names, their comparison, and protection against overwriting."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
     )
     for path in dict.fromkeys(each.resolve() for each in paths_in(settings)):
         if place == path:
-            problems.add(f"that is {path} itself, an input")
+            problems.add(f"it is {path}, an input", code="output-is-input")
         elif place in path.parents:
-            problems.add(f"it holds {path}, an input")
+            problems.add(f"it holds {path}, an input", code="output-is-input")
         elif path in place.parents and path.is_dir():
-            problems.add(f"it lies in {path}, an input")
+            problems.add(f"it lies in {path}, an input", code="output-is-input")
     problems.raise_if_any()
 
 
@@ -69,23 +69,29 @@ def finishing_command(command: str, options: Mapping[str, Any]) -> str:
 
 
 def settings_of(parameters: Mapping[str, Any]) -> str:
-    """Return what names the settings of a run: the version of its numerics, in words, and a digest of all."""
+    """Return the text for the settings of a run: version of its numerics, and a digest of all."""
     text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
     return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
 
 
 def _stored_form(cube: Path) -> str:
-    """Return what the header of a cube says of its samples: the same file may be read as other values."""
+    """Return the sample format from the header of a cube: another header gives the same file other values."""
     from hyperpaint.io.envi.envi_cubes import find_pair
     from hyperpaint.io.envi.envi_header import read_header
 
     header = read_header(find_pair(cube)[0])
-    factors = [None if values is None else values.tolist()
-               for values in (header.data_gain_values, header.data_offset_values)]  # fmt: skip
+    factors = [
+        None if values is None else values.tolist()
+        for values in (header.data_gain_values, header.data_offset_values)
+    ]
     form = (
-        header.header_offset, header.dtype.str, header.interleave, header.data_ignore_value,
-        header.reflectance_scale_factor, *factors,
-    )  # fmt: skip
+        header.header_offset,
+        header.dtype.str,
+        header.interleave,
+        header.data_ignore_value,
+        header.reflectance_scale_factor,
+        *factors,
+    )
     return repr(form)
 
 

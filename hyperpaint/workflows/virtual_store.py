@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.store.raw_references import RawFile, VirtualCube
 
-MOST_COPIED_SHARE = 0.1
+MAX_COPIED_SHARE = 0.1
 """Of a cube; beyond it a stored cube is the better one [1]."""
 
 _FEW_SLABS = 4
@@ -108,7 +108,7 @@ def virtualise(
         difference = _difference(out, lines, cubes)
         if not difference:
             beside = Staging(out.absolute())
-            if beside.folder.exists():  # what a run that was killed at its end left
+            if beside.folder.exists():  # leftovers of a run killed at its end
                 with contextlib.suppress(StoreError), staging(beside.store):
                     pass
             return Outcome(out, (), tuple(lines))
@@ -117,6 +117,7 @@ def virtualise(
                 f"{out} is there already, {difference}",
                 mend="pass overwrite=True, which replaces a virtual store, or choose another path",
                 option="pass --overwrite, which replaces a virtual store, or choose another --out",
+                code="store-exists",
             )
     accepted = refuse_findings(opened, lines, accept, lit=True)
     apply = alignment or opened.settings.alignment
@@ -138,7 +139,7 @@ def virtualise(
 
 
 def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
-    """Return how a store differs from a whole one of the same inputs and raw files; empty if it does not."""
+    """Return the difference of a store from a whole one of the same inputs; empty without any."""
     from hyperpaint.io.store.raw_references import is_virtual, open_virtual, summary_of, virtual_groups
 
     if not is_virtual(out):
@@ -160,7 +161,7 @@ def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, 
 
 
 def _companions(line: xr.Dataset) -> xr.Dataset:
-    """Return all of a flight line but its cube: in memory, with what its panels give."""
+    """Return all variables of a flight line but its cube, in memory, with the results of its panels."""
     from hyperpaint.light.diffuse_record import split_of_lines
     from hyperpaint.radiometry.panels import declared_panels
 
@@ -180,7 +181,7 @@ def _companions(line: xr.Dataset) -> xr.Dataset:
 def _cubes(
     opened: OpenedCollect, lines: Mapping[str, xr.Dataset], prefix: str | None
 ) -> dict[str, VirtualCube]:
-    """Return the cube of every line, as slabs of its raw files; refuse those that cannot be referred to."""
+    """Return the cube of every line as slabs of its raw files; refuse cubes that cannot be referred to."""
     entries = {str(entry.name): entry for entry in opened.settings.flightlines}
     problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
     base = opened.settings.path.absolute().parent
@@ -197,7 +198,7 @@ def _cubes(
 
 
 def _array(entry: Any) -> EnviArray:
-    """Return how the samples of a cube lie in its file."""
+    """Return the layout of a cube's samples in its file."""
     from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.envi.envi_cubes import open_envi
 
@@ -211,6 +212,7 @@ def _array(entry: Any) -> EnviArray:
             f"{Path(entry.path).name}: samples are {array.dtype.name}, or scaled",
             expected="raw counts, uint16 (ENVI data type 12)",
             mend="process the collect instead",
+            code="counts-not-raw",
         )
     return array
 
@@ -223,13 +225,19 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
     if prefix is None:
         return local
     if not path.is_relative_to(base):
-        raise StoreError(f"{path} does not lie below {base}, and so has no place below {prefix}")
+        raise StoreError(
+            f"{path} does not lie below {base}, the folder that {prefix} stands for",
+            code="file-outside-prefix",
+        )
     from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
     copy = RawFile.of(f"{prefix.rstrip('/')}/{path.relative_to(base).as_posix()}")
     if copy.size != local.size:
         raise StoreError(
-            f"{copy.url}: {copy.size} bytes", expected=f"{local.size}, as {path}", mend="copy it again"
+            f"{copy.url}: {copy.size} bytes",
+            expected=f"{local.size}, as {path}",
+            mend="copy it again",
+            code="copy-differs",
         )
     fs, key = url_to_fs(copy.url)
     with open(path, "rb") as file:
@@ -238,7 +246,9 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
             stop = min(start + _SAMPLE_BYTES, local.size)
             if fs.cat_file(key, start=start, end=stop) != file.read(stop - start):
                 raise StoreError(
-                    f"{copy.url} differs from {path} at byte {start} or after it", mend="copy it again"
+                    f"{copy.url} differs from {path} at byte {start} or after it",
+                    mend="copy it again",
+                    code="copy-differs",
                 )
     return copy
 
@@ -255,7 +265,10 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
             "bsq: a slab of lines is no run of bytes" if interleave is None else "cubes of several layouts"
         )
         raise FormatError(
-            found, expected="bil or bip, alike in all cubes", mend="process the collect instead"
+            found,
+            expected="bil or bip, alike in all cubes",
+            mend="process the collect instead",
+            code="interleave-unsupported",
         )
     dims = FILE_DIMS[interleave]
     ends = list(itertools.accumulate(array.file_shape[0] for array in arrays))
@@ -264,6 +277,7 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
         raise FormatError(
             f"{count} lines of {ends[-1]} in the files: frames were lost between its cubes",
             mend="process the collect instead",
+            code="frames-lost",
         )
     lines = slab_lines(ends)
     width = first.file_shape[1] * first.file_shape[2] * first.stored.itemsize
@@ -279,11 +293,12 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
         ]
     total = -(-count // lines)
     copied = sorted(set(range(total)) - {slab for slab, _, _ in slabs})
-    if len(copied) > max(_FEW_SLABS, MOST_COPIED_SHARE * total):
+    if len(copied) > max(_FEW_SLABS, MAX_COPIED_SHARE * total):
         raise FormatError(
             f"{len(copied)} of {total} slabs hold lost frames or lie in two cubes and would be copied",
-            expected=f"at most {MOST_COPIED_SHARE:.0%}",
+            expected=f"at most {MAX_COPIED_SHARE:.0%}",
             mend="process the collect instead",
+            code="slabs-copied",
         )
     cube = line["counts"].transpose(*dims)
     copies = {slab: cube[slab * lines : (slab + 1) * lines].values for slab in copied}

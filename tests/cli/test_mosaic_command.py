@@ -54,7 +54,7 @@ def test_a_mosaic_as_store_and_as_geotiff(store: Path) -> None:
 def test_what_is_wrong_is_said(store: Path) -> None:
     for options, reason in (
         (["--out", "map.png"], "ends in .tif or .zarr"),
-        (["--line", "raw_9", "--out", "map.zarr"], "there is no raw_9"),
+        (["--line", "raw_9", "--out", "map.zarr"], "no raw_9"),
         (["--out", str(store), "--overwrite"], "in the store itself"),
         (["--out", str(store / "map.tif")], "in the store itself"),
         (["--out", "map.tif", "--seamlines", str(store / "zarr.json"), "--overwrite"], "in the store itself"),

@@ -49,7 +49,7 @@ def test_what_is_wrong_is_said(store: Path) -> None:
     assert "ends in .tif or .zarr" in done.output
     done = CliRunner().invoke(main, ["orthorectify", str(store), "--line", "raw_9", "--out", "map.zarr"])
     assert done.exit_code == 2
-    assert "there is no 'raw_9'" in done.output
+    assert "no flight line 'raw_9'" in done.output
     for place in (store, store / "map.tif", store / "flightlines" / "map.zarr"):
         done = CliRunner().invoke(main, ["orthorectify", str(store), "--out", str(place), "--overwrite"])
         assert done.exit_code == 2
@@ -60,8 +60,9 @@ def test_what_is_wrong_is_said(store: Path) -> None:
 # rioxarray multiplies transforms the old way
 _OLD_TRANSFORMS = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
 MOUNTED = (0.34, -0.95, -0.13)
-CAMERA = ("--focal-length-mm", "12", "--pixel-pitch-um", "7.4", "--column-order", "left_to_right")
-BORESIGHT = ("--boresight", *map(str, MOUNTED))
+SETTINGS = ("focal_length_mm=12", "pixel_pitch_um=7.4", "column_order=left_to_right")
+CAMERA = tuple(word for setting in SETTINGS for word in ("--set", setting))
+BORESIGHT = ("--set", f"boresight={','.join(map(str, MOUNTED))}")
 
 
 @pytest.fixture(scope="module")
@@ -109,12 +110,12 @@ def shift(board: Path, *options: str) -> float:
 @_OLD_TRANSFORMS
 @pytest.mark.slow
 def test_a_camera_a_dem_and_a_boresight_put_pixels_in_their_place(board: Path) -> None:
-    dem = ("--dem", str(board / "dem.tif"), "--dem-heights", "ellipsoid")
+    dem = ("--dem", str(board / "dem.tif"), "--set", "dem_heights=ellipsoid")
     level = ("--ground", str(xr.open_zarr(board / "collect" / "truth.zarr").attrs["ground"]))
     for ground in (dem, level):
         assert shift(board, *ground, *CAMERA, *BORESIGHT) < 1.0
     assert shift(board, *level, *CAMERA) < 1.0  # the mounting that the collect declares
-    assert shift(board, *level, *CAMERA, "--boresight", "0", "0", "0") > 5.0
+    assert shift(board, *level, *CAMERA, "--set", "boresight=0,0,0") > 5.0
 
 
 @_OLD_TRANSFORMS
@@ -122,7 +123,7 @@ def test_a_dem_whose_heights_are_above_nothing(board: Path) -> None:
     call = ["orthorectify", str(board / "lot.zarr"), "--dem", str(board / "dem.tif"), *CAMERA]
     done = CliRunner().invoke(main, [*call, "--out", str(board / "none.zarr"), "--quiet"])
     assert done.exit_code == 2
-    assert "--dem-heights" in done.output
+    assert "dem_heights" in done.output
     assert not (board / "none.zarr").exists()
 
 
@@ -143,5 +144,5 @@ def test_a_store_of_one_nameless_line_has_no_line_of_a_name(store: Path, tmp_pat
     call = ["orthorectify", str(tmp_path / "one.zarr"), "--out", str(tmp_path / "map.zarr"), "--quiet"]
     done = CliRunner().invoke(main, [*call, "--line", "nope"])
     assert done.exit_code == 2
-    assert "there is no 'nope'" in done.output
+    assert "no flight line 'nope'" in done.output
     assert CliRunner().invoke(main, call).exit_code == 0

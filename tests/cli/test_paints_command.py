@@ -47,8 +47,8 @@ def test_a_library_of_ones_own(tmp_path: Path) -> None:
     path = hp.write_library(library.assign_coords(signature=names), tmp_path / "own.csv")
     assert "1 of 40" in run(path, "--name", "skoda, gruen 7")
     assert "angle 0.0000 rad" in run(path, "--like", "Škoda, grün 7", "--limit", 1)
-    assert "none was found" in run(path, "--name", "volvo")
-    assert "--members is for the starter" in run(path, "--members", 3, status=2)
+    assert "no paint meets" in run(path, "--name", "volvo")
+    assert "--members is only for the starter" in run(path, "--members", 3, status=2)
 
 
 def test_a_spectrum_in_a_file(tmp_path: Path) -> None:
@@ -71,7 +71,7 @@ def test_a_real_field_spectrum_is_taken(shared_data: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--like", "nothing"], "no paint of the library and no file"),
+        (["--like", "nothing"], "paint-unknown"),
         (["--colour", "rde"], "did you mean 'red'"),
         (["--maximum-angle", "0.1"], "--maximum-angle needs --like"),
         (["--maximum-difference", "5"], "--maximum-difference needs --colour"),
@@ -85,7 +85,7 @@ def test_what_it_refuses(arguments: list[str], text: str) -> None:
 def test_help_teaches() -> None:
     told = run("--help")
     assert "hyperpaint export starter.zarr --format dirsig" in told
-    assert "None of them was measured" in told
+    assert "not measured" in told
 
 
 def test_info_of_dirsigs_files(tmp_path: Path) -> None:

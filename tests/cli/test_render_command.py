@@ -354,13 +354,13 @@ def test_scenes_larger_than_the_disk_are_refused_before_anything_is_built(tmp_pa
     text = SCENE.replace("lines = 40", "lines = 1_000_000").replace("columns = 24", "columns = 20_000")
     text = text.replace("ground_sample_m = 0.4", "ground_sample_m = 0.001")
     file = scene_file(tmp_path, text.replace("bands = 12", "bands = 4"))
-    with pytest.raises(StoreError, match=r"needs 633\.30 GiB of disk at the very least"):
+    with pytest.raises(StoreError, match=r"633\.30 GiB.*disk-full"):
         hp.render_scene(file, tmp_path / "out.zarr")
     assert not (tmp_path / "out.zarr").exists()
 
 
 def test_urls_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="render writes to a folder"):
+    with pytest.raises(StoreError, match="output-is-url"):
         hp.render_scene(scene_file(tmp_path), "s3://bucket/out.zarr")
 
 

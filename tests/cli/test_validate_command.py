@@ -25,7 +25,7 @@ def run(*words: object) -> Result:
 def lot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A simulated collect, processed, with signatures of its solid paints by the commands themselves."""
     folder = tmp_path_factory.mktemp("lot")
-    size = ("--scene", "plan", "--lines", 64, "--bands", 60, "--columns", 48, "--seed", 1, "--glint", 0)
+    size = ("--scene", "plan", "--lines", 64, "--bands", 60, "--columns", 48, "--seed", 1, "--set", "glint=0")
     assert run("simulate", folder / "raw", *size).exit_code == 0
     assert run("process", folder / "raw" / "collect.toml", "--out", folder / "lot.zarr").exit_code == 0
     hp.write_regions(_painted(folder / "raw" / "truth.zarr", folder / "lot.zarr"), folder / "cars.geojson")
@@ -135,7 +135,7 @@ def test_options_reach_the_function(stored: Path, references: Path, tmp_path: Pa
     pairs = tmp_path / "pairs.json"
     pairs.write_text('{"hood": ["hood"]}')
     words = ("--panel", panel, "--pairs", pairs, "--part", "red=620-700", "--part", "blue=420-480.5")
-    more = ("--tolerance", "0.5", "--reference-fwhm", 3, "--plot", tmp_path / "p.png")
+    more = ("--tolerance", "0.5", "--reference-fwhm", 3, "--picture", tmp_path / "p.png")
     out = tmp_path / "t.json"
     done = run("validate", stored, "--reference", references, *words, *more, "--out", out)
     assert done.exit_code == 0, done.output
@@ -207,11 +207,11 @@ def test_bad_calls_are_one_message(stored: Path, references: Path, tmp_path: Pat
         (stored, *reference, "--panel", poem): "is no spectrum",
         (stored, *reference, "--tolerance", "much"): "'much', expected a number of RMSE",
         (stored, *reference, "--tolerance", "colour=1"): "no statistic 'colour'",
-        (stored, *reference, "--part", "red"): "'red', expected a name and wavelengths",
+        (stored, *reference, "--part", "red"): "part-unreadable",
         (stored, *reference, "--part", "=400-500"): "expected a name",
         (stored, *reference, "--out", tmp_path / "t.xlsx"): "ends in .csv or .json",
         (stored, *reference, "--out", tmp_path / "none" / "t.csv"): "there is no folder",
-        (stored, *reference, "--plot", tmp_path / "p.nothing"): "p.nothing",
+        (stored, *reference, "--picture", tmp_path / "p.nothing"): "p.nothing",
         (poem, *reference): "poem.txt",
         (tmp_path / "none.zarr", *reference): "does not exist",
     }.items():
@@ -259,7 +259,7 @@ def test_a_wrong_picture_is_refused_before_the_work(
         pytest.fail("the work was done first")
 
     monkeypatch.setattr("hyperpaint.workflows.library_files.validate_files", work)
-    done = run("validate", stored, "--reference", references, "--plot", tmp_path / "p.nope")
+    done = run("validate", stored, "--reference", references, "--picture", tmp_path / "p.nope")
     assert done.exit_code == 2
     assert "expected a name that ends in one of" in done.stderr
 

@@ -424,7 +424,8 @@ def test_command(red: xr.Dataset, tmp_path: Any) -> None:
     )
     told = CliRunner().invoke(
         main,
-        ["detect", str(tmp_path / "line.zarr"), "--library", str(tmp_path / "red.zarr"), "--rate", "0.01",
+        ["detect", str(tmp_path / "line.zarr"), "--library", str(tmp_path / "red.zarr"),
+         "--false-alarm-rate", "0.01",
          "--regions", str(tmp_path / "cars.geojson"), "--out", str(tmp_path / "found.zarr"), "--quiet"],
     )  # fmt: skip
     assert told.exit_code == 0, told.output
@@ -451,7 +452,8 @@ def test_command_takes_regions_of_its_line_alone(red: xr.Dataset, tmp_path: Any)
     hp.write_regions(Regions((road,)), tmp_path / "road.geojson")
     result = CliRunner().invoke(
         main,
-        ["detect", str(tmp_path / "line.zarr"), "--library", str(tmp_path / "red.zarr"), "--rate", "0.01",
+        ["detect", str(tmp_path / "line.zarr"), "--library", str(tmp_path / "red.zarr"),
+         "--false-alarm-rate", "0.01",
          "--regions", str(tmp_path / "cars.geojson"), "--background", str(tmp_path / "road.geojson"),
          "--out", str(tmp_path / "detections.zarr"), "--quiet"],
     )  # fmt: skip

@@ -303,7 +303,7 @@ def test_every_store_and_line_has_a_file_of_its_own(tmp_path: Path, monkeypatch:
 def test_what_cannot_be_viewed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = CliRunner().invoke
     hp.to_store(flight().line, tmp_path / "line.zarr")
-    absent = run(main, ["view", str(tmp_path / "line.zarr"), "--group", "raw_7"])
+    absent = run(main, ["view", str(tmp_path / "line.zarr"), "--line", "raw_7"])
     assert absent.exit_code == 2
     assert "no flight line 'raw_7', expected line" in absent.output
     monkeypatch.setitem(sys.modules, "panel", None)

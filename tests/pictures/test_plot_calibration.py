@@ -185,7 +185,7 @@ def test_command_line_writes_the_picture(sweep: xr.Dataset, tmp_path: Path) -> N
 
     def call(picture: str) -> Any:
         paths = [str(tmp_path / name) for name in ("sweep.zarr", "cal.zarr", picture)]
-        return CliRunner().invoke(main, ["calibrate", paths[0], "--out", paths[1], "--report", paths[2]])
+        return CliRunner().invoke(main, ["calibrate", paths[0], "--out", paths[1], "--picture", paths[2]])
 
     refused = call("report.xls")
     assert refused.exit_code == 2

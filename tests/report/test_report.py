@@ -188,7 +188,7 @@ def test_how_far_figures_can_be_trusted(tmp_path: Path) -> None:
     hp.to_store(field, tmp_path / "lot.zarr", "references/field")
     hp.to_store(library, tmp_path / "paints.zarr")
     done = hp.report.write_report(
-        tmp_path / "lot.zarr", tmp_path / "r.html", signatures=tmp_path / "paints.zarr", cards=0
+        tmp_path / "lot.zarr", tmp_path / "r.html", library=tmp_path / "paints.zarr", cards=0
     )
     assert done.problems == ()
     shown = words(tmp_path / "r.html")
@@ -227,14 +227,14 @@ def test_both_kinds_of_light_on_the_screen(whole: Path) -> None:
 
 
 def test_one_line_alone(lot: Path, tmp_path: Path) -> None:
-    done = hp.report.write_report(lot, tmp_path / "one.html", flightlines=["raw_20"], lines=5, cards=1)
+    done = hp.report.write_report(lot, tmp_path / "one.html", flightlines=["raw_20"], max_lines=5, cards=1)
     assert done.flightlines == ("flightlines/raw_20",)
     with pytest.raises(SchemaError, match=r"'raw_1'.*flightline-unknown"):
         hp.report.write_report(lot, tmp_path / "none.html", flightlines=["raw_1"])
     with pytest.raises(SchemaError, match=r"cards=-1.*out-of-range"):
         hp.report.write_report(lot, tmp_path / "none.html", cards=-1)
     with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
-        hp.report.write_report(lot, tmp_path / "none.html", lines=0)
+        hp.report.write_report(lot, tmp_path / "none.html", max_lines=0)
     assert not (tmp_path / "none.html").exists()
 
 
@@ -254,14 +254,12 @@ def test_a_page_is_never_replaced_unasked(lot: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_library_beside_the_store(lot: Path, tmp_path: Path) -> None:
     hp.to_store(paints(hp.open_store(lot, "flightlines/raw_0")), tmp_path / "paints.zarr")
-    hp.report.write_report(
-        lot, tmp_path / "r.html", flightlines=["raw_0"], signatures=tmp_path / "paints.zarr"
-    )
+    hp.report.write_report(lot, tmp_path / "r.html", flightlines=["raw_0"], library=tmp_path / "paints.zarr")
     assert "paints.zarr" in words(tmp_path / "r.html")
     alone = tmp_path / "line.zarr"
     hp.to_store(flight().line, alone)
     with pytest.raises(SchemaError, match="library-missing"):
-        hp.report.write_report(lot, tmp_path / "s.html", signatures=alone)
+        hp.report.write_report(lot, tmp_path / "s.html", library=alone)
 
 
 def test_what_is_missing_is_left_out(tmp_path: Path) -> None:

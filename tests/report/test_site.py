@@ -157,7 +157,7 @@ def test_maps_and_a_library_beside_the_store(tmp_path: Path) -> None:
     orthomap = grid(line)
     hp.to_store(orthomap, tmp_path / "map.zarr")
     hp.to_store(paints(line), tmp_path / "paints.zarr")
-    done = write_site(tmp_path / "map.zarr", tmp_path / "page", signatures=tmp_path / "paints.zarr")
+    done = write_site(tmp_path / "map.zarr", tmp_path / "page", library=tmp_path / "paints.zarr")
     assert done.problems == ()
     assert (done.flightlines, done.maps) == ((), ("map.zarr",))
     copy = xr.open_zarr(tmp_path / "page" / "store.zarr", group="map")
@@ -167,7 +167,7 @@ def test_maps_and_a_library_beside_the_store(tmp_path: Path) -> None:
     assert (index["lines"][0]["name"], index["lines"][0]["lies"]) == ("map.zarr", False)
     assert index["libraries"][0]["group"] == "library"
     with pytest.raises(SchemaError, match="option-conflict"):
-        write_site(tmp_path / "map.zarr", tmp_path / "b", signatures=tmp_path / "paints.zarr", link="../a")
+        write_site(tmp_path / "map.zarr", tmp_path / "b", library=tmp_path / "paints.zarr", link="../a")
 
 
 @pytest.mark.parametrize(
@@ -219,7 +219,7 @@ def test_only_a_site_is_replaced_and_only_when_asked(lot: Path, tmp_path: Path) 
     other = call("--out", tmp_path / "mine", "--overwrite")
     assert "holds other files" in other.stderr
     with pytest.raises(SchemaError, match=r"lines=0.*out-of-range"):
-        write_site(lot, tmp_path / "new", lines=0)
+        write_site(lot, tmp_path / "new", max_lines=0)
 
 
 # --- in a browser ------------------------------------------------------------------------------------------

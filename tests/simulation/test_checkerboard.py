@@ -129,6 +129,8 @@ def test_from_a_terminal(tmp_path: Path) -> None:
     truth = xr.open_zarr(tmp_path / "sim" / "truth.zarr")
     assert truth.attrs["lever_arm"] == [0.05, -0.02, 0.12]
     assert np.ptp(truth["north"].values) > np.ptp(truth["east"].values)  # eight lines, flown east
-    done = CliRunner().invoke(main, ["simulate", str(tmp_path / "two"), "--scene", "plan", "--swath", "3"])
+    done = CliRunner().invoke(
+        main, ["simulate", str(tmp_path / "two"), "--scene", "plan", "--set", "swath=3"]
+    )
     assert done.exit_code == 2
     assert "swath=3.0, expected 16 for all scenes but a checkerboard" in done.output

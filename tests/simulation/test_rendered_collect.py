@@ -289,7 +289,8 @@ def test_memory_is_used_again_without_a_trace() -> None:
 
 def test_command_line(tmp_path: Path) -> None:
     size = ["--lines", "6", "--bands", "4", "--columns", "16"]
-    asked = ["--scene", "rendered", "--samples", "2", "--sky", "overcast", "--no-coat", "--no-neighbours"]
+    asked = ["--scene", "rendered", "--samples", "2", "--atmosphere", "overcast"]
+    asked += ["--set", "coat=no", "--set", "neighbours=no"]
     done = CliRunner().invoke(main, ["simulate", str(tmp_path / "sim"), *size, *asked])
     assert done.exit_code == 0, done.output
     made = xr.open_zarr(tmp_path / "sim" / "truth.zarr")

@@ -26,9 +26,9 @@ import numpy as np
 import xarray as xr
 
 _ENVIRONMENT = {**os.environ, "PYTHONHASHSEED": "0"}
-_FLIGHT = "--lines 256 --bands 64 --columns 192 --samples 4 --seed 11 --smile 1.0 --fleet solid"
+_FLIGHT = "--lines 256 --bands 64 --columns 192 --samples 4 --seed 11 --set smile_nm=1.0 --set fleet=solid"
 _SWEPT = "--lines 16 --bands 136 --columns 24 --scene plan --seed 3 --sweep"
-_CAMERA = "--ground 152.4 --field-of-view 18.9 --column-order left_to_right"
+_CAMERA = "--ground 152.4 --set field_of_view=18.9 --set column_order=left_to_right"
 #: What differs from run to run: places, moments and identifiers.
 _RUN = re.compile(
     r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|\+00:00)?"
@@ -54,7 +54,7 @@ def journey(folder: Path) -> list[list[str]]:
         [*export, "envi", "--out", str(folder / "paints.sli")],
         ["validate", str(paints), "--reference", str(sim / "svc" / "*.sig")],
         ["orthorectify", str(store), *_CAMERA.split(), "--out", str(folder / "map.zarr"), "--quiet"],
-        ["report", str(store), "--signatures", str(paints), "--out", str(folder / "report.html"), "--quiet"],
+        ["report", str(store), "--library", str(paints), "--out", str(folder / "report.html"), "--quiet"],
         ["info", str(store)],
         ["verify", str(store)],
         ["render", "--example"],

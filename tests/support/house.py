@@ -25,7 +25,8 @@ MAX_POSITIONAL = 8
 _CALLED_BY_OTHERS = {
     "AsdBackendEntrypoint", "CollectBackendEntrypoint", "EnviBackendEntrypoint", "SvcBackendEntrypoint",
     "description", "guess_can_open", "open_groups_as_dict", "get_partial_values", "_repr_html_",
-    "_repr_mimebundle_", "get_command", "list_commands", "save", "worked_example",
+    "_repr_mimebundle_", "get_command", "list_commands", "resolve_command", "parse_args",
+    "format_commands", "format_epilog", "save", "worked_example",
     "add_overload", "ensure_cache_path", "load_overload", "_finalize_final_module",  # by numba
 }  # fmt: skip
 

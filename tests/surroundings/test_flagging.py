@@ -139,8 +139,8 @@ def test_the_sun_is_asked_for(tmp_path: Path, surveys: list[dict[str, Any]]) -> 
     assert "flight line 'raw_0' has no flags of glint or shadow yet; --no-flags does without" in done.stderr
     assert not out.exists()
     done = run(
-        "signatures", nowhere, "--regions", regions, "--out", out, "--sun-zenith", 30, "--diffuse", "model",
-        "--glint", 999, "--specular-sky",
+        "signatures", nowhere, "--regions", regions, "--out", out, "--sun-zenith", 30,
+        "--set", "diffuse=model", "--set", "glint=999", "--specular-sky",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     assert surveys[-1]["sun_zenith"] == 30.0
@@ -148,9 +148,11 @@ def test_the_sun_is_asked_for(tmp_path: Path, surveys: list[dict[str, Any]]) -> 
     found = xr.open_zarr(out).load()
     assert float(found.quality_share.sel(flag="glint")[0]) == 0.0  # the threshold was passed on
     assert "sun zenith 30 degree" in found.attrs["corrections"]
-    refused = run("signatures", nowhere, "--regions", regions, "--out", out, "--no-flags", "--glint", 0.1)
+    refused = run(
+        "signatures", nowhere, "--regions", regions, "--out", out, "--no-flags", "--set", "glint=0.1"
+    )
     assert refused.exit_code == 2
-    assert "leave out --glint" in refused.stderr
+    assert "option-conflict" in refused.stderr
 
 
 def test_flags_of_the_store_stay(tmp_path: Path, surveys: list[dict[str, Any]]) -> None:

@@ -105,7 +105,5 @@ def test_cubed(store: Path, wanted: xr.Dataset, tmp_path: Path) -> None:
         values = np.asarray(cube.compute(executor=cubed.runtime.create.create_executor(executor)))
         assert values.tobytes() == wanted["reflectance"].values.tobytes()
     dims = ("along_track", "band", "cross_track")
-    with pytest.raises(
-        hp.SchemaError, match=r"'counts' is an array of cubed, .* map hyperpaint.slab over its blocks"
-    ):
+    with pytest.raises(hp.SchemaError, match=r"cubed, .* hyperpaint.slab"):
         small.assign(counts=xr.Variable(dims, counts, {"units": "count"})).paint.reflectance()

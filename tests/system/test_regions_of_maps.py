@@ -16,7 +16,9 @@ from hyperpaint.cli.program import main
 
 LINES, COLUMNS = 120, 80
 MOUNTED = (0.34, -0.95, -0.13)
-CAMERA = ("--focal-length-mm", "12", "--pixel-pitch-um", "7.4", "--column-order", "left_to_right")
+BORESIGHT = ("--set", f"boresight={','.join(map(str, MOUNTED))}")
+SETTINGS = ("focal_length_mm=12", "pixel_pitch_um=7.4", "column_order=left_to_right")
+CAMERA = tuple(word for setting in SETTINGS for word in ("--set", setting))
 #: Corners between pixels, so that no centre lies on an edge.
 OUTLINES = {
     "panel": np.array([(8.5, 10.5), (60.5, 20.5), (70.5, 100.5), (12.5, 90.5)]),
@@ -84,13 +86,13 @@ def agreement(one: dict[str, Pairs], other: dict[str, Pairs]) -> float:
 
 
 def test_the_same_pixels_of_a_stored_line_from_the_command_line(folder: Path) -> None:
-    where = ("--ground", ground_of(folder), *CAMERA, "--boresight", *MOUNTED)
+    where = ("--ground", ground_of(folder), *CAMERA, *BORESIGHT)
     drawn = pixels_of(signatures(folder, "lot.zarr", "sensor.geojson"))
     placed = pixels_of(signatures(folder, "lot.zarr", "map.geojson", *where))
     assert agreement(drawn, placed) >= 0.99
     # what the collect declares, and the store carries, stands for options
     assert pixels_of(signatures(folder, "lot.zarr", "map.geojson")) == placed
-    off = pixels_of(signatures(folder, "lot.zarr", "map.geojson", *where[:2], "--boresight", 0, 0, 0))
+    off = pixels_of(signatures(folder, "lot.zarr", "map.geojson", *where[:2], "--set", "boresight=0,0,0"))
     assert agreement(drawn, off) < 0.9  # the boresight counts
 
 
@@ -111,7 +113,7 @@ def test_the_same_pixels_in_python_before_and_after_a_map_is_stored(folder: Path
 
 
 def test_a_stored_map_from_the_command_line(folder: Path) -> None:
-    where = ("--ground", ground_of(folder), *CAMERA, "--boresight", *MOUNTED)
+    where = ("--ground", ground_of(folder), *CAMERA, *BORESIGHT)
     run("orthorectify", folder / "lot.zarr", *where, "--grid", "north", "--out", folder / "map.zarr")
     line, of_map = (
         signatures(folder, "lot.zarr", "map.geojson", *where), signatures(folder, "map.zarr", "map.geojson")
@@ -135,4 +137,4 @@ def test_what_does_not_fit_is_said(folder: Path) -> None:
     assert "--ground or --dem, or [geometry] ground" in refused.output
     sensor = CliRunner().invoke(main, [*call, "--regions", str(folder / "sensor.geojson"), "--ground", "0"])
     assert sensor.exit_code == 2
-    assert "ground place lines for regions of a map" in sensor.output
+    assert "location-unused" in sensor.output

@@ -73,7 +73,7 @@ def test_a_rerun_changes_nothing(source: Path, store: Path) -> None:
 
 def test_never_is_a_warning_and_the_collect_may_say_so(source: Path, tmp_path: Path) -> None:
     path = copy_of(source, tmp_path / "raw", '\n[alignment]\napply = "never"\n')
-    with pytest.warns(PaintWarning, match="camera and irradiance record differ"):
+    with pytest.warns(PaintWarning, match="irradiance record differ"):
         hp.process(path, tmp_path / "lot.zarr")
     line = hp.open_store(tmp_path / "lot.zarr", GROUP)
     assert line.attrs["alignment_state"] == "not applied"
@@ -81,7 +81,7 @@ def test_never_is_a_warning_and_the_collect_may_say_so(source: Path, tmp_path: P
 
 
 def test_words_are_checked(source: Path, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="alignment='yes', expected 'auto' or 'never' or 'always'"):
+    with pytest.raises(SchemaError, match="choice-unknown"):
         hp.process(source, tmp_path / "lot.zarr", alignment="yes")  # type: ignore[arg-type]
     path = copy_of(source, tmp_path / "raw", '\n[alignment]\napply = "yes"\n')
     with pytest.raises(CollectError, match="alignment"):

@@ -107,15 +107,13 @@ def test_what_a_panel_lacks_is_listed(flown: Path) -> None:
     ):
         assert text in str(error.value)
     collect = with_panels(flown, PANEL + "reflectance = 0.5\ncertificate = 'none.csv'\n")
-    with pytest.raises(
-        CollectError, match="certificate and reflectance, expected a reflectance, or the file of a"
-    ):
+    with pytest.raises(CollectError, match="certificate and refl"):
         hp.open_collect(collect)
     collect = with_panels(flown, PANEL.replace("raw_0", "raw_7") + "reflectance = 0.5\n")
-    with pytest.raises(CollectError, match="expected one of raw_0"):
+    with pytest.raises(CollectError, match=r"raw_0.*choice-unknown"):
         hp.open_collect(collect)
     collect = with_panels(flown, PANEL + "reflectance = 50\nuncertainty = 5\n")
-    with pytest.raises(CollectError, match="reflectance = 50, expected a fraction") as error:
+    with pytest.raises(CollectError, match="reflectance = 50") as error:
         hp.open_collect(collect)
     assert "uncertainty = 5, expected a fraction from 0 to below 1, such as 0.02 for 2 %" in str(error.value)
 
@@ -123,7 +121,7 @@ def test_what_a_panel_lacks_is_listed(flown: Path) -> None:
 def test_a_refused_panel_stops_the_run_before_it_writes(flown: Path, tmp_path: Path) -> None:
     # grass and asphalt
     collect = with_panels(flown, PANEL.replace("[44, 48]", "[0, 40]") + "reflectance = 0.5\n")
-    refused = pytest.raises(CollectError, match="/flightlines/raw_0: the panel is refused")
+    refused = pytest.raises(CollectError, match="panel is refused")
     with pytest.warns(PaintWarning, match="show something else"), refused as error:
         hp.process(collect, tmp_path / "out.zarr")
     assert "Panel(..., tilt=(angle, azimuth))" in str(error.value)

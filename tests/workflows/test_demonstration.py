@@ -67,9 +67,9 @@ def test_without_matplotlib_the_demo_says_how_to_get_a_picture(
     said: list[str] = []
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     demonstration._draw(demo[0] / "lot.zarr", tmp_path / "quicklook.png", said.append)
-    assert said == [
-        "no picture: a quicklook needs matplotlib; install it with: python -m pip install 'hyperpaint[viz]'"
-    ]
+    (text,) = said
+    assert text.startswith("no picture: a quicklook needs matplotlib")
+    assert text.endswith("[extra-missing]")
     assert not (tmp_path / "quicklook.png").exists()
 
 
@@ -117,7 +117,7 @@ def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> Non
     refuse_foreign(folder, overwrite=False)
     refuse_foreign(tmp_path / "new", overwrite=False)
     hp.simulate_collect(tmp_path / "only_simulated", scene="plan", lines=8, bands=4, columns=4)
-    with pytest.raises(hp.StoreError, match="is not empty"):
+    with pytest.raises(hp.StoreError, match="folder-not-empty"):
         refuse_foreign(tmp_path / "only_simulated", overwrite=False)
     shutil.rmtree(tmp_path / "only_simulated")
     (tmp_path / "thesis.tex").write_text("text")
@@ -134,12 +134,12 @@ def test_demo_replaces_only_demos(demo: tuple[Path, str], tmp_path: Path) -> Non
 def test_real_raw_data_are_never_replaced(tmp_path: Path, name: str) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text("ENVI\nsamples = 640\n")
-    with pytest.raises(hp.StoreError, match="not simulated"):
+    with pytest.raises(hp.StoreError, match="raw-data-present"):
         refuse_foreign(tmp_path, overwrite=True)
 
 
 def test_a_pipe_among_the_files_is_not_waited_for(tmp_path: Path) -> None:
     (tmp_path / "flight").mkdir()
     os.mkfifo(tmp_path / "flight" / "gps.hdr")
-    with pytest.raises(hp.StoreError, match="not simulated"):
+    with pytest.raises(hp.StoreError, match="raw-data-present"):
         refuse_foreign(tmp_path, overwrite=True)

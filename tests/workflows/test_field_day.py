@@ -85,7 +85,7 @@ def test_angles_of_a_file_are_those_of_the_field_of_view(folder: Path) -> None:
     assert read["look_across"].attrs["units"] == "degree"
     for wrong, said in (("1 2 3", "3 numbers"), ("left", "words")):
         (folder / "angles.txt").write_text(wrong, encoding="utf-8")
-        with pytest.raises(hp.PaintError, match=rf"angles\.txt: {said}, expected \d+ angles"):
+        with pytest.raises(hp.PaintError, match=rf"{said}, .*length-mismatch"):
             hp.open_collect(other)
     for name in ("angles.toml", "angles.txt"):
         (folder / name).unlink()
@@ -159,7 +159,7 @@ def test_lines_make_one_map(folder: Path, tmp_path: Path) -> None:
 
 
 def test_steps_have_names(tmp_path: Path) -> None:
-    with pytest.raises(hp.SchemaError, match=r"(?s)skip='process'.*skip='albedo'"):
+    with pytest.raises(hp.SchemaError, match="step-required"):
         run_field_day(tmp_path / "collect.toml", skip=["process", "albedo"])
 
 
@@ -226,7 +226,7 @@ def test_a_height_model_places_regions_and_is_looked_at_again(folder: Path, tmp_
 
 @pytest.mark.usefixtures("day")  # which writes the collect.toml
 def test_regions_are_read_before_anything_is_processed(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(hp.SchemaError, match=r"typo\.geojson: no such file"):
+    with pytest.raises(hp.SchemaError, match="file-not-found"):
         run_field_day(folder / "collect.toml", tmp_path / "none", regions=tmp_path / "typo.geojson")
     assert not (tmp_path / "none").exists()
 

@@ -123,9 +123,9 @@ def test_two_calibrations_are_not_chosen_between(folder: Path) -> None:
 
 
 def test_a_folder_without_a_flight_is_one_error(tmp_path: Path) -> None:
-    with pytest.raises(hp.errors.CollectError, match="no raw cube"):
+    with pytest.raises(hp.errors.CollectError, match="cube-missing"):
         find_field_files(tmp_path)
-    with pytest.raises(hp.errors.CollectError, match="is no folder"):
+    with pytest.raises(hp.errors.CollectError, match="folder-not-found"):
         find_field_files(tmp_path / "absent")
 
 
@@ -149,7 +149,7 @@ def test_heights_that_do_not_say_what_they_are_above_are_not_used(folder: Path) 
     survey.write_text(survey.read_text().replace("ellipsoidal_height_m", "height_m"))
     found = find_field_files(folder)
     assert found.survey is None
-    assert any("expected one that says so" in note for note in found.notes)
+    assert any("height-column-missing" in note for note in found.notes)
     assert "geometry" in tomllib.loads(write_collect_toml(found).read_text(encoding="utf-8"))
 
 
@@ -177,7 +177,7 @@ def test_surveyed_heights_come_in_metres(tmp_path: Path, heading: str, metres: f
     ("text", "problem"),
     [
         ("name,hae [degree]\nA,1.0\n", "'hae' in 'degree', expected a unit of length"),
-        (f"name,hae\n{'A' * 200_000},1.0\n", "no table of text, field larger than"),
+        (f"name,hae\n{'A' * 200_000},1.0\n", "text-unreadable"),
     ],
 )
 def test_a_survey_in_other_units_or_of_endless_cells_is_refused(

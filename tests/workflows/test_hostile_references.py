@@ -127,7 +127,7 @@ def test_a_folder_of_parquet_references_is_refused(home: Path) -> None:
 @pytest.mark.parametrize("name", ["lot.json", "lot.JSON", "lot.parq", "lot.parquet"])
 def test_json_is_not_written(home: Path, name: str) -> None:
     before = sorted(home.rglob("*"))
-    with pytest.raises(StoreError, match=r"kerchunk references.*icechunk"):
+    with pytest.raises(StoreError, match=r"kerchunk.*icechunk"):
         virtualise(home / "day" / "collect.toml", home / name)
     assert sorted(home.rglob("*")) == before
 

@@ -178,7 +178,7 @@ def test_a_changed_cube_is_other_input(collect: Path, tmp_path: Path) -> None:
     samples = np.fromfile(cube, "<u2")
     samples[0] += 1
     samples.tofile(cube)
-    with pytest.raises(hp.StoreError, match="/flightlines/raw_0 is there already"):
+    with pytest.raises(hp.StoreError, match=r"raw_0 .*store-exists"):
         hp.process(collect, out)
 
 
@@ -187,7 +187,7 @@ def test_lines_of_another_collect_are_never_mixed_in(collect: Path, tmp_path: Pa
     out = tmp_path / "lot.zarr"
     hp.process(collect, out)
     collect.write_text(collect.read_text().replace('id = "raw_0"', 'id = "other"'))
-    with pytest.raises(hp.StoreError, match="raw_0, which is not of this collect"):
+    with pytest.raises(hp.StoreError, match=r"raw_0,.*group-foreign"):
         hp.process(collect, out, overwrite=True)
 
 
@@ -252,13 +252,13 @@ def test_a_store_may_be_laid_out_for_looking(collect: Path, tmp_path: Path) -> N
     stamp = (out / "zarr.json").stat().st_mtime_ns
     hp.process(collect, out)  # the same content, whatever its layout
     assert (out / "zarr.json").stat().st_mtime_ns == stamp
-    with pytest.raises(hp.SchemaError, match="layout='tiles', expected 'cube' or 'explore'"):
+    with pytest.raises(hp.SchemaError, match=r"tiles.*choice-unknown"):
         hp.process(collect, out, layout="tiles")  # type: ignore[arg-type]
 
 
 def test_words_are_checked(collect: Path, tmp_path: Path) -> None:
     words: Any = {"to": "albedo", "reflectance": "maybe"}
-    with pytest.raises(hp.SchemaError, match=r"(?s)to='albedo'.*reflectance='maybe'"):
+    with pytest.raises(hp.SchemaError, match=r"(?s)albedo.*maybe"):
         hp.process(collect, tmp_path / "lot.zarr", **words)
 
 
@@ -289,7 +289,7 @@ def test_a_cluster_gives_the_same_bits(collect: Path, store: Path, tmp_path: Pat
 
 def test_a_wrong_address_is_one_error(collect: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
-    with pytest.raises(hp.errors.CollectError, match="no dask scheduler answers at 'nonsense'"):
+    with pytest.raises(hp.errors.CollectError, match="scheduler-unreachable"):
         hp.process(collect, tmp_path / "lot.zarr", scheduler="nonsense")
     assert dask.config.get("scheduler", None) is None  # later computations run where they ran before
 
@@ -317,7 +317,7 @@ def test_a_group_that_a_user_wrote_back_is_not_kept(source: Path, store: Path, t
     line = hp.io.store.open_store(out, "flightlines/raw_0").load()
     line["reflectance"] = line["reflectance"] * np.float32(2)
     hp.to_store(line, out, "flightlines/raw_0", overwrite=True)
-    with pytest.raises(hp.StoreError, match=r"raw_0 is there already, .*not by process"):
+    with pytest.raises(hp.StoreError, match=r"by process.*store-ex"):
         run(source / "collect.toml", out)
     assert run(source / "collect.toml", out, overwrite=True).written == ("flightlines/raw_0",)
     for made, expected in zip(lines_of(out), lines_of(store), strict=True):
@@ -335,7 +335,7 @@ def test_a_group_that_lacks_a_chunk_is_made_again(source: Path, store: Path, tmp
 def test_a_damaged_root_is_rebuilt_when_asked_for(source: Path, store: Path, tmp_path: Path) -> None:
     out = shutil.copytree(store, tmp_path / "lot.zarr")
     (out / "zarr.json").write_text("{")
-    with pytest.raises(hp.StoreError, match="missing or damaged; pass overwrite=True"):
+    with pytest.raises(hp.StoreError, match="missing or damaged"):
         run(source / "collect.toml", out)
     assert run(source / "collect.toml", out, overwrite=True).written == ()
     assert hp.verify(out).ok
@@ -352,6 +352,6 @@ def test_a_run_killed_at_its_first_metadata_is_run_again(source: Path, tmp_path:
 @pytest.mark.parametrize("out", ["memory://lot.zarr", "s3://bucket/lot.zarr", Path("gs://bucket/lot.zarr")])
 def test_a_url_is_refused(out: Any, source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(hp.StoreError, match=r"to_store, which takes URLs \(guide, 'Object stores'\)"):
+    with pytest.raises(hp.StoreError, match="output-is-url"):
         hp.process(source / "collect.toml", out)
     assert list(tmp_path.iterdir()) == []

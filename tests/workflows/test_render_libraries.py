@@ -151,7 +151,7 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
         read_spectra(tmp_path / "x.csv")
     hp.write_dirsig(library(), tmp_path / "d")
     (tmp_path / "d" / "emissivity" / "Tuerkis.ems").unlink()
-    with pytest.raises(FormatError, match=r"'Tuerkis': no file 'emissivity/Tuerkis\.ems' beside the list"):
+    with pytest.raises(FormatError, match="file-not-found"):
         read_paints(tmp_path / "d")
 
 
@@ -187,7 +187,7 @@ def test_render_takes_a_library_and_traces_once(tmp_path: Path) -> None:
     arguments = ["render", str(tmp_path / "scene.toml"), "--quiet"]
     first = CliRunner().invoke(main, arguments)
     assert first.exit_code == 0, first.output
-    again = CliRunner().invoke(main, [*arguments, "--paints", str(tmp_path / "x.zarr"), "--overwrite"])
+    again = CliRunner().invoke(main, [*arguments, "--library", str(tmp_path / "x.zarr"), "--overwrite"])
     assert again.exit_code == 0, again.output
     assert "transport" in again.output
     line = hp.open_store(tmp_path / "scene.zarr", "renders/noon")

@@ -127,9 +127,9 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
 
 def test_a_store_without_flight_lines(tmp_path: Path, drawn: Path) -> None:
     hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "other.zarr")
-    with pytest.raises(StoreError, match="holds no flight line"):
+    with pytest.raises(StoreError, match="flightline-missing"):
         write_signatures(tmp_path / "other.zarr", drawn, tmp_path / "l.zarr")
-    with pytest.raises(SchemaError, match="in the store itself"):
+    with pytest.raises(SchemaError, match="output-in-store"):
         write_signatures(tmp_path / "other.zarr", drawn, tmp_path / "other.zarr")
 
 
@@ -145,7 +145,7 @@ def test_flags_that_are_kept(store: Path, drawn: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_flags_are_kept_or_excluded(store: Path, drawn: Path, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="keep= and exclude="):
+    with pytest.raises(SchemaError, match="option-conflict"):
         write_signatures(store, drawn, tmp_path / "l.zarr", keep=["glint"], exclude=hp.Quality.SHADOW)
     assert not (tmp_path / "l.zarr").exists()
     made = write_signatures(store, drawn, tmp_path / "l.zarr", keep=["glint"], exclude=None)

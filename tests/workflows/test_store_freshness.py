@@ -51,7 +51,7 @@ def test_a_cube_of_other_content_is_told_whatever_its_times(collect: Path, store
     values[7] += 1
     values.tofile(cube)
     os.utime(cube, ns=(status.st_atime_ns, status.st_mtime_ns))
-    with pytest.raises(hp.StoreError, match="raw_1 is there already, with other inputs") as caught:
+    with pytest.raises(hp.StoreError, match=r"raw_1 .*store-exists") as caught:
         process(collect, store)
     assert "raw_0" not in str(caught.value)
     assert process(collect, store, overwrite=True).written == (LINES[1],)
@@ -66,7 +66,7 @@ def test_another_header_makes_other_values_of_the_same_file(
     header = collect.with_name("raw_1.hdr")
     assert old in header.read_text()
     header.write_text(header.read_text().replace(old, new))
-    with pytest.raises(hp.StoreError, match="raw_1 is there already, with other inputs"):
+    with pytest.raises(hp.StoreError, match=r"raw_1 .*store-exists"):
         process(collect, store)
 
 
@@ -108,7 +108,7 @@ def test_other_numerics_are_said_and_computed_on_request(
     report = hp.verify(store)
     assert report.ok
     assert report.notes == ("made by numerics 1, this is 7: --overwrite computes it again",)
-    with pytest.raises(hp.StoreError, match="raw_0 is there already, made by numerics 1, this is 7"):
+    with pytest.raises(hp.StoreError, match=r"numerics 1,.*store-ex"):
         process(collect, store)
     assert process(collect, store, overwrite=True).written == LINES
     assert hp.verify(store).notes == ()
@@ -142,11 +142,11 @@ def test_other_settings_cut_short_are_not_whole(
 def test_inputs_are_never_written_over(collect: Path, store: Path, overwrite: bool, tmp_path: Path) -> None:
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     for out in (collect.parent, tmp_path, collect.parent / ".." / "raw"):
-        with pytest.raises(hp.StoreError, match=r"collect\.toml, an input") as caught:
+        with pytest.raises(hp.StoreError, match="output-is-input") as caught:
             process(collect, out, overwrite=overwrite)
         assert "whether or not it may overwrite" in str(caught.value)
     inside = tiny_collect(store / "raw", 1)
-    with pytest.raises(hp.StoreError, match=r"it holds .*raw_0, an input"):
+    with pytest.raises(hp.StoreError, match=r"raw_0.*output-is-input"):
         process(inside, store, overwrite=overwrite)
     shutil.rmtree(store / "raw")
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
@@ -185,7 +185,7 @@ def test_inputs_are_compared_whole(
     assert compare_inputs(store).problems == (f"/{LINES[1]}: radiance, lines 0 to 5: not what was stored",)
     hp.to_store(xr.Dataset({"a": ("x", [1.0])}), store, "signatures")
     os.rename(collect.parent, tmp_path / "elsewhere")
-    with pytest.raises(hp.StoreError, match="compare_inputs"):
+    with pytest.raises(hp.StoreError, match="file-not-found"):
         compare_inputs(store)
     moved = tmp_path / "elsewhere/collect.toml"
     moved.write_text(moved.read_text().replace("7.0", "8.0", 1))
@@ -197,5 +197,5 @@ def test_inputs_are_compared_whole(
 
 def test_inputs_of_other_stores_are_not_known(tmp_path: Path) -> None:
     hp.to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lot.zarr", "a")
-    with pytest.raises(hp.StoreError, match="does not say what it was made from"):
+    with pytest.raises(hp.StoreError, match="inputs-unrecorded"):
         compare_inputs(tmp_path / "lot.zarr")

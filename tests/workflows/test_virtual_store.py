@@ -111,7 +111,7 @@ def test_other_layouts(copied: Path, wanted: xr.Dataset, interleave: str, dtype:
 
 def test_layouts_that_cannot_be_referred_to(copied: Path, tmp_path: Path) -> None:
     rewritten(copied, "bsq")
-    with pytest.raises(FormatError, match=r"/flightlines/raw_0: bsq.*expected bil or bip.*process"):
+    with pytest.raises(FormatError, match="interleave-unsupported"):
         virtualise(copied, tmp_path / NAME)
     assert not (tmp_path / NAME).exists()
 
@@ -165,7 +165,7 @@ def test_other_raw_files_are_refused(copied: Path, tmp_path: Path, damage: str) 
         data.write_bytes(bytes(data.stat().st_size))
         os.utime(data, (2e9, 2e9))
         words = "changed at 2033"
-    with pytest.raises(StoreError, match=rf"(?s){words}.*write it again"):
+    with pytest.raises(StoreError, match=rf"(?s){words}.*again"):
         hp.io.open_virtual(tmp_path / NAME)
     assert words in facts_of_path(tmp_path / NAME)["/flightlines/raw_0 NOT READ"]
     with pytest.raises(icechunk.IcechunkError, match="virtual"):
@@ -176,7 +176,7 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
     out = tmp_path / "lot.icechunk"
     virtualise(copied, out)
     copied.write_text(copied.read_text().replace("bit_depth = 12", "bit_depth = 13"))
-    with pytest.raises(StoreError, match="there already, of other inputs; pass overwrite=True"):
+    with pytest.raises(StoreError, match="store-exists"):
         virtualise(copied, out)
     assert virtualise(copied, out, overwrite=True).written
     assert float(hp.io.open_virtual(out)["saturation_count"]) == 8191
@@ -185,9 +185,9 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
     for overwrite in (False, True):
         with pytest.raises(StoreError, match="no virtual store"):
             virtualise(copied, tmp_path / "notes", overwrite=overwrite)
-        with pytest.raises(StoreError, match=r"holds .*, an input"):
+        with pytest.raises(StoreError, match="output-is-input"):
             virtualise(copied, copied.parent, overwrite=overwrite)
-    with pytest.raises(StoreError, match="expected one of flightlines/raw_0"):
+    with pytest.raises(StoreError, match="of flightlines/raw_0"):
         hp.io.open_virtual(out, "flightlines/raw_1")
     with pytest.raises(StoreError, match="is no virtual store"):
         hp.io.open_virtual(tmp_path / "notes")
@@ -199,7 +199,7 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
      "http://user@host/x", "http://host/x/../y", "http://host/%2e%2e/y", "s3://bucket\\x", "file:///etc/../x"],
 )  # fmt: skip
 def test_urls_that_icechunk_does_not_read(collect: Path, tmp_path: Path, prefix: str) -> None:
-    with pytest.raises(StoreError, match="icechunk reads no raw files from"):
+    with pytest.raises(StoreError, match="reads no raw files"):
         virtualise(collect, tmp_path / NAME, prefix=prefix)
     assert not list(tmp_path.iterdir())
 
@@ -209,7 +209,7 @@ def test_the_place_of_the_raw_files(collect: Path, wanted: xr.Dataset, tmp_path:
         copied = Path(shutil.copytree(collect.parent, tmp_path / odd / "day")) / "collect.toml"
         out = tmp_path / "stores" / f"{number}.icechunk"
         virtualise(copied, out)
-        with pytest.raises(StoreError, match="refers to raw files elsewhere") as caught:
+        with pytest.raises(StoreError, match="raw files elsewhere") as caught:
             hp.io.open_virtual(out)
         (needed,) = re.findall(r"allow='([^']*)'", str(caught.value))
         assert needed == str(copied.parent / "flight")
@@ -264,7 +264,7 @@ def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path, lost: 
     assert not virtualise(copied, out).written
     shutil.rmtree(out / "snapshots")
     (out / "snapshots").mkdir()
-    with pytest.raises(StoreError, match=r"cannot be read .*no whole virtual store"):
+    with pytest.raises(StoreError, match="no whole virtual store"):
         virtualise(copied, out)
     assert virtualise(copied, out, overwrite=True).written
 
@@ -322,5 +322,5 @@ def test_a_folder_of_cubes_is_one_line(copied: Path, tmp_path: Path) -> None:
 def test_errors_are_hyperpaints_own(tmp_path: Path) -> None:
     with pytest.raises(PaintError):
         virtualise(tmp_path / "collect.toml", tmp_path / NAME)
-    with pytest.raises(StoreError, match="writes to a folder"):
+    with pytest.raises(StoreError, match="output-is-url"):
         virtualise(tmp_path / "collect.toml", "s3://bucket/lot.icechunk")

@@ -236,7 +236,7 @@ def _score_thresholds(values: Floats, rate: float) -> Floats:
             f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} background pixels",
             expected=f"at least {need} pixels",
             mend="pass a higher rate, search a longer line or look for fewer paints",
-            option="give a higher --rate",
+            option="give a higher --false-alarm-rate",
             code="false-alarm-rate-too-low",
         )
     rank = _joint_rank(_ranks(-values), allowed)

@@ -1,0 +1,405 @@
+"""The commands from raw cubes to stores and maps: ``check``, ``process``, ``mosaic`` and others."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .console import (
+    EXISTING,
+    EXISTING_FILE,
+    FAILED_CHECK,
+    FILE,
+    FOLDER,
+    PLACE,
+    beside,
+    is_watched,
+    program_option,
+    progress_bar,
+    refuse_in_store,
+    say_outcome,
+    without_none,
+)
+from .options import command, settable, takes
+
+if TYPE_CHECKING:
+    from hyperpaint.workflows.following import FlightState
+
+
+def _list_kinds(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
+    from hyperpaint.plausibility import KINDS
+
+    if wanted and not ctx.resilient_parsing:
+        for kind in KINDS.values():
+            click.echo(f"{kind.name}  ({'refused' if kind.refused else 'warned of'})")
+            for text in (kind.meaning, kind.mend):
+                click.echo(textwrap.fill(text, 100, initial_indent="    ", subsequent_indent="    "))
+        ctx.exit()
+
+
+@command(
+    epilog="""\b
+Examples:
+  hyperpaint check collect.toml
+  hyperpaint check --list                             all possible findings by name""",
+)
+@click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@click.option(
+    "--list",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_list_kinds,
+    help="List all possible findings, and exit.",
+)
+@click.pass_context
+def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
+    """Check whether the inputs of a collect are plausible, in seconds.
+
+    Prints every finding: its name, the observed value, the expected value, and the remedy. process and run
+    check the same first: they stop where results would be wrong, and warn of the rest; --accept FINDING
+    continues. Exit status 1 where something was found.
+    """
+    from hyperpaint.workflows.collect_check import check_collect
+
+    findings = check_collect(collect)
+    for finding in findings:
+        click.echo(f"{'wrong' if finding.kind.refused else 'doubtful'}: {finding}")
+    if findings:
+        ctx.exit(FAILED_CHECK)
+    click.echo(f"{collect}: nothing found")
+
+
+@command(
+    epilog="""\b
+Examples:
+  hyperpaint process collect.toml
+  hyperpaint process collect.toml --out lot.zarr --reflectance none     a third of the disk
+  hyperpaint process collect.toml --out lot.zarr --scheduler tcp://node0:8786""",
+)
+@click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@takes(
+    "workflows.pipeline:process",
+    without=["memory_limit"],
+    out={
+        "metavar": "STORE.zarr",
+        "type": PLACE,
+        "required": False,
+        "help": "The store.  [default: products/lot.zarr beside COLLECT.toml, as run makes it]",
+    },
+    to={"help": "Radiance needs no irradiance."},
+    reflectance={
+        "help": "'none' leaves reflectance to be computed from counts: half the time, a third of the disk."
+    },
+    alignment={"help": "Correct wavelengths between camera and record.  [default: as COLLECT.toml]"},
+    scheduler={"metavar": "ADDRESS", "help": "Compute on this dask.distributed cluster."},
+    codec={"help": "'fast' compresses in half the time and takes 15 to 40 % more disk."},
+    layout={"help": "'explore' splits cubes into eight band groups, for pictures of single bands."},
+)
+def process(collect: Path, out: Path | None, **options: Any) -> None:
+    """Process a collect into one Zarr store of calibrated flight lines.
+
+    Everything is checked before anything is written. Run again, the command resumes an interrupted run and
+    leaves a complete store unchanged.
+    """
+    from hyperpaint.workflows.field_day import store_of
+    from hyperpaint.workflows.pipeline import run
+
+    limit = program_option("memory_limit")
+    say_outcome(run(collect, out or store_of(collect), memory_limit=limit, progress=is_watched(), **options))
+
+
+@command(
+    epilog="""\b
+Examples:
+  hyperpaint virtual collect.toml --out lot.icechunk
+  hyperpaint virtual collect.toml --out lot.icechunk --prefix s3://bucket/flight
+
+\b
+Then, in Python:
+  import hyperpaint as hp
+  line = hp.io.open_virtual("lot.icechunk", "flightlines/raw_0")
+  line.paint.reflectance()                            the bits of `process`, from the raw file
+
+Raw files that lie neither beside the store nor below its folder are read only if they are allowed:
+  hyperpaint info lot.icechunk --allow /data/day
+  hp.io.open_virtual("lot.icechunk", allow="/data/day")""",
+)
+@click.argument("collect", metavar="COLLECT.toml", type=EXISTING_FILE)
+@takes(
+    "workflows.virtual_store:virtualise",
+    out={"metavar": "STORE", "type": PLACE, "help": "A folder, a repository of icechunk."},
+    prefix={
+        "metavar": "URL",
+        "help": "Address of the raw files, laid out as below the folder of COLLECT.toml: s3, or http or "
+        "https without a port. Region, endpoint and keys of s3 come from the environment (AWS_...).",
+    },
+    alignment={"help": "See process."},
+)
+def virtual(collect: Path, out: Path, **options: Any) -> None:
+    """Write a store of a few kilobytes that refers to the raw cubes of a collect.
+
+    It holds what calibrates the lines; the counts stay where the camera wrote them, and are read from there
+    when something is computed. Raw files that were moved, cut short or written to since are refused.
+    """
+    from hyperpaint.io.store.raw_references import outside, virtual_groups
+    from hyperpaint.workflows.virtual_store import virtualise
+
+    say_outcome(virtualise(collect, out, **options))
+    _, needed = outside(out, virtual_groups(out))
+    if needed:
+        shown = needed[0] if len(needed) == 1 else needed
+        click.echo(f"its raw files lie elsewhere: open_virtual needs allow={shown!r}, `info` --allow")
+
+
+@command(
+    epilog="""\b
+Examples:
+  hyperpaint follow flight                              collect.toml in flight, or in the folder above
+  hyperpaint follow flight --collect lot.toml --out lot.zarr
+  hyperpaint follow flight --idle 60                    spectra come once a minute""",
+)
+@click.argument("flight", metavar="FLIGHT_FOLDER", type=FOLDER)
+@takes(
+    "workflows.following:follow",
+    without=["watch"],
+    out={"metavar": "STORE.zarr", "type": PLACE},
+    collect={"metavar": "COLLECT.toml", "type": EXISTING_FILE},
+    idle={"type": click.FloatRange(min=0.5), "metavar": "SECONDS"},
+)
+@takes(
+    "workflows.pipeline:process",
+    only=["reflectance", "alignment", "codec", "accept", "overwrite"],
+    reflectance={"help": "'none' leaves reflectance to be computed from counts."},
+    alignment={"help": "See process; a line is corrected when the flight has ended."},
+    codec={"help": "See process."},
+)
+def follow(flight: Path, **options: Any) -> None:
+    """Process a flight while it is being recorded: complete lines only, at the pace of the camera.
+
+    One line says how many lines are processed, at which rate they come, how far processing is behind, and
+    which flags were set. The flight has ended when its lines are those that the header promises, when nothing
+    has grown for --idle seconds, or at Ctrl-C; then the store is finished, and is that of `hyperpaint
+    process`. Killed, the same command goes on.
+    """
+    from hyperpaint.workflows import following
+
+    is_shown = is_watched()
+
+    def say(state: FlightState) -> None:
+        width = shutil.get_terminal_size().columns - 1
+        click.echo(f"\r{str(state)[:width]:{width}}", nl=False, err=True)
+
+    outcome = following.follow(
+        flight,
+        options.pop("out"),
+        watch=say if is_shown else None,
+        progress=is_shown,
+        **without_none(options),
+    )
+    if is_shown:
+        sys.stderr.write("\n")
+    say_outcome(outcome)
+
+
+SHARE = click.FloatRange(0.0, 1.0)
+
+
+@command(
+    renamed={"--report": "--picture"},
+    epilog="""\b
+Examples:
+  hyperpaint calibrate lab/sweep.zarr --picture calibration.png
+  hyperpaint calibrate lab/sweep.zarr --out calibration.zarr --flux-uncertainty 0.02 --overwrite
+
+\b
+A collect.toml can also name the sweep itself:
+  [calibration]
+  sweep = 'lab/sweep.zarr'""",
+)
+@click.argument("sweep", metavar="SWEEP.zarr", type=EXISTING)
+@click.option(
+    "--out",
+    metavar="CAL.zarr",
+    type=PLACE,
+    help="The calibration.  [default: calibration.zarr beside SWEEP.zarr]",
+)
+@takes(
+    "calibration.calibrating:calibrate",
+    only=[
+        "srf_shape",
+        "flux_uncertainty",
+        "capture_uncertainty",
+        "etendue_uncertainty",
+        "wavelength_uncertainty",
+    ],
+    srf_shape={"type": click.Choice(["gaussian", "slit"])},
+    flux_uncertainty={"type": SHARE, "help": "Relative standard uncertainty of the power meter."},
+    capture_uncertainty={"type": SHARE, "help": "Relative standard uncertainty of the capture fraction."},
+    etendue_uncertainty={"type": SHARE, "help": "Relative standard uncertainty of the etendue."},
+    wavelength_uncertainty={"type": click.FloatRange(0.0, 10.0), "metavar": "NM"},
+)
+@click.option("--relative", is_flag=True, help="Gain without scale: capture fraction or etendue are unknown.")
+@takes(
+    "workflows.laboratory:write_calibration",
+    only=["picture", "overwrite"],
+    picture={"help": "Draw lamp lines, residuals, smile and gain (png, pdf ...)."},
+)
+def calibrate(
+    sweep: Path, out: Path | None, picture: Path | None, relative: bool, overwrite: bool, **options: Any
+) -> None:
+    """Turn a monochromator sweep into the calibration of a camera.
+
+    Fits every lamp line over bands; from the fits follow wavelength, width and shape of every band, and the
+    gain, with uncertainties. Unreliable steps and elements are named and left out; nothing is extrapolated.
+
+    SWEEP.zarr holds counts (step, band, cross_track), dark_counts, step_wavelength, flux, capture_fraction,
+    exposure_time, monochromator_fwhm and etendue, with units.
+    """
+    from hyperpaint.workflows.laboratory import write_calibration
+
+    out = out or sweep.with_name("calibration.zarr")
+    with progress_bar("calibrating") as shown:
+        calibration = write_calibration(
+            sweep, out, absolute=not relative, picture=picture, overwrite=overwrite, progress=shown, **options
+        )
+    good = calibration.wavelength[calibration.good]
+    click.echo(
+        f"{out}: {int(calibration.good.sum())} of {calibration.sizes['band']} bands have a gain", nl=False
+    )
+    click.echo(f", {float(good.min()):.1f} to {float(good.max()):.1f} nm")
+    click.echo(
+        f"line shape {calibration.srf_shape}, FWHM {float(calibration.fwhm.median()):.2f} nm, "
+        f"smile {float(calibration.wavelength_shift.max() - calibration.wavelength_shift.min()):.2f} nm, "
+        f"wavelengths to {float(calibration.wavelength_u):.2g} nm"
+    )
+    if picture is not None:
+        click.echo(f"look at it in {picture}")
+
+
+@command(
+    "orthorectify",
+    epilog="""\b
+Examples:
+  hyperpaint orthorectify lot.zarr --line raw_0 --ground 152.4 --out map.tif \\
+      --set field_of_view=18.9 --set column_order=left_to_right
+  hyperpaint orthorectify lot.zarr --line raw_0 --dem dsm.tif --out map.zarr --gsd 0.01 \\
+      --set dem_heights=ellipsoid --set focal_length_mm=12 --set pixel_pitch_um=7.4 \\
+      --set column_order=left_to_right --set boresight=0.34,-0.95,-0.13
+  hyperpaint orthorectify lot.zarr --line raw_0 --out map.tif           a line that is located already
+
+\b
+Heights are above the ellipsoid, as GPS gives them, not above the sea. If the map is shifted or torn, check
+boresight, ground, clock_offset and column_order first. The signs of angles are declared in the table
+[navigation] of collect.toml.""",
+)
+@click.argument("store", metavar="STORE.zarr", type=EXISTING)
+@click.option("--line", metavar="ID", help="Flight line of the store.  [default: the only one]")
+@click.option(
+    "--out",
+    metavar="MAP",
+    type=PLACE,
+    help="map.tif, a GeoTIFF with overviews, or map.zarr.  [default: ID.tif, or map.tif, beside STORE.zarr]",
+)
+@takes(
+    "geometry.orthorectification.mapping:orthorectify",
+    only=["gsd", "grid", "method"],
+    gsd={"metavar": "M"},
+    grid={"help": "North up, or rows across the flight: a smaller file."},
+    method={"help": "Unchanged spectra, or interpolated ones."},
+)
+@takes("workflows.maps:location_of", only=["ground", "dem"])
+@settable({"workflows.maps:location_of": []}, without=["flightline", "ground", "dem"])
+@takes("workflows.maps:write_map", only=["stac", "geozarr", "overwrite"])
+def make_map(
+    store: Path, line: str | None, out: Path | None, settings: dict[str, Any], **options: Any
+) -> None:
+    """Resample a flight line to a map of square cells, by the position and attitude of its lines.
+
+    A GeoTIFF holds reflectance; a store also holds flags, line times, view angles, and the line and column of
+    every cell. Nothing is averaged.
+    """
+    from hyperpaint.geometry.orthorectification.plausibility import describe_swath
+    from hyperpaint.workflows.maps import map_of_store, write_map
+
+    out = out or beside(store, f"{line or 'map'}.tif")
+    writing = {name: options.pop(name) for name in ("stac", "geozarr", "overwrite")}
+    if writing["geozarr"] and out.suffix.lower() != ".zarr":
+        raise click.UsageError(f"--geozarr needs an --out that ends in .zarr, not {out} [option-conflict]")
+    if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
+        raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
+    refuse_in_store(store, out)
+    arguments = {**settings, **without_none(options)}
+    with progress_bar("looking") as shown:
+        orthomap = map_of_store(store, line, progress=shown, **arguments)
+    notes = write_map(orthomap, out, progress=is_watched(), **writing)
+    rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
+    facts = [f"{rows} x {cols} cells of {orthomap.attrs['gsd']:.4g} m", describe_swath(orthomap.attrs), notes]
+    click.echo(f"{out}: {', '.join(fact for fact in facts if fact)}")
+
+
+@command(
+    "mosaic",
+    epilog="""\b
+Examples:
+  hyperpaint mosaic lot.zarr --out mosaic.zarr                       all lines, the steepest view on top
+  hyperpaint mosaic lot.zarr --rule unflagged --gsd 0.05 --out mosaic.tif --seamlines seams.geojson
+  hyperpaint mosaic lot.zarr --line raw_0 --line raw_3 --ground 152.4 --out two.tif
+
+\b
+Options of the place default to the table [geometry] of collect.toml. Nothing is averaged; the map stores
+the line of every cell. --levelling changes spectra; its factors are stored.""",
+)
+@click.argument("store", metavar="STORE.zarr", type=EXISTING)
+@click.option(
+    "--out",
+    metavar="MAP",
+    type=PLACE,
+    help="mosaic.tif, all bands in a GeoTIFF; or mosaic.zarr, with line, flags and angles of every cell.  "
+    "[default: mosaic.tif beside STORE.zarr]",
+)
+@click.option("--line", "lines", multiple=True, metavar="ID", help="Only this line; repeatable.")
+@takes(
+    "geometry.mosaicking.composing:mosaic",
+    only=["rule", "levelling", "gsd"],
+    rule={"help": "Line shown in overlaps: the steepest view, unflagged pixels first, or the last flown."},
+    levelling={"help": "Multiply each line by one factor a band, so that overlaps agree."},
+    gsd={"metavar": "M"},
+)
+@takes("workflows.maps:location_of", only=["ground", "dem"])
+@settable({"workflows.maps:location_of": []}, without=["flightline", "ground", "dem"])
+@takes(
+    "workflows.maps:write_map",
+    only=["seams", "overwrite"],
+    seams={"spelling": "--seamlines", "metavar": "FILE", "type": FILE},
+)
+def make_mosaic(
+    store: Path,
+    out: Path | None,
+    lines: tuple[str, ...],
+    seams: Path | None,
+    overwrite: bool,
+    settings: dict[str, Any],
+    **options: Any,
+) -> None:
+    """Combine flight lines of a store on one map with north up; every cell shows one pixel of one line."""
+    from hyperpaint.workflows.maps import mosaic_of_store, write_map
+
+    out = out or beside(store, "mosaic.tif")
+    if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
+        raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
+    refuse_in_store(store, out, seams)
+    for path in (out, seams):
+        if path is not None and path.exists() and not overwrite:
+            raise click.UsageError(f"{path} exists; choose another path, or --overwrite [output-exists]")
+    with progress_bar("looking") as shown:
+        mosaic = mosaic_of_store(store, lines, progress=shown, **settings, **without_none(options))
+    write_map(mosaic, out, seams=seams, overwrite=overwrite, progress=is_watched())
+    rows, cols = mosaic.sizes["y"], mosaic.sizes["x"]
+    names = ", ".join(mosaic.attrs["flightlines"])
+    click.echo(f"{out}: {rows} x {cols} cells of {mosaic.attrs['gsd']:.4g} m, of the lines {names}")

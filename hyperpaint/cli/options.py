@@ -1,0 +1,324 @@
+"""Options of a command, made from the function that it calls.
+
+A function's source is parsed, not imported, so that ``--help`` stays quick. Annotations give the types:
+``Literal`` a choice, ``bool`` a flag, ``tuple[float, float]`` two numbers, ``Collection[str]`` a repeatable
+option. Defaults are those of the signature; the help is the first sentence of the parameter in the numpydoc
+section. A command gives other spellings as keywords of `takes`.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import functools
+import re
+from collections.abc import Callable, Collection, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+
+_PACKAGE = Path(__file__).parents[1]
+_NUMBERS = {"int": int, "float": float}
+_HIDDEN = ("progress",)
+"""Parameters that a command supplies."""
+
+MAX_LISTED = 20
+"""Names that the help of ``--set`` lists."""
+
+ODD: dict[str, dict[str, Any]] = {
+    "accept": {"metavar": "FINDING", "help": "Continue despite this finding of check; repeatable."},
+    "boresight": {"metavar": "R P H"},
+    "overwrite": {"help": "Replace products of other inputs or parameters."},
+    "flightlines": {"spelling": "--line", "metavar": "ID", "help": "Only this flight line; repeatable."},
+    "lever_arm": {"metavar": "F R D"},
+    "library": {"metavar": "LIBRARY"},
+    "picture": {"metavar": "PICTURE", "type": click.Path(dir_okay=False, path_type=Path)},
+    "srf_shape": {"spelling": "--shape"},
+}
+"""Spelling, placeholder and help on the command line, where they are not those of the function."""
+
+
+class Parameter(NamedTuple):
+    """A parameter of a function, or a field of a dataclass."""
+
+    module: str
+    annotation: ast.expr | None
+    value: ast.expr | None  #: Default; None without.
+    help: str
+
+    @property
+    def kind(self) -> dict[str, Any]:
+        """Attributes of `click.Option` by the annotation."""
+        return _kind(self.annotation, self.module)
+
+    @property
+    def default(self) -> Any:
+        """Default value: ``...`` without, None where it is computed."""
+        return _value(self.value, self.module)
+
+
+@functools.cache
+def _tree(module: str) -> ast.Module:
+    path = _PACKAGE.joinpath(*module.split("."))
+    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def parameters_of(place: str) -> dict[str, Parameter]:
+    """Return the parameters of a function or dataclass, such as ``"workflows.pipeline:process"``."""
+    module, _, name = place.partition(":")
+    node: Any = next(node for node in _tree(module).body if getattr(node, "name", None) == name)
+    described = _described(ast.get_docstring(node) or "")
+    parameters: dict[str, Parameter] = {}
+    if isinstance(node, ast.ClassDef):
+        for base in node.bases:
+            parameters |= parameters_of(":".join(_home(module, ast.unparse(base))))
+        pairs = [
+            (field.target.id, field.annotation, field.value)
+            for field in node.body
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        ]
+    else:
+        spec = node.args
+        defaults = [None] * (len(spec.args) - len(spec.defaults)) + spec.defaults + spec.kw_defaults
+        pairs = [
+            (argument.arg, argument.annotation, default)
+            for argument, default in zip(spec.args + spec.kwonlyargs, defaults, strict=True)
+        ]
+    return parameters | {
+        name: Parameter(module, annotation, default, described.get(name, ""))
+        for name, annotation, default in pairs
+    }
+
+
+def _home(module: str, name: str) -> tuple[str, str]:
+    """Return the module that defines a name, and its name there."""
+    for node in _tree(module).body:
+        for statement in node.body if isinstance(node, ast.If) else [node]:  # also where TYPE_CHECKING
+            for alias in statement.names if isinstance(statement, ast.ImportFrom) else ():
+                if name == (alias.asname or alias.name):
+                    assert isinstance(statement, ast.ImportFrom)
+                    above = module.split(".")[: -statement.level] if statement.level else []
+                    inner = (statement.module or "").removeprefix("hyperpaint.")
+                    return ".".join([*above, inner]), alias.name
+    return module, name
+
+
+def _assigned(module: str, name: str) -> tuple[ast.expr | None, str]:
+    """Return the expression that a module-level name of this package stands for, and its module."""
+    module, name = _home(module, name)
+    if not (_PACKAGE / module.split(".")[0]).exists() and not (_PACKAGE / f"{module}.py").exists():
+        return None, module
+    for node in _tree(module).body:
+        if isinstance(node, ast.Assign) and name in map(ast.unparse, node.targets):
+            return node.value, module
+    return None, module
+
+
+def _value(node: ast.expr | None, module: str) -> Any:
+    """Return the value of a default; None where it is computed."""
+    if node is None:
+        return ...
+    if isinstance(node, ast.Name):
+        node = _assigned(module, node.id)[0]
+    try:
+        return ast.literal_eval(node) if node is not None else None
+    except ValueError:
+        return None
+
+
+def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
+    """Return the attributes of an option whose values have this annotation."""
+    words = ast.unparse(node) if node is not None else "Any"
+    parts = [part.strip() for part in words.split(" | ") if part != "None"]
+    if "bool" in parts:
+        return {"is_flag": True}
+    if any(part.endswith("Path") or "PathLike" in part for part in parts):
+        return {"type": click.Path(path_type=Path)}
+    if isinstance(node, ast.BinOp):  # of a union, the first
+        return _kind(node.left, module)
+    if isinstance(node, ast.Subscript):
+        head, inner = ast.unparse(node.value), node.slice
+        values = inner.elts if isinstance(inner, ast.Tuple) else [inner]
+        if head == "Literal":
+            return {"type": click.Choice([ast.literal_eval(value) for value in values])}
+        if head == "tuple" and "..." not in words:
+            return {"nargs": len(values), "type": _NUMBERS.get(ast.unparse(values[0]), str)}
+        if head in ("Collection", "Sequence"):
+            return {"multiple": True}
+    if isinstance(node, ast.Name) and node.id in _NUMBERS:
+        return {"type": _NUMBERS[node.id]}
+    if isinstance(node, ast.Name):
+        alias, module = _assigned(module, node.id)
+        if alias is not None:
+            return _kind(alias, module)
+    return {}
+
+
+def _described(docstring: str) -> dict[str, str]:
+    """Return the help of every parameter that a numpydoc text describes."""
+    section = re.search(
+        r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-{3}|\Z)", docstring, re.M | re.S
+    )
+    texts: dict[str, str] = {}
+    entries = re.findall(r"^(\S[^\n]*)\n((?:[ ]+[^\n]*\n?|\n)+)", section[1] if section else "", re.M)
+    for names, text in entries:
+        plain = re.sub(
+            r"`?`([^`]+)``?", lambda code: code[1].removeprefix("hyperpaint."), " ".join(text.split())
+        )
+        first, *others = re.split(r"(?<=[.])\s", plain)
+        default = next((sentence for sentence in others if sentence.startswith("By default")), "")
+        texts |= dict.fromkeys(re.split(r",\s*", names), f"{first} {default}".strip())
+    return texts
+
+
+Deferred = Callable[[], list[click.Option]]
+"""Options that are made when their command is called, since the source of a function is read for them."""
+
+
+def _adds(options: Deferred) -> Callable[[Any], Any]:
+    """Return a decorator that adds options to a command."""
+
+    def decorate(command: Any) -> Any:
+        vars(command).setdefault("__click_params__", []).append(options)
+        return command
+
+    return decorate
+
+
+def takes(
+    place: str, *, only: Collection[str] = (), without: Collection[str] = (), **odd: Mapping[str, Any]
+) -> Callable[[Any], Any]:
+    """Return a decorator that gives a command the options of a function.
+
+    Its first parameter is the argument of the command, and no option. ``only`` and ``without``: names of
+    parameters; ``odd``: by the name of a parameter, what differs from `ODD` and the function.
+    """
+
+    def options() -> list[click.Option]:
+        parameters = parameters_of(place)
+        names = only or [name for name in list(parameters)[1:] if name not in (*_HIDDEN, *without)]
+        return [_option(name, parameters[name], odd.get(name, {})) for name in names]
+
+    return _adds(options)
+
+
+def _option(name: str, parameter: Parameter, odd: Mapping[str, Any]) -> click.Option:
+    keywords = {**parameter.kind, "help": parameter.help, **ODD.get(name, {}), **odd}
+    spelling = keywords.pop("spelling", f"--{name.replace('_', '-')}")
+    if parameter.default is ...:
+        keywords.setdefault("required", True)
+    elif not keywords.get("multiple"):
+        keywords.setdefault("default", parameter.default)
+    if keywords.get("is_flag") and keywords["default"] is not False:
+        spelling = f"{spelling}/--no-{spelling.removeprefix('--')}"
+    return click.Option([*spelling.split(" "), name], **keywords)
+
+
+class Settings(click.Option):
+    """The option ``--set NAME=VALUE``: other arguments of a function, parsed as their annotations say."""
+
+    def __init__(self, parameters: Mapping[str, Parameter]) -> None:
+        self.helps = {name: parameter.help for name, parameter in parameters.items()}
+        self.types = {}
+        for name, parameter in parameters.items():
+            kind = {"type": click.BOOL} if parameter.kind.get("is_flag") else parameter.kind
+            self.types[name] = click.Option([f"--{name}"], **kind)
+        names = ", ".join(self.types) if len(self.types) < MAX_LISTED else "any effect"
+        super().__init__(
+            ["--set", "settings"],
+            multiple=True,
+            metavar="NAME=VALUE",
+            callback=self.parsed,
+            help=f"Set {names}; repeatable. --set ? describes the names.",
+        )
+
+    def parsed(self, ctx: click.Context, _: click.Parameter, values: tuple[str, ...]) -> dict[str, Any]:
+        """Return the values by name, each of the type of its parameter."""
+        settings: dict[str, Any] = {}
+        for value in values:
+            name, equals, text = value.partition("=")
+            if name == "?":
+                formatter = click.HelpFormatter(width=100)
+                formatter.write_dl(list(self.helps.items()))
+                click.echo(formatter.getvalue(), nl=False)
+                ctx.exit()
+            name = name.replace("-", "_")
+            if not equals or name not in self.types:
+                near = difflib.get_close_matches(name, self.types, 1)
+                mend = f"did you mean {near[0]}={text or 'VALUE'}?" if near else "--set ? lists the names"
+                message = f"{value!r}, expected NAME=VALUE; {mend} [setting-unknown]"
+                raise click.BadParameter(message, ctx, self)
+            kind = self.types[name]
+            words = re.split(r"[,\s]+", text.strip()) if kind.nargs > 1 else text
+            try:
+                settings[name] = kind.type_cast_value(ctx, words)
+            except click.BadParameter as error:
+                raise click.BadParameter(f"{value!r}: {error.message} [type-wrong]", ctx, self) from error
+        return settings
+
+
+def settable(places: Mapping[str, Collection[str]], *, without: Collection[str] = ()) -> Callable[[Any], Any]:
+    """Return a decorator that adds ``--set`` for parameters of functions: those named, or all."""
+
+    def options() -> list[click.Option]:
+        parameters = {
+            name: parameter
+            for place, names in places.items()
+            for name, parameter in parameters_of(place).items()
+            if (name in names if names else name not in (*_HIDDEN, *without))
+        }
+        return [Settings(parameters)]
+
+    return _adds(options)
+
+
+class Command(click.Command):
+    """A command that answers an old spelling of an option with the new one."""
+
+    _params: list[Any]
+
+    def __init__(self, *args: Any, renamed: Mapping[str, str] | None = None, **keywords: Any) -> None:
+        super().__init__(*args, **keywords)
+        self.renamed = renamed or {}
+
+    @property
+    def params(self) -> list[click.Parameter]:
+        """Arguments and options; deferred ones are made here."""
+        parts = [[part] if isinstance(part, click.Parameter) else part() for part in self._params]
+        self._params = [parameter for part in parts for parameter in part]
+        return self._params
+
+    @params.setter
+    def params(self, params: list[Any]) -> None:
+        self._params = params
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments; an error on an old spelling names the new one."""
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            word = error.option_name.removeprefix("--").replace("-", "_")
+            switch = word.removeprefix("no_")
+            settings = next((option for option in self.params if isinstance(option, Settings)), None)
+            named = {} if settings is None else settings.types
+            matches = [
+                f"--set {name}={'no' if word != switch else ','.join(['VALUE'] * kind.nargs)}"
+                for name, kind in named.items()
+                if switch in (name, name.rpartition("_")[0]) or name.endswith(f"_{switch}")
+            ]
+            new = self.renamed.get(error.option_name) or next(iter(matches), "")
+            if not new:
+                raise
+            raise click.UsageError(f"{error.option_name} is now {new} [option-renamed]", ctx) from error
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the examples, and the options that every command takes."""
+        super().format_epilog(ctx, formatter)
+        with formatter.indentation():
+            formatter.write("\n  Every command also takes --quiet and --memory-limit SIZE.\n")
+
+
+command = functools.partial(click.command, cls=Command)
