@@ -81,7 +81,7 @@ def kept_groups(
     Raises `StoreError`: groups of other inputs stand where ours would, or beside them; all are listed.
     """
     from hyperpaint.io.store import is_complete
-    from hyperpaint.io.store.groups import groups_above, problems_above
+    from hyperpaint.io.store.groups import check_above, groups_above
     from hyperpaint.io.store.location import Location
     from hyperpaint.io.store.manifest import Manifest, content_of, numerics_of
     from hyperpaint.io.store.writer import run_contents
@@ -91,8 +91,7 @@ def kept_groups(
     location = Location.of(out)
     problems = Problems(f"cannot write {out}", StoreError)
     above = dict.fromkeys(each for name in groups for each in groups_above(name))
-    for text in problems_above(above, location, overwrite=overwrite):
-        problems.add(text)
+    check_above(above, location, problems, overwrite=overwrite)
     problems.raise_if_any()
     complete = []
     contents = run_contents(groups)

@@ -121,8 +121,10 @@ class EnviArray(BackendArray):
         if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
             raise FormatError(
                 f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} bytes "
-                f"of {_moment(status.st_mtime_ns)}, expected {self.file_size} bytes of "
-                f"{_moment(self.modified_ns)}; open it again"
+                f"of {_moment(status.st_mtime_ns)}",
+                expected=f"{self.file_size} bytes of {_moment(self.modified_ns)}",
+                mend="open it again",
+                code="file-changed",
             )
 
     def _gather(self, file: io.FileIO, along: list[Ints], into: Array) -> None:
@@ -156,8 +158,10 @@ class EnviArray(BackendArray):
             count = file.readinto(view[done:])
             if not count:
                 raise FormatError(
-                    f"ENVI data file {self.path!r} ends {len(view) - done} bytes early: it was "
-                    f"{self.file_size} bytes when it was opened; open it again"
+                    f"ENVI data file {self.path!r} ends {len(view) - done} bytes early",
+                    expected=f"{self.file_size} bytes, as when it was opened",
+                    mend="open it again",
+                    code="file-truncated",
                 )
             done += count
 

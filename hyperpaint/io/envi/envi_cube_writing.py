@@ -119,7 +119,9 @@ def write_envi(
         cube, grid = cube.isel(y=slice(None, None, -1)), grid.flipped(cube.sizes["y"])
     chosen = interleave or ("bil" if grid is None and "y" not in cube.dims else "bip")
     if chosen not in _AXES:
-        raise SchemaError(f"interleave {chosen!r:.40}, expected 'bil', 'bip' or 'bsq'")
+        raise SchemaError(
+            f"interleave {chosen!r:.40}", expected="'bil', 'bip' or 'bsq'", code="choice-unknown"
+        )
     order = [dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]]
     stored = cube.transpose(*order)
     header = _header(dataset, cube, chosen, grid)
@@ -141,11 +143,14 @@ def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.Da
         cube = cube.expand_dims(BAND, axis=-1)
     cube = cube.transpose(*(("y", "x") if "y" in cube.dims else (ALONG_TRACK, CROSS_TRACK)), BAND)
     if dtype not in (None, "float32", "uint16"):
-        raise SchemaError(f"dtype {dtype!r:.40}, expected 'float32' or 'uint16'")
+        raise SchemaError(f"dtype {dtype!r:.40}", expected="'float32' or 'uint16'", code="choice-unknown")
     if dtype == "uint16" and cube.dtype.kind == "f":
         if name != "reflectance":
             raise SchemaError(
-                f"{name!r} is {cube.dtype}; as uint16 only reflectance is written, whose scale is agreed on"
+                f"{name!r} is {cube.dtype}",
+                expected="reflectance, the only variable of floats that is written as uint16",
+                mend="pass dtype='float32'",
+                code="type-wrong",
             )
         scaled = (cube * np.float32(_SCALE)).round().clip(0, _IGNORE - 1).fillna(_IGNORE)
         return scaled.astype(np.uint16).assign_attrs(cube.attrs)
@@ -154,7 +159,9 @@ def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.Da
     if cube.dtype == bool:
         return cube.astype(np.uint8)
     if cube.dtype.name not in _CODES:
-        raise SchemaError(f"{name!r} is {cube.dtype}, expected floats or one of {', '.join(_CODES)}")
+        raise SchemaError(
+            f"{name!r} is {cube.dtype}", expected=f"floats or one of {', '.join(_CODES)}", code="type-wrong"
+        )
     return cube
 
 

@@ -58,8 +58,9 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     header = header or _existing([path.with_suffix(suffix) for suffix in (".hdr", ".HDR")])
     if not header:
         raise FormatError(
-            f"ENVI data file {str(path)!r} has no header beside it; "
-            f"expected {path.name + '.hdr'!r} or {path.stem + '.hdr'!r}"
+            f"ENVI data file {str(path)!r} has no header beside it",
+            expected=f"{path.name + '.hdr'!r} or {path.stem + '.hdr'!r}",
+            code="header-missing",
         )
     return header[0], path
 
@@ -70,12 +71,17 @@ def _data_of(header: Path) -> Path:
     candidates = _existing([whole]) or _existing([Path(f"{whole}{suffix}") for suffix in suffixes])
     if not candidates:
         raise FormatError(
-            f"ENVI header {str(header)!r} has no data file beside it; "
-            f"expected {whole.name!r}, with no suffix or with one of {' '.join(DATA_SUFFIXES)}"
+            f"ENVI header {str(header)!r} has no data file beside it",
+            expected=f"{whole.name!r}, with no suffix or with one of {' '.join(DATA_SUFFIXES)}",
+            code="data-file-missing",
         )
     if len(candidates) > 1:
         names = ", ".join(repr(path.name) for path in candidates)
-        raise FormatError(f"ENVI header {str(header)!r} could belong to {names}; open the data file you mean")
+        raise FormatError(
+            f"ENVI header {str(header)!r} could belong to {names}",
+            mend="open the data file you mean",
+            code="data-file-ambiguous",
+        )
     return candidates[0]
 
 
@@ -204,15 +210,24 @@ def open_envi(
 def _refuse_contradictions(header: EnviHeader, path: Path) -> None:
     problems = Problems(f"ENVI header {str(path)!r} cannot be used", FormatError)
     if header.is_spectral_library:
-        problems.add(f"file type is {header.fields['file type']!r}: a spectral library, expected a cube")
+        problems.add(
+            f"file type is {header.fields['file type']!r}: a spectral library",
+            expected="a cube",
+            code="file-type-wrong",
+        )
     scale = header.reflectance_scale_factor not in (None, 1.0)
     if scale and _has_gain(header):
         problems.add(
-            "both 'reflectance scale factor' and band gains or offsets are given; delete those that do not "
-            "belong to what is stored"
+            "both 'reflectance scale factor' and band gains or offsets are given",
+            mend="delete those that do not belong to the stored samples",
+            code="scale-conflict",
         )
     if scale and _level(header) == "radiance":
-        problems.add("the description says RADIANCE but a 'reflectance scale factor' is given; delete one")
+        problems.add(
+            "the description says RADIANCE but a 'reflectance scale factor' is given",
+            mend="delete one",
+            code="scale-conflict",
+        )
     problems.raise_if_any()
 
 
@@ -232,21 +247,20 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
     if keep_whole_lines and possible:
         return whole
     change = "shorter" if size < expected else "longer"
-    problem = (
+    found = (
         f"found {size} bytes, expected {expected} ({header.header_offset} + {header.lines} lines x "
         f"{header.bands} bands x {header.samples} samples x {header.dtype.itemsize} bytes): the file is "
         f"{abs(expected - size)} bytes {change} than its header says"
     )
     if by_lines:
-        problem += f"\nit holds {whole} whole lines and {remainder} bytes more"
+        found += f"\nit holds {whole} whole lines and {remainder} bytes more"
+    mend = "check samples, bands, lines and data type, or copy the file again"
     if possible:
-        problem += (
-            f"; keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
-        )
-    else:
-        problem += "\ncheck samples, bands, lines and data type, or copy the file again"
-    subject = f"ENVI data file {str(path)!r} does not fit its header"
-    raise FormatError(subject, problems=[Problem(problem)])
+        mend = f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
+    raise FormatError(
+        f"ENVI data file {str(path)!r} does not fit its header",
+        problems=[Problem(found, mend=mend, code="file-size")],
+    )
 
 
 def _warn(header: EnviHeader, path: Path, lines: int) -> None:
@@ -259,7 +273,9 @@ def _warn(header: EnviHeader, path: Path, lines: int) -> None:
     if lines != header.lines:
         messages.append(f"{lines} whole lines are kept where the header says {header.lines}")
     if messages:
-        warnings.warn(f"{path.name}: {'; '.join(messages)}", PaintWarning, stacklevel=3)
+        warnings.warn(
+            PaintWarning(f"{path.name}: {'; '.join(messages)}", code="header-doubtful"), stacklevel=3
+        )
 
 
 def _level(header: EnviHeader) -> str | None:
@@ -307,19 +323,24 @@ def _quantity(header: EnviHeader, given: str | None, unsaid: str, path: Path) ->
 _CUBE_TYPES = ("", "envi", "envi standard")
 
 
-def _check_quantity(header: EnviHeader, said: str | None, given: str, path: Path) -> None:
-    """Refuse what the caller says of the samples where header or samples say otherwise."""
-    if given not in _QUANTITIES:
-        raise FormatError(f"quantity={given!r}: expected one of {', '.join(_QUANTITIES)}")
-    reason = ""
-    if said not in (None, given):
-        reason = f"its header says {said}; correct the header, or leave quantity= out"
-    elif given == "counts" and (header.dtype.kind not in "iu" or _has_gain(header)):
+def _check_quantity(header: EnviHeader, declared: str | None, quantity: str, path: Path) -> None:
+    """Refuse a ``quantity`` that the header's declared quantity or the samples contradict."""
+    if quantity not in _QUANTITIES:
+        raise FormatError(
+            f"quantity={quantity!r}", expected=f"one of {', '.join(_QUANTITIES)}", code="choice-unknown"
+        )
+    reason = mend = ""
+    if declared not in (None, quantity):
+        reason, mend = f"its header says {declared}", "correct the header, or leave quantity= out"
+    elif quantity == "counts" and (header.dtype.kind not in "iu" or _has_gain(header)):
         reason = f"samples are {header.dtype.name}{', with gains' if _has_gain(header) else ''}, no counts"
-    elif given == "reflectance" and header.dtype.kind in "iu" and not (said or _has_gain(header)):
-        reason = "integers without a scale; add for example 'reflectance scale factor = 10000' to its header"
+    elif quantity == "reflectance" and header.dtype.kind in "iu" and not (declared or _has_gain(header)):
+        reason = "integers are stored without a scale"
+        mend = "add for example 'reflectance scale factor = 10000' to its header"
     if reason:
-        raise FormatError(f"{path.name}: quantity={given!r}, but {reason}")
+        raise FormatError(
+            f"{path.name}: quantity={quantity!r}, but {reason}", mend=mend, code="quantity-conflict"
+        )
 
 
 def _said(header: EnviHeader) -> tuple[str | None, str | None]:

@@ -52,7 +52,7 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
     scanned = Scanned()
     _, first = next(lines, (1, ""))
     if first.split() != ["ENVI"]:
-        findings.add(f"first line is {shown(first.rstrip())}, expected 'ENVI'")
+        findings.add(f"first line is {shown(first.rstrip())}", expected="'ENVI'", code="format-unknown")
         return scanned
     entries = 0
     for number, line in lines:
@@ -65,14 +65,22 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
             key, equals, value = line.partition("=")
             key, value = " ".join(key.lower().split()), value.strip()
             if not equals or not key:
-                findings.add(f"line {number} is {shown(line)}, expected 'key = value' or a comment (;)")
+                findings.add(
+                    f"line {number} is {shown(line)}",
+                    expected="'key = value' or a comment (;)",
+                    code="text-unreadable",
+                )
             else:
                 if value.startswith("{"):
                     value = _closed(value, number, key, lines, findings)
                 _store(scanned.fields, key, value, f"line {number}", findings)
         entries += bool(line)
         if entries > MAX_ENTRIES or len(findings) >= _MAX_SHOWN:
-            findings.add(f"reading stopped at line {number}; is it the data file?")
+            findings.add(
+                f"reading stopped at line {number}",
+                mend="check that it is not the data file",
+                code="header-too-long",
+            )
             return Scanned()
     return scanned
 
@@ -87,7 +95,7 @@ def _closed(
         parts.append(part)
         _, following = next(lines, (0, None))
         if following is None:
-            findings.add(f"{key!r}: the brace opened on line {number} is never closed")
+            findings.add(f"{key!r}: the brace opened on line {number} is never closed", code="brace-open")
             return "\n".join(parts) + "}"
         part = following.rstrip()
     inside, _, after = part.partition("}")
@@ -103,8 +111,9 @@ def _store(into: dict[str, str], key: str, value: str, where: str, findings: Hea
         findings.note(f"{key!r} is given twice, with the same value")
     else:
         findings.add(
-            f"{where}: {key!r} is given again as {shown(value)}, before as {shown(into[key])}; "
-            "delete the wrong one"
+            f"{where}: {key!r} is given again as {shown(value)}, before as {shown(into[key])}",
+            mend="delete the wrong one",
+            code="key-repeated",
         )
 
 

@@ -130,7 +130,11 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
         raw = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
     name = f"ENVI header {os.fspath(path)!r}"
     if len(raw) > limit:
-        raise FormatError(f"{name} cannot be read: it is over {limit >> 20} MB; is it the data file?")
+        raise FormatError(
+            f"{name} cannot be read: it is over {limit >> 20} MB",
+            mend="check that it is not the data file",
+            code="file-too-large",
+        )
     return parse_header(decoded_text(raw), name)
 
 
@@ -164,7 +168,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     header = _interpret(scanned, findings) if scanned.fields else None
     findings.raise_if_any()
     if header is None:
-        raise FormatError(f"{name} cannot be used: it holds no 'key = value' line")
+        raise FormatError(f"{name} cannot be used: it holds no 'key = value' line", code="empty-input")
     return header
 
 
@@ -180,10 +184,10 @@ class _Reader:
         kind = "a whole number above 0" if least else "a whole number, 0 or above"
         if text is None:
             if default is None:
-                self.findings.add(f"{key!r} is missing; expected {kind}")
+                self.findings.add(f"{key!r} is missing", expected=kind, code="key-missing")
             return default or 0
         if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < least:
-            self.findings.add(f"{key!r} is {shown(text)}, expected {kind}")
+            self.findings.add(f"{key!r} is {shown(text)}", expected=kind, code="value-out-of-range")
             return 0
         return int(text)
 
@@ -192,7 +196,9 @@ class _Reader:
         if text is not None and text.lower() in allowed:
             return allowed[text.lower()]
         stated = "missing" if text is None else shown(text)
-        self.findings.add(f"{key!r} is {stated}, expected one of {', '.join(allowed)}")
+        self.findings.add(
+            f"{key!r} is {stated}", expected=f"one of {', '.join(allowed)}", code="choice-unknown"
+        )
         return None
 
     def number(self, key: str) -> float | None:
@@ -202,7 +208,7 @@ class _Reader:
         try:
             return _to_float(bare(text))
         except ValueError:
-            self.findings.add(f"{key!r} is {shown(text)}, expected one number")
+            self.findings.add(f"{key!r} is {shown(text)}", expected="one number", code="number-unreadable")
             return None
 
     def numbers(self, key: str, count: int, per: str) -> Floats | None:
@@ -217,17 +223,21 @@ class _Reader:
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
             self.findings.add(
-                f"{key!r} has {size} values for {count} {per}; expected one for each, or no {key!r} at all"
+                f"{key!r} has {size} values for {count} {per}",
+                expected=f"one for each, or no {key!r} at all",
+                code="length-mismatch",
             )
             return None
         try:
             values = np.array([_to_float(item) for item in _ITEM.findall(text)], dtype=np.float64)
         except ValueError as error:
-            self.findings.add(f"{key!r}: {error}, expected numbers")
+            self.findings.add(f"{key!r}: {error}", expected="numbers", code="number-unreadable")
             return None
         if not np.isfinite(values).all():
             where = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
-            self.findings.add(f"{key!r}: value {where} is {values[where - 1]}, expected finite numbers")
+            self.findings.add(
+                f"{key!r}: value {where} is {values[where - 1]}", expected="finite numbers", code="not-finite"
+            )
             return None
         return values
 
@@ -255,10 +265,14 @@ def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
     wavelength, fwhm = _spectral_axis(reader, count, per, names)
     good = reader.numbers("bbl", count, per)
     if good is not None and not np.isin(good, (0.0, 1.0)).all():
-        findings.add("'bbl' holds values other than 0 (bad band) and 1 (good band)")
+        findings.add(
+            "'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range"
+        )
     scale = reader.number("reflectance scale factor")
     if scale is not None and not (math.isfinite(scale) and scale > 0):
-        findings.add(f"'reflectance scale factor' is {scale}, expected a number above 0")
+        findings.add(
+            f"'reflectance scale factor' is {scale}", expected="a number above 0", code="value-out-of-range"
+        )
     return EnviHeader(
         lines=lines,
         samples=samples,
@@ -301,9 +315,15 @@ def _refuse_unsupported(reader: _Reader) -> None:
     for key in ("major frame offsets", "minor frame offsets"):
         text = reader.fields.get(key, "")
         if set(bare(text)) - set("0, \t\n"):
-            reader.findings.add(f"{key!r} is {shown(text)}: padded lines are not supported")
+            reader.findings.add(
+                f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported"
+            )
     if reader.fields.get("file compression", "0") != "0":
-        reader.findings.add("'file compression' is set: unpack the data file and set it to 0")
+        reader.findings.add(
+            "'file compression' is set",
+            mend="unpack the data file and set it to 0",
+            code="layout-unsupported",
+        )
 
 
 def _ignore_value(reader: _Reader) -> int | float | None:
@@ -321,7 +341,11 @@ def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
         return ()
     count = text.rstrip(", \t\n").count(",") + 1
     if count > max(1000, 10 * bands):
-        reader.findings.add(f"'band names' has {count} names for {bands} bands; delete the list")
+        reader.findings.add(
+            f"'band names' has {count} names for {bands} bands",
+            mend="delete the list",
+            code="length-mismatch",
+        )
         return ()
     if count != bands:
         reader.findings.note(f"'band names' has {count} names for {bands} bands: names ignored")
@@ -343,8 +367,10 @@ def _spectral_axis(
         return None, None
     if unit not in _UNSAID and unit not in _NANOMETRES:
         reader.findings.add(
-            f"'wavelength units' is {shown(text)}, expected Nanometers, Micrometers, Angstroms, "
-            "Millimeters, Centimeters, Meters, Wavenumber, GHz, MHz, Index or Unknown"
+            f"'wavelength units' is {shown(text)}",
+            expected="Nanometers, Micrometers, Angstroms, Millimeters, Centimeters, Meters, Wavenumber, "
+            "GHz, MHz, Index or Unknown",
+            code="choice-unknown",
         )
         return None, None
     if wavelength is None and "wavelength" not in reader.fields:
@@ -357,9 +383,11 @@ def _spectral_axis(
         if wavelength is not None:
             wavelength = _in_nanometres(wavelength, factor, "wavelength", reader)
             if (wavelength <= 0).any():
-                reader.findings.add("'wavelength' holds values that are not above 0")
+                reader.findings.add(
+                    "'wavelength' holds values that are not above 0", code="value-out-of-range"
+                )
     if fwhm is not None and (fwhm < 0).any():
-        reader.findings.add("'fwhm' holds values below 0")
+        reader.findings.add("'fwhm' holds values below 0", code="value-out-of-range")
     return wavelength, None if fwhm is None else _in_nanometres(fwhm, factor, "fwhm", reader)
 
 
@@ -367,7 +395,10 @@ def _in_nanometres(values: Floats, factor: float, name: str, reader: _Reader) ->
     with np.errstate(over="ignore"):
         nanometres: Floats = values * factor
     if not np.isfinite(nanometres).all():
-        reader.findings.add(f"{name!r} holds values up to {values.max():.3g}: no wavelength is so long")
+        reader.findings.add(
+            f"{name!r} holds values up to {values.max():.3g}, which is infinite in nanometres",
+            code="not-finite",
+        )
     return nanometres
 
 
@@ -418,12 +449,18 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         rotation = _to_float(words.get("rotation", "0").strip())
     except ValueError as error:
         reader.findings.add(
-            f"'map info' is {shown(text)} ({error}); expected projection, reference column and row, x, y, "
-            "pixel width and height, then zone, datum, units=..., rotation=..."
+            f"'map info' is {shown(text)} ({error})",
+            expected="projection, reference column and row, x, y, pixel width and height, then zone, datum, "
+            "units=..., rotation=...",
+            code="number-unreadable",
         )
         return None
     if not all(map(math.isfinite, (column, row, x, y, width, height, rotation))) or min(width, height) <= 0:
-        reader.findings.add(f"'map info' is {shown(text)}; expected finite numbers and sizes above 0")
+        reader.findings.add(
+            f"'map info' is {shown(text)}",
+            expected="finite numbers and sizes above 0",
+            code="value-out-of-range",
+        )
         return None
     return MapInfo(
         projection=plain[0],

@@ -42,9 +42,8 @@ from hyperpaint.io.store.disk import flush_group
 from hyperpaint.io.store.location import sync
 from hyperpaint.io.store.stage import Staging, discard, staging
 
-_MEND = "pass {}, or choose another path"
 _SWAP, _JOURNAL = "swap", "journal"
-_MOST_JOURNAL_BYTES = 100_000
+MAX_JOURNAL_BYTES = 100_000
 _PROBE_BYTES = 2**20
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -61,19 +60,22 @@ def check_place(
     problems = Problems(f"{product} cannot be written to {path}", error)
     if kinds and path.suffix.lower() not in kinds:
         several = "one of " + ", ".join(kinds) if len(kinds) > 2 else " or ".join(kinds)
-        problems.add(f"expected a name that ends in {several}")
+        problems.add(f"the name ends in {path.suffix!r}", expected=several, code="suffix-unknown")
     with _errors_of(path):
         _recover(path)
     if store is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
-        problems.add("that is in the store itself; choose another path")
+        problems.add("that is in the store itself", mend="choose another path", code="path-inside-store")
     elif path.is_dir():
-        problems.add(f"that is a folder; name a file in it, such as {example}")
+        problems.add("that is a folder", mend=f"name a file in it, such as {example}", code="path-is-folder")
     elif path.exists() and not overwrite:
-        replace = "pass {} to replace it"
-        mend, option = (replace.format(text) for text in ("overwrite=True", "--overwrite"))
-        problems.add("it exists already", mend=mend, option=option)
+        problems.add(
+            "it exists already",
+            mend="pass overwrite=True to replace it",
+            option="pass --overwrite to replace it",
+            code="file-exists",
+        )
     if not path.absolute().parent.is_dir():
-        problems.add(f"there is no folder {path.absolute().parent}")
+        problems.add(f"there is no folder {path.absolute().parent}", code="folder-missing")
     problems.raise_if_any()
 
 
@@ -151,11 +153,12 @@ def unwritable(place: Path, error: Exception) -> StoreError:
         except OSError as full:
             code, reason = full.errno, f"{full.strerror} ({reason})"
     if code not in _FULL:
-        return StoreError(f"{place} cannot be written: {reason}")
+        return StoreError(f"{place} cannot be written: {reason}", code="file-unwritable")
     free = size_text(shutil.disk_usage(folder).free)
     return StoreError(
         f"{place} cannot be written: {reason}; {free} are free on the disk of {folder}",
         mend="make room, or choose another disk",
+        code="disk-full",
     )
 
 
@@ -175,25 +178,40 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
     for target in existing[:]:
         if foreign is None or target != targets[-1]:
             if target.is_dir():
-                raise StoreError(f"{target} is a folder; choose another path")
+                raise StoreError(f"{target} is a folder", mend="choose another path", code="path-is-folder")
             if not target.is_symlink() and not is_plain_file(target):
-                raise StoreError(f"{target} is no plain file; choose another path")
+                raise StoreError(
+                    f"{target} is no plain file", mend="choose another path", code="file-not-plain"
+                )
         elif target.is_symlink() or not target.is_dir():
-            raise StoreError(f"{target} is a file or a link, expected a folder; choose another path")
+            raise StoreError(
+                f"{target} is a file or a link",
+                expected="a folder",
+                mend="choose another path",
+                code="path-not-folder",
+            )
         else:
             try:
                 is_empty = not any(target.iterdir())
                 other = "" if is_empty else foreign(target)
             except OSError as error:
-                raise StoreError(f"{target} cannot be read: {error.strerror or error}") from error
+                raise StoreError(
+                    f"{target} cannot be read: {error.strerror or error}", code="file-unreadable"
+                ) from error
             if other:
-                raise StoreError(f"{target} holds {other}; choose a new or empty folder")
+                raise StoreError(
+                    f"{target} holds {other}", mend="choose a new or empty folder", code="folder-occupied"
+                )
             if is_empty:
                 existing.remove(target)
     if existing and not overwrite:
         names = ", ".join(map(str, existing))
-        found_there = f"{names} {'exists' if len(existing) == 1 else 'exist'}"
-        raise StoreError(found_there, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))
+        raise StoreError(
+            f"{names} {'exists' if len(existing) == 1 else 'exist'}",
+            mend="pass overwrite=True, or choose another path",
+            option="pass --overwrite, or choose another path",
+            code="file-exists",
+        )
 
 
 # --- several files -----------------------------------------------------------------------------------------
@@ -302,7 +320,7 @@ def _journal(target: Path) -> list[Path]:
         return []
     targets = []
     try:
-        if path.parent.is_symlink() or not is_plain_file(path) or path.stat().st_size > _MOST_JOURNAL_BYTES:
+        if path.parent.is_symlink() or not is_plain_file(path) or path.stat().st_size > MAX_JOURNAL_BYTES:
             raise ValueError
         for place, name in json.loads(path.read_bytes()):
             if name in ("", "..") or Path(name).name != name:
@@ -312,5 +330,9 @@ def _journal(target: Path) -> list[Path]:
         if target not in targets:
             raise ValueError
     except (ValueError, TypeError, RecursionError, OSError) as error:
-        raise StoreError(f"{path} is no journal that a writer left; look at it, then remove it") from error
+        raise StoreError(
+            f"{path} is no journal that a writer left",
+            mend="look at it, then remove it",
+            code="staging-foreign",
+        ) from error
     return targets

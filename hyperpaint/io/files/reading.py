@@ -20,37 +20,44 @@ from hyperpaint.base.input_files import input_path, is_plain_file, read_limited
 if TYPE_CHECKING:
     import xarray as xr
 
-LONGEST_LINE = 2**20
+MAX_LINE_BYTES = 2**20
 """Bytes of a line of text: spectra side by side have some 12 a cell."""
 
-MOST_NETCDF_BYTES = 2**30
+MAX_NETCDF_BYTES = 2**30
 """Bytes of all variables of a netCDF file that is loaded at once."""
 
 
-MOST_LINES = 200_000
+MAX_TEXT_LINES = 200_000
 """Lines of a text whose rows are bands, points or samples: ten times those of the longest spectra."""
 
 
 def read_limited_text(
-    path: Path, limit: int, expected: str, lines: int = MOST_LINES, mend: str = "check the file"
+    path: Path, limit: int, expected: str, lines: int = MAX_TEXT_LINES, mend: str = "check the file"
 ) -> bytes:
     """Return the bytes of a text file, as `read_limited`; its lines are bounded too, before any is split.
 
     A line is split into cells, each of which takes thirty times its bytes, and so does an empty line.
 
     Raises `FormatError`: As `read_limited`; there are more than ``lines``; or a line is longer than
-    `LONGEST_LINE`.
+    `MAX_LINE_BYTES`.
     """
     data = read_limited(path, limit, expected)
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > lines:
-        raise FormatError(f"{path}: {count} lines, expected {expected} of at most {lines}; {mend}")
+        raise FormatError(
+            f"{path}: {count} lines",
+            expected=f"{expected} of at most {lines}",
+            mend=mend,
+            code="file-too-large",
+        )
     start = 0
-    while len(data) - start > LONGEST_LINE:
-        end = max(data.rfind(mark, start, start + LONGEST_LINE + 1) for mark in (b"\n", b"\r"))
+    while len(data) - start > MAX_LINE_BYTES:
+        end = max(data.rfind(mark, start, start + MAX_LINE_BYTES + 1) for mark in (b"\n", b"\r"))
         if end < 0:
             raise FormatError(
-                f"{path}: a line of over {LONGEST_LINE} bytes, expected {expected}, lines of at most that"
+                f"{path}: a line of over {MAX_LINE_BYTES} bytes",
+                expected=f"{expected}, lines of at most that",
+                code="line-too-long",
             )
         start = end + 1
     return data
@@ -161,22 +168,28 @@ def unique_names(
 def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
     """Load a small netCDF file whole.
 
-    Raises `FormatError`: It declares more than `MOST_NETCDF_BYTES`, or is no plain file. Where it is damaged,
+    Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is no plain file. Where it is damaged,
     whatever the engine raises.
     """
     import xarray as xr
 
     if not is_plain_file(input_path(path, "a netCDF file")):
-        raise FormatError(f"{path}: expected a netCDF file; check the path")
+        raise FormatError(
+            f"{path}: no plain file", expected="a netCDF file", mend="check the path", code="file-not-plain"
+        )
     with xr.open_dataset(os.fspath(path), group=group) as dataset:
-        if dataset.nbytes > MOST_NETCDF_BYTES:
-            raise FormatError(f"{path} declares {dataset.nbytes} bytes, expected at most {MOST_NETCDF_BYTES}")
+        if dataset.nbytes > MAX_NETCDF_BYTES:
+            raise FormatError(
+                f"{path} declares {dataset.nbytes} bytes",
+                expected=f"at most {MAX_NETCDF_BYTES}",
+                code="file-too-large",
+            )
         return dataset.load()
 
 
 #: Folders and files looked at before a pattern is called too wide.
-MOST_ENTRIES = 100_000
-_LONGEST = 1000
+MAX_ENTRIES = 100_000
+MAX_PATTERN_CHARS = 1000
 _MAGIC = re.compile(r"[*?\[]")
 
 
@@ -185,7 +198,7 @@ def is_pattern(text: str) -> bool:
     return _MAGIC.search(text) is not None
 
 
-def matching_files(folder: Path, pattern: str, most: int = MOST_ENTRIES) -> list[Path]:
+def matching_files(folder: Path, pattern: str, most: int = MAX_ENTRIES) -> list[Path]:
     """Return the files and folders that a pattern matches, sorted.
 
     As `glob.glob`, but it cannot be made to walk the whole disk, nor around in links without end: at most
@@ -201,8 +214,8 @@ def matching_files(folder: Path, pattern: str, most: int = MOST_ENTRIES) -> list
     Traceback (most recent call last):
     ValueError: expected a pattern inside the folder of the file
     """
-    if len(pattern) > _LONGEST or "\0" in pattern:
-        raise ValueError(f"expected a pattern of at most {_LONGEST} characters")
+    if len(pattern) > MAX_PATTERN_CHARS or "\0" in pattern:
+        raise ValueError(f"expected a pattern of at most {MAX_PATTERN_CHARS} characters")
     parts = [part for part in pattern.replace(os.sep, "/").split("/") if part != "."]
     if os.path.isabs(pattern) or os.path.splitdrive(pattern)[0] or ".." in parts:
         raise ValueError("expected a pattern inside the folder of the file")

@@ -13,14 +13,14 @@ import numpy as np
 
 from hyperpaint.base.errors import FormatError
 
-from .reading import MOST_LINES, PackedColumns, numbered_lines, read_limited_text
+from .reading import MAX_TEXT_LINES, PackedColumns, numbered_lines, read_limited_text
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _MAX_SETTINGS = 16 << 20
 _MAX_TABLE = 1 << 28
-MOST_ROWS = 2_000_000
+MAX_TABLE_ROWS = 2_000_000
 """Rows of a record or index: 3 h 58 min of a camera at 140 Hz, 2 h 46 min of an inertial system at 200 Hz.
 
 Reading takes 170 bytes a row of a frame index and 240 of a record of nine columns, half a gigabyte at most.
@@ -33,17 +33,20 @@ _TAB, _LINE_END = 9, 10
 _INTEGER = re.compile(r"[+-]?[0-9]{1,16}(?:\.0*)?")
 
 
-def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MOST_LINES) -> str:
+def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINES) -> str:
     """Return the text of a side file, its line ends made those of Unix.
 
     Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, has more than ``lines``, or
     is binary.
     """
-    mend = "cut it to the flight, or give an SBET file" if lines == MOST_ROWS else "check the file"
+    mend = "cut it to the flight, or give an SBET file" if lines == MAX_TABLE_ROWS else "check the file"
     data = read_limited_text(path, limit, "a text file", lines, mend)
     if b"\0" in data:
         raise FormatError(
-            f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
+            f"{path}: binary",
+            expected="text",
+            mend="export it: some systems write binary logs under the same name",
+            code="text-unreadable",
         )
     # as bytes, one copy after the other: such files have a hundred megabytes
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").removeprefix(b"\xef\xbb\xbf")
@@ -59,17 +62,17 @@ class Table:
     columns: Mapping[str, list[str]]  # Column name in lower case to cells
 
 
-def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
+def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
     """Read a tab-separated table by its header names.
 
-    ``path``: the file; blank lines are skipped; ``what``: names the kind of file in messages; ``needs``:
+    ``path``: the file; blank lines are skipped; ``kind``: kind of file, for messages; ``needs``:
     columns, in lower case, without which it is another kind of file.
 
     Raises `FormatError`: Unreadable, binary, without its header line or a needed column, without rows, or
     with rows of another number of cells than the header.
     """
     path = Path(path)
-    text = read_text(path, _MAX_TABLE, MOST_ROWS)
+    text = read_text(path, _MAX_TABLE, MAX_TABLE_ROWS)
     first = text.partition("\n")[0]
     # an older program separates the two columns of a frame index with blanks
     separator = "\t" if "\t" in first else None
@@ -77,7 +80,9 @@ def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
     missing = [name for name in needs if name not in names]
     if missing or len(set(names)) != len(names):
         raise FormatError(
-            f"{path}: a {what} starts with a header that names {list(needs)} once, found {first[:120]!r}"
+            f"{path}: first line {first[:120]!r}",
+            expected=f"the header of a {kind}, which names {list(needs)} once",
+            code="header-wrong",
         )
 
     if separator:
@@ -143,9 +148,13 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
             block.clear()
     columns.extend(zip(*block, strict=True))
     if wrong:
-        raise FormatError(f"{path}: {name_rows(wrong)} without {len(names)} cells; mend or delete")
+        raise FormatError(
+            f"{path}: {name_rows(wrong)} without {len(names)} cells",
+            mend="mend or delete",
+            code="length-mismatch",
+        )
     if not numbers:
-        raise FormatError(f"{path}: no rows of {', '.join(names)[:80]}")
+        raise FormatError(f"{path}: no rows of {', '.join(names)[:80]}", code="empty-input")
     return Table(path.name, np.array(numbers, np.int64), columns)
 
 
@@ -168,5 +177,8 @@ def to_integers(table: Table, name: str) -> NDArray[np.int64]:
         return np.array(list(map(int, cells)), np.int64)
     wrong = [int(row) for row, cell in zip(table.rows, cells, strict=True) if not _INTEGER.fullmatch(cell)]
     if wrong:
-        raise FormatError(f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}")
+        raise FormatError(
+            f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}",
+            code="number-unreadable",
+        )
     return np.array([int(cell.partition(".")[0]) for cell in cells], np.int64)

@@ -121,12 +121,17 @@ def draw_geotiff(
     array = product_of(map, variable)
     if "y" not in array.dims:
         raise SchemaError(
-            f"{array.name!r} is {dict(array.sizes)}, expected a map (y, x, band); orthorectify the line first"
+            f"{array.name!r} is {dict(array.sizes)}",
+            expected="a map (y, x, band)",
+            mend="orthorectify the line first",
+            code="dim-missing",
         )
     grid = grid_of(map)
     if grid is None:
         raise SchemaError(
-            "the place of this map is not known: there is no spatial_ref with a GeoTransform, nor x and y"
+            "the place of this map is unknown",
+            expected="spatial_ref with a GeoTransform, or x and y",
+            code="place-unknown",
         )
     array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
     array = array.transpose("y", "x", BAND)
@@ -163,7 +168,11 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
     """
     with open_input(path, "a GeoTIFF") as file:
         if not file.read(4).startswith(TIFF):
-            raise FormatError(f"{path}: no TIFF, whatever its name says; check what the file is")
+            raise FormatError(
+                f"{path}: no TIFF, whatever its name says",
+                mend="check what the file is",
+                code="format-unknown",
+            )
     with open_raster(path, "reading a GeoTIFF") as raster:
         is_placed = raster.crs is not None or not raster.transform.is_identity
         wkt = None if raster.crs is None else raster.crs.to_wkt()
@@ -192,18 +201,24 @@ def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
         if bands == "all":
             return list(range(count))
         if bands != "rgb":
-            raise SchemaError(f"bands {bands!r:.40}, expected 'all', 'rgb' or indices")
+            raise SchemaError(
+                f"bands {bands!r:.40}", expected="'all', 'rgb' or indices", code="choice-unknown"
+            )
         axis = map.variables.get("wavelength")
         has_axis = axis is not None and axis.dims == (BAND,) and axis.size == count
         nearest = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if has_axis else None
         if nearest is None:
             raise SchemaError(
-                "a picture needs bands within 50 nm of 640, 550 and 460 nm; choose bands by their indices"
+                "a picture needs bands within 50 nm of 640, 550 and 460 nm",
+                mend="choose bands by their indices",
+                code="band-missing",
             )
         return nearest
     chosen = [int(band) for band in bands]
     if not chosen or not all(-count <= band < count for band in chosen):
-        raise SchemaError(f"bands {chosen[:20]}, expected one or more of 0 to {count - 1}")
+        raise SchemaError(
+            f"bands {chosen[:20]}", expected=f"one or more of 0 to {count - 1}", code="value-out-of-range"
+        )
     return [band % count for band in chosen]
 
 
@@ -214,7 +229,11 @@ def _plain(array: xr.DataArray) -> xr.DataArray:
         return array.astype(np.uint8)
     if array.dtype.name in ("uint8", "uint16", "int16", "uint32", "int32"):
         return array
-    raise SchemaError(f"{array.name!r} is {array.dtype}, expected floats or integers of at most 32 bits")
+    raise SchemaError(
+        f"{array.name!r} is {array.dtype}",
+        expected="floats or integers of at most 32 bits",
+        code="type-wrong",
+    )
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
@@ -222,7 +241,11 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     import xarray as xr
 
     if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
-        raise SchemaError(f"stretch {stretch}, expected two rising percentiles within 0 and 100")
+        raise SchemaError(
+            f"stretch {stretch}",
+            expected="two rising percentiles within 0 and 100",
+            code="value-out-of-range",
+        )
     step = -(-array.sizes["y"] // _SAMPLED)
     sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
     complete = sample[np.isfinite(sample).all(axis=-1)]

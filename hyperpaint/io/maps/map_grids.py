@@ -32,12 +32,18 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
     if name is None or name not in dataset.variables:
         held = ", ".join(map(str, dataset.data_vars)) or "nothing"
         wanted = "one of " + ", ".join(_PRODUCTS) if name is None else repr(name)
-        raise SchemaError(f"there is no {wanted} to write; the dataset holds {held}: name one with variable=")
+        raise SchemaError(
+            f"there is no {wanted} to write; the dataset holds {held}",
+            mend="name one with variable=",
+            code="variable-missing",
+        )
     array = dataset[name]
     if set(array.dims) - {BAND} not in _GEOMETRIES or not array.size:
         raise SchemaError(
-            f"{name!r} is {dict(array.sizes)}, expected ({ALONG_TRACK}, {BAND}, {CROSS_TRACK}) or "
-            f"(y, x, {BAND}), with or without {BAND}, and no dim of size 0"
+            f"{name!r} is {dict(array.sizes)}",
+            expected=f"({ALONG_TRACK}, {BAND}, {CROSS_TRACK}) or (y, x, {BAND}), with or without {BAND}, and "
+            "no dim of size 0",
+            code="dim-missing",
         )
     return array.reset_coords(drop=True)
 
@@ -128,9 +134,10 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
         computed = _along(dataset, transform)
         if not _same(computed, transform, dataset):
             raise SchemaError(
-                f"GeoTransform of {SPATIAL_REF} is turned, and 'x' and 'y' are not the distances of all its "
-                "cells from its corner, so that nothing tells which cells these are; drop 'x' and 'y' where "
-                "it is the whole grid"
+                f"GeoTransform of {SPATIAL_REF} is rotated, and 'x' and 'y' are not the distances of all "
+                "cells from its corner, so the position of these cells is ambiguous",
+                mend="drop 'x' and 'y' if this is the whole grid",
+                code="place-ambiguous",
             )
     else:
         computed = _north_up(dataset, (b, f))
@@ -158,8 +165,9 @@ def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
             even = values[0] + step * np.arange(values.size)
             if not np.abs(values - even).max() <= _TOLERANCE * size + _ROUNDING:
                 raise SchemaError(
-                    f"the place of this map is not known: {name!r} is not evenly spaced",
+                    f"the place of this map is unknown: {name!r} is not evenly spaced",
                     mend="choose cells at even steps",
+                    code="spacing-uneven",
                 )
             steps.append(step)
         numbers += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
@@ -207,8 +215,10 @@ def _numbers(text: Any) -> Transform:
         a = b = c = d = e = f = math.nan
     if not all(map(math.isfinite, (a, b, c, d, e, f))) or b * f - c * e == 0.0:
         raise SchemaError(
-            f"GeoTransform of {SPATIAL_REF} is {text!r:.80}, expected six numbers in GDAL's order: x of the "
-            "outer corner, its steps a column and a row, then y"
+            f"GeoTransform of {SPATIAL_REF} is {text!r:.80}",
+            expected="six numbers in GDAL's order: x of the outer corner, its steps a column and a row, "
+            "then y",
+            code="transform-wrong",
         )
     return a, b, c, d, e, f
 
@@ -220,7 +230,9 @@ def _even(name: str, values: Any, single: float, problems: Problems) -> tuple[fl
     even = centres[0] + step * np.arange(centres.size)
     fits = np.abs(centres - even).max() <= _TOLERANCE * abs(step) + _ROUNDING
     if step == 0.0 or not fits:
-        problems.add(f"{name!r} is not evenly spaced; choose cells at even steps")
+        problems.add(
+            f"{name!r} is not evenly spaced", mend="choose cells at even steps", code="spacing-uneven"
+        )
         return 0.0, 1.0
     return float(centres[0] - step / 2.0), float(step)
 
@@ -242,11 +254,13 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     problems = Problems("ENVI cannot say where this grid lies", SchemaError)
     turned = e != 0.0 or c != 0.0
     if grid.mirrored:
-        problems.add("it is mirrored: turn its rows round")
+        problems.add("it is mirrored", mend="reverse its rows", code="grid-mirrored")
     if abs(b * c + e * f) > 1e-9 * width * height:
-        problems.add("its rows and columns do not cross at right angles")
+        problems.add("its rows and columns do not cross at right angles", code="grid-sheared")
     if turned and abs(width - height) > 1e-9 * width:
-        problems.add(f"it is turned, and its pixels are not square: {width:g} x {height:g}")
+        problems.add(
+            f"it is rotated, and its pixels are not square: {width:g} x {height:g}", code="pixels-not-square"
+        )
     problems.raise_if_any()
     projection, zone, units, entries = _reference_system(grid.wkt)
     place = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
@@ -270,7 +284,8 @@ def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, s
         crs = pyproj.CRS.from_user_input(wkt).to_2d()
     except pyproj.exceptions.CRSError as error:
         raise SchemaError(
-            f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}"
+            f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}",
+            code="crs-unknown",
         ) from error
     text = {"coordinate system string": crs.to_wkt("WKT1_ESRI")}
     geodetic = crs.geodetic_crs

@@ -82,10 +82,11 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     """
     grid = _grid(dataset)
     if grid.wkt is None or "line_time" not in dataset.variables:
+        missing = "reference system" if grid.wkt is None else "line_time"
         raise SchemaError(
-            "a STAC item says where and when, and this map has no "
-            + ("reference system" if grid.wkt is None else "line_time"),
+            f"a STAC item says where and when, and this map has no {missing}",
             mend="orthorectify a line that has both, with line_time among the variables",
+            code="variable-missing",
         )
     with needs_extra("pyproj", "geo", "a STAC item"):
         import pyproj
@@ -96,7 +97,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     times = dataset["line_time"].values.astype("datetime64[ns]").ravel()
     times = times[~np.isnat(times)]
     if not times.size:
-        raise SchemaError("no cell of this map says when it was recorded")
+        raise SchemaError("no cell of this map has a time in line_time", code="time-missing")
     first, last = times.min(), times.max()
     ring = [list(corner) for corner in zip(longitude, latitude, strict=True)]
     return {
@@ -135,7 +136,11 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
 def _grid(dataset: xr.Dataset) -> Grid:
     grid = grid_of(dataset)
     if grid is None:
-        raise SchemaError("nothing tells where this map lies: no spatial_ref with a GeoTransform, no x and y")
+        raise SchemaError(
+            "the place of this map is unknown",
+            expected="spatial_ref with a GeoTransform, or x and y",
+            code="place-unknown",
+        )
     return grid
 
 

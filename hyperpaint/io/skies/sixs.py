@@ -61,7 +61,9 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
     (array([1. , 1.4]), array([0.184, 0.104]))
     """
     if not 0.0 <= sun_zenith < 90.0:
-        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to below 90 degrees")
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
+        )
     rows = np.array([_run(path) for path in paths], np.float64).reshape(-1, 4)
     micron, direct, diffuse, environment = rows.T
     per_nm = 1e-3
@@ -78,11 +80,20 @@ def _run(path: str | Path) -> tuple[float, ...]:
         raise FormatError(
             f"{path}: no monochromatic run of 6S with its irradiance at ground level",
             mend="run 6S with a single wavelength (IWAVE -1), a file each",
+            code="model-output-wrong",
         )
     micron = number(wavelength)
     if micron is None:
-        raise FormatError(f"{path}: a wavelength of {wavelength[:60]!r}, expected a number [micron]")
+        raise FormatError(
+            f"{path}: a wavelength of {wavelength[:60]!r}",
+            expected="a number [micron]",
+            code="number-unreadable",
+        )
     values = numbers(lines[place + 1].replace("*", " ").split())
     if values is None or len(values) != 3:
-        raise FormatError(f"{path}: line {place + 2}: {lines[place + 1][:60]!r}, expected three irradiances")
+        raise FormatError(
+            f"{path}: line {place + 2}: {lines[place + 1][:60]!r}",
+            expected="three irradiances",
+            code="number-unreadable",
+        )
     return micron, *values

@@ -17,7 +17,7 @@ from hyperpaint.io.files.reading import read_limited_text
 if TYPE_CHECKING:
     import xarray as xr
 
-MOST_SKY_BYTES = 64 << 20
+MAX_SKY_BYTES = 64 << 20
 """Bytes of a file of a sky."""
 
 _COLUMNS = {
@@ -31,8 +31,8 @@ _COLUMNS = {
 
 
 def sky_lines(path: str | Path) -> list[str]:
-    """Return the lines of a text file, at most `MOST_SKY_BYTES`; raises `FormatError`."""
-    content = read_limited_text(Path(path), MOST_SKY_BYTES, "the output of a model of the atmosphere")
+    """Return the lines of a text file, at most `MAX_SKY_BYTES`; raises `FormatError`."""
+    content = read_limited_text(Path(path), MAX_SKY_BYTES, "the output of a model of the atmosphere")
     return content.decode("utf-8", "replace").splitlines()
 
 
@@ -73,15 +73,23 @@ def sky_dataset(
     problems = Problems(f"{source}: no light at the ground", FormatError)
     order = np.argsort(wavelength, kind="stable")
     if wavelength.size < 2 or not (np.diff(wavelength[order]) > 0.0).all():
-        problems.add("fewer than two wavelengths, or some are there twice")
+        problems.add(
+            "wavelengths are fewer than two, or repeated",
+            expected="two or more different wavelengths",
+            code="wavelength-repeated",
+        )
     arrays = {"direct_normal": direct_normal, "diffuse": diffuse}
     if radiance is not None:
         arrays["sky_radiance"] = radiance[2]
     for name, values in {"wavelength": wavelength, **arrays}.items():
         if not (np.isfinite(values).all() and (values >= 0.0).all()):
-            problems.add(f"{name} has values that are negative or not finite")
+            problems.add(
+                f"{name} has values that are negative or not finite",
+                expected="finite values, 0 or above",
+                code="value-out-of-range",
+            )
     if radiance is not None and not all(np.isfinite(angles).all() for angles in radiance[:2]):
-        problems.add("directions of the sky have angles that are not finite")
+        problems.add("directions of the sky have angles that are not finite", code="not-finite")
     problems.raise_if_any()
     units = {"units": "W m-2 nm-1"}
     made = xr.Dataset(
@@ -131,22 +139,24 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     try:
         rows = list(csv.reader(lines))
     except csv.Error as error:
-        raise FormatError(f"{path}: no table of commas: {error}") from error
+        raise FormatError(f"{path}: no table of commas: {error}", code="text-unreadable") from error
     problems = Problems(f"{path}: no table of a sky", FormatError)
     names = [cell.split("[")[0].strip() for cell in rows[0]] if rows else []
     needed = {"wavelength", "direct_normal", "diffuse"}
     by_direction = "radiance" in names
     needed |= {"zenith", "azimuth", "radiance"} if by_direction else set()
     if needed - set(names):
-        problems.add(f"columns {sorted(needed - set(names))} are missing, found {names}")
+        problems.add(
+            f"columns {sorted(needed - set(names))} are missing, found {names}", code="column-missing"
+        )
     if len(set(names)) < len(names):
-        problems.add(f"columns {names}: some are there twice")
+        problems.add(f"columns {names}: some are repeated", code="column-repeated")
     ragged = [number for number, row in enumerate(rows) if len(row) != len(names)]
     if ragged or len(rows) < 2:
         found = (
             f"row {ragged[0] + 1} of {len(rows[ragged[0]])} cells" if ragged else "no row below the headings"
         )
-        problems.add(f"{found}, expected rows of {len(names)}")
+        problems.add(found, expected=f"rows of {len(names)}", code="length-mismatch")
     problems.raise_if_any()
     try:
         table = np.array(rows[1:], np.float64)
@@ -156,13 +166,17 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         ]
     except (ValueError, KeyError) as error:
         raise FormatError(
-            f"{path}: rows must be numbers, headings among {list(_COLUMNS)}: {error}"
+            f"{path}: {error}",
+            expected=f"rows of numbers below headings among {list(_COLUMNS)}",
+            code="number-unreadable",
         ) from error
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
         table = table * factors
     if not np.isfinite(table).all():
         place = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
-        raise FormatError(f"{path}: row {place + 2} {rows[place + 1]}: expected finite numbers")
+        raise FormatError(
+            f"{path}: row {place + 2} {rows[place + 1]}", expected="finite numbers", code="not-finite"
+        )
     columns = dict(zip(names, table.T, strict=True))
     wavelength, first = np.unique(columns["wavelength"], return_index=True)
     light = columns["direct_normal"][first], columns["diffuse"][first]
@@ -178,7 +192,9 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         is_grid = np.array_equal(rows_of_grid, grid)
     if not is_grid:
         raise FormatError(
-            f"{path}: {order.size} rows, expected every direction once at every wavelength, {shape}"
+            f"{path}: {order.size} rows",
+            expected=f"every direction once at every wavelength, {shape}",
+            code="grid-mismatch",
         )
     return sky_dataset(
         str(path), wavelength, *light, (zenith, azimuth, columns["radiance"][order].reshape(shape))

@@ -76,15 +76,19 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
     """
     if not 0.0 <= sun_zenith < 90.0 or not 0.0 < ground <= 1.0:
         raise SchemaError(
-            f"sun_zenith is {sun_zenith!r} and ground {ground!r}, expected 0 to below 90 degrees and 0 to 1"
+            f"sun_zenith is {sun_zenith!r} and ground {ground!r}",
+            expected="0 to below 90 degrees and 0 to 1",
+            code="value-out-of-range",
         )
     lines = sky_lines(path)
     place, names = next(((n, _names(line)) for n, line in enumerate(lines) if "FREQ" in line), (0, []))
     if not set(_NEEDED) <= set(names):
         raise FormatError(
-            f"{path}: no line of names with {', '.join(_NEEDED)}, expected a tape7 over wavenumbers",
-            mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; "
-            "a .7sc is not read: give direct and diffuse light as CSV",
+            f"{path}: no line of names with {', '.join(_NEEDED)}",
+            expected="a tape7 over wavenumbers",
+            mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; give direct and "
+            "diffuse light as CSV instead of a .7sc",
+            code="model-output-wrong",
         )
     rows = []
     for count, line in enumerate(lines[place + 1 :], place + 2):
@@ -93,11 +97,17 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
             break
         if row is None or len(row) < len(names):
             raise FormatError(
-                f"{path}: line {count}: {line[:60]!r}, expected {len(names)} numbers or {_END:g}"
+                f"{path}: line {count}: {line[:60]!r}",
+                expected=f"{len(names)} numbers or {_END:g}",
+                code="number-unreadable",
             )
         rows.append(row[: len(names)])
     else:
-        raise FormatError(f"{path} ends without the mark {_END:g}: it was cut short; copy it again")
+        raise FormatError(
+            f"{path} ends without the mark {_END:g}: it was cut short",
+            mend="copy it again",
+            code="file-truncated",
+        )
     table = dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T, strict=True))
     lit = (table["FREQ"] > 0.0) & (table["TOT_TRANS"] > 1e-6)
     wavenumber, transmitted = table["FREQ"][lit], table["TOT_TRANS"][lit]

@@ -8,7 +8,7 @@ user.
 from __future__ import annotations
 
 from .layout import encoding
-from .reader import is_complete, list_groups, load_unverified, open_group, open_store, open_unverified
+from .reader import is_complete, list_groups, load_group, open_group, open_store, open_unverified
 from .verification import StoreReport, verify
 from .writer import to_store
 
@@ -17,7 +17,7 @@ __all__ = [
     "encoding",
     "is_complete",
     "list_groups",
-    "load_unverified",
+    "load_group",
     "open_group",
     "open_store",
     "open_unverified",

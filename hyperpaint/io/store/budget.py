@@ -180,9 +180,11 @@ def fit(
         mend = "fewer threads a worker, " if least_threads > 1 else ""
         which = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
         raise StoreError(
-            f"/{worst} needs {size_text(plan.needed)} of memory with {counted(plan.threads, 'thread')} "
-            f"and {plan.lines} lines a task, the fewest possible, but {size_text(limit)} may be taken; "
-            f"{mend}end other programs, raise {which}, or take a larger machine"
+            f"/{worst} needs {size_text(plan.needed)} of memory with {counted(plan.threads, 'thread')} and "
+            f"{plan.lines} lines a task, the fewest possible",
+            expected=f"at most {size_text(limit)}",
+            mend=f"{mend}end other programs, raise {which}, or take a larger machine",
+            code="memory-short",
         )
     return plan
 
@@ -230,9 +232,10 @@ def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0)
     threads = _threads_within(limit, needed)
     if needed(threads) > limit:
         raise StoreError(
-            f"{subject} needs {size_text(needed(threads))} of memory with {counted(threads, 'thread')}, but "
-            f"{size_text(limit)} may be taken; end other programs, raise the memory limit, take fewer lines, "
-            "or a larger machine"
+            f"{subject} needs {size_text(needed(threads))} of memory with {counted(threads, 'thread')}",
+            expected=f"at most {size_text(limit)}",
+            mend="end other programs, raise the memory limit, take fewer lines, or a larger machine",
+            code="memory-short",
         )
     with limited_threads(threads):
         yield
@@ -258,7 +261,9 @@ def parse_size(size: str | int) -> int:
         number = 0
     if number <= 0:
         raise SchemaError(
-            f"{size!r} is no size of memory; expected bytes, or text such as '2 GiB' or '500 MB'"
+            f"memory size {size!r}",
+            expected="bytes above 0, or text such as '2 GiB' or '500 MB'",
+            code="size-unreadable",
         )
     return number
 
@@ -417,8 +422,9 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
             block = math.prod(sizes) * variable.dtype.itemsize + fixed
             if block > available:
                 problems.add(
-                    f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}; take "
-                    "smaller chunks, end other programs, or raise the memory limit"
+                    f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}",
+                    mend="take smaller chunks, end other programs, or raise the memory limit",
+                    code="memory-short",
                 )
     problems.raise_if_any()
     if not cubes or not all(v.size for v in cubes):
@@ -430,9 +436,11 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     surely = lines * sum(a_line) + encoded + fixed
     if surely > available:
         raise StoreError(
-            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {counted(lines, 'line')}, "
-            f"but {size_text(available)} are available; take fewer lines a chunk (chunks={{'{ALONG_TRACK}': "
-            f"{CHUNK_LINES}}}), end other programs, or raise the memory limit"
+            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {counted(lines, 'line')}",
+            expected=f"at most {size_text(available)}",
+            mend=f"take fewer lines a chunk (chunks={{'{ALONG_TRACK}': {CHUNK_LINES}}}), end other programs, "
+            "or raise the memory limit",
+            code="memory-short",
         )
     # a cube alone is taken to be made from one half as large: 16-bit counts of a float32 product
     alone = sum(size > max(a_line) // 4 for size in a_line) == 1

@@ -120,15 +120,15 @@ def scheduler_in_force() -> Any:
 
 
 @contextlib.contextmanager
-def errors_of_the_cluster(what: str) -> Iterator[None]:
-    """Turn lost workers, and a lost scheduler, into a StoreError; ``what`` opens the message."""
+def errors_of_the_cluster(subject: str) -> Iterator[None]:
+    """Turn lost workers, and a lost scheduler, into a StoreError; ``subject`` opens the message."""
     try:
         yield
     except (Exception, *_CANCELLED) as error:
         reason = _cluster_failure(error)
         if reason is None:
             raise
-        raise StoreError(f"{what}: {reason}; {RUN_AGAIN}") from error
+        raise StoreError(f"{subject}: {reason}", mend=RUN_AGAIN, code="cluster-lost") from error
 
 
 def _on_threads(
@@ -216,11 +216,11 @@ def _raise_named(error: BaseException, group: str, blocks: Sequence[_Block], hin
     place = f"/{group}, {' and '.join(words)}" if few else f"/{group}"
     reason = _cluster_failure(error)
     if reason is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
-        reason = f"{type(error).__name__}: {error}{hint}; mend this"
+        reason = f"{type(error).__name__}: {error}{hint}"
     if reason is None:
         error.add_note(f"while storing {place}")
         raise error
-    raise StoreError(f"cannot store {place}: {reason}; {RUN_AGAIN}") from error
+    raise StoreError(f"cannot store {place}: {reason}", mend=RUN_AGAIN, code="block-failed") from error
 
 
 _WIDTH = 40

@@ -37,7 +37,7 @@ _SIGN_AND_EXPONENT = 9
 _BLOCK = 4096
 """Least room of a file or folder [byte]; a chunk takes a file and two folders."""
 
-RUN_AGAIN = "run again: the chunks that are finished will be taken up"
+RUN_AGAIN = "run again: finished chunks are kept"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -84,8 +84,10 @@ def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
             left -= file.stat().st_size if file.is_file() else 0
     if free is not None and left > free:
         raise StoreError(
-            f"cannot write {store}: {size_text(left)} of disk are needed, {size_text(free)} are free; make "
-            "room, choose another disk, or leave reflectance to be computed from counts (reflectance='none')"
+            f"cannot write {store}: {size_text(left)} of disk are needed, {size_text(free)} are free",
+            mend="make room, choose another disk, or leave reflectance to be computed from counts "
+            "(reflectance='none')",
+            code="disk-short",
         )
 
 
@@ -101,35 +103,40 @@ def _free(store: Path) -> int | None:
 def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -> Iterator[None]:
     """Turn a full disk or memory, and files that cannot be used, into one readable error."""
 
-    def room() -> str:
+    def needs() -> str:
         needed = size_text(sum(map(disk_needed, groups.values())))
         free = None if location.local is None else _free(location.local)
         available = "" if free is None else f", {size_text(free)} are free now"
-        return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{available}; make room"
+        return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{available}"
 
     try:
         yield
     except PaintError as error:
         cause = error.__cause__  # the error of a block, which names the block
         if isinstance(cause, OSError) and cause.errno in _FULL:
-            raise StoreError(f"{error}; {room()}") from cause
+            raise StoreError(
+                f"{error.problem.found}: {needs()}", mend=f"make room, then {RUN_AGAIN}", code="disk-full"
+            ) from cause
         raise
     except OSError as error:
-        reason, file = error.strerror or str(error), error.filename
+        found, file = f"cannot write {location.url}: {error.strerror or error}", error.filename
         if error.errno in _FULL:
-            reason += f"; {room()}"
-        elif file and location.local is not None and not _is_beside(file, location.local):
-            reason += f": {file}, which it is made from; mend this"
-        else:
-            reason += f"{f' ({file})' if file else ''}; mend this"
-        raise StoreError(f"cannot write {location.url}: {reason} and {RUN_AGAIN}") from error
+            mend = f"make room, then {RUN_AGAIN}"
+            raise StoreError(f"{found}; {needs()}", mend=mend, code="disk-full") from error
+        if file and location.local is not None and not _is_beside(file, location.local):
+            found += f": {file}, an input"
+        elif file:
+            found += f" ({file})"
+        raise StoreError(found, mend=f"mend this, then {RUN_AGAIN}", code="file-unusable") from error
     except (MemoryError, RuntimeError) as error:
         # threads that cannot be started raise a RuntimeError
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):
             raise
         raise StoreError(
-            f"cannot write {location.url}: memory ran out ({str(error) or 'nothing can be allocated'}); take "
-            f"fewer lines a dask chunk or fewer threads, end other programs, or raise the limit; {RUN_AGAIN}"
+            f"cannot write {location.url}: memory ran out ({str(error) or 'an allocation failed'})",
+            mend="take fewer lines a dask chunk or fewer threads, end other programs, or raise the limit; "
+            + RUN_AGAIN,
+            code="memory-short",
         ) from error
 
 

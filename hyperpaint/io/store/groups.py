@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hyperpaint.base.errors import IncompleteStoreError, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
 from .location import MANIFEST_NODE, METADATA, Location, joined
@@ -115,8 +115,8 @@ def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[s
 # --- what writing a group would lose -----------------------------------------------------------------------
 
 
-def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool) -> list[str]:
-    """Return why groups cannot be written below ``groups``, one line each; empty where they can.
+def check_above(groups: Iterable[str], location: Location, problems: Problems, *, overwrite: bool) -> None:
+    """Add the reasons why nothing can be written below ``groups`` to the problems.
 
     With ``overwrite``, damaged metadata may be written anew.
     """
@@ -124,11 +124,14 @@ def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool
     file = location.local is not None and location.local.is_file()
     # without the root's metadata it is still a store where it has a manifest
     if file or (entries and METADATA not in entries and MANIFEST_NODE not in entries):
-        return ["it exists and is not a Zarr v3 store; choose another path"]
+        mend = "choose another path"
+        problems.add("it exists and is not a Zarr v3 store", mend=mend, code="store-foreign")
+        return
     parents = [] if location.local is None else location.local.absolute().parents
     if outer := [str(parent) for parent in parents if (parent / METADATA).is_file()]:
-        return [f"it lies in the store {outer[0]}; write a group of that, or choose another path"]
-    problems = []
+        mend = "write a group of that, or choose another path"
+        problems.add(f"it lies in the store {outer[0]}", mend=mend, code="path-inside-store")
+        return
     for group in groups:
         try:
             # a writer that was killed at once leaves its manifest alone
@@ -136,11 +139,12 @@ def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool
         except IncompleteStoreError:
             damaged = True
         if damaged and not overwrite:
-            problems.append(
-                f"the metadata of group {'/' + group!r} are missing or damaged; pass overwrite=True to write "
-                "them anew, the groups in it stay"
+            problems.add(
+                f"the metadata of group {'/' + group!r} are missing or damaged",
+                mend="pass overwrite=True to write them anew; the groups in it stay",
+                option="pass --overwrite to write them anew; the groups in it stay",
+                code="metadata-damaged",
             )
-    return problems
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:

@@ -104,7 +104,9 @@ def layouts_of(dataset: xr.Dataset) -> dict[Hashable, Layout]:
 def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
     """Return a dataset that will be stored in a layout; `SchemaError` where that is none."""
     if layout not in get_args(Layout):
-        raise SchemaError(f"layout={layout!r}, expected {' or '.join(map(repr, get_args(Layout)))}")
+        raise SchemaError(
+            f"layout={layout!r}", expected=" or ".join(map(repr, get_args(Layout))), code="choice-unknown"
+        )
     marked = dataset.copy(deep=False)
     for variable in marked.variables.values():
         if layout != "cube" or _LAYOUT in variable.encoding:
@@ -220,22 +222,38 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
         for key, value in attrs.items():
             if not isinstance(key, str) or not _is_plain(value):
                 problems.add(
-                    f"attribute {key!r} of {owner} is a {type(value).__name__}; expected text, numbers, "
-                    "lists or dicts of them (write times as ISO text)"
+                    f"attribute {key!r} of {owner} is a {type(value).__name__}",
+                    expected="text, numbers, lists or dicts of them",
+                    mend="write times as ISO text",
+                    code="attribute-type",
                 )
     for name, variable in dataset.variables.items():
         if not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")):
-            problems.add(f"variable name {name!r}; expected text without '/' that starts with no '.' or '__'")
+            problems.add(
+                f"variable name {name!r}",
+                expected="text without '/' that does not start with '.' or '__'",
+                code="variable-name",
+            )
         if variable.dtype.kind not in "biufcmMUOT":
-            problems.add(f"{name!r} has dtype {variable.dtype}; expected numbers, booleans, times or text")
+            problems.add(
+                f"{name!r} has dtype {variable.dtype}",
+                expected="numbers, booleans, times or text",
+                code="type-wrong",
+            )
         elif variable.dtype.kind == "O" and variable._in_memory:
             wrong = {type(each).__name__ for each in np.ravel(variable.values) if not isinstance(each, str)}
             if wrong:
                 found = ", ".join(sorted(wrong))
-                problems.add(f"{name!r} holds Python objects ({found}); expected text, or a numeric dtype")
+                problems.add(
+                    f"{name!r} holds Python objects ({found})",
+                    expected="text, or a numeric dtype",
+                    code="type-wrong",
+                )
     multi = xr.indexes.PandasMultiIndex
     for name in sorted({str(index.dim) for index in dataset.xindexes.values() if isinstance(index, multi)}):
-        problems.add(f"{name!r} has a multi-index; call .reset_index({name!r}) first")
+        problems.add(
+            f"{name!r} has a multi-index", mend=f"call .reset_index({name!r}) first", code="index-multiple"
+        )
     problems.raise_if_any()
     layouts = layouts_of(dataset)
     prepared = dataset.drop_encoding()

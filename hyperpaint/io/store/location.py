@@ -38,8 +38,10 @@ def clean_group(group: str | None) -> str:
     wrong = any(part.startswith((".", "__")) or part == METADATA or "\\" in part for part in parts)
     if wrong or parts[:1] == [MANIFEST_NODE]:
         raise StoreError(
-            f"group {group!r}: expected names without a leading '.' or '__' between slashes, the first of "
-            f"them not {MANIFEST_NODE!r}"
+            f"group {group!r}",
+            expected="names between slashes, without a leading '.' or '__', the first of them not "
+            f"{MANIFEST_NODE!r}",
+            code="group-name",
         )
     return "/".join(parts)
 
@@ -71,22 +73,33 @@ class Location:
             text = os.fspath(path)
         except TypeError:
             raise StoreError(
-                f"a store is named by its folder or URL here, not by {type(path).__name__}",
+                f"store given as {type(path).__name__}",
+                expected="a folder or URL",
                 mend="open it by open_store(store, group) or xarray.open_zarr(store, group=group)",
+                code="type-wrong",
             ) from None
         if "::" in text or "\0" in text:
             # dask:: would start a cluster, and others copy or unpack what they are given
-            what = "a chained URL" if "::" in text else "a name with a NUL character"
-            raise StoreError(f"{text!r:.200}: {what}, expected a folder or a plain URL; check the path")
+            kind = "a chained URL" if "::" in text else "a name with a NUL character"
+            raise StoreError(
+                f"{text!r:.200}: {kind}",
+                expected="a folder or a plain URL",
+                mend="check the path",
+                code="path-not-plain",
+            )
         try:
             fs, root = url_to_fs(text)
         except ImportError as error:
             raise MissingExtraError(
-                f"{text:.200} cannot be opened: {error}; install that package with python -m pip install"
+                f"{text:.200} cannot be opened: {error}",
+                mend="install that package with python -m pip install",
+                code="dependency-missing",
             ) from error
         except Exception as error:  # each file system of fsspec has its own
             raise StoreError(
-                f"{text:.200} cannot be opened: {error!s:.200}; expected a folder, or a URL that fsspec knows"
+                f"{text:.200} cannot be opened: {error!s:.200}",
+                expected="a folder, or a URL that fsspec knows",
+                code="url-unusable",
             ) from error
         if "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,)):
             folder = Path(root)
@@ -114,10 +127,12 @@ class Location:
             if self.local is not None:
                 mode = os.stat(key).st_mode
                 if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a pipe would wait for ever
-                    raise IncompleteStoreError(f"{key:.200} is no plain file")
+                    raise IncompleteStoreError(f"{key:.200} is no plain file", code="file-not-plain")
             size = os.path.getsize(key) if self.local is not None else self.fs.size(key)
             if limit is not None and size > limit:
-                raise IncompleteStoreError(f"{key} has {size} bytes, expected metadata of at most {limit}")
+                raise IncompleteStoreError(
+                    f"{key} has {size} bytes", expected=f"metadata of at most {limit}", code="file-too-large"
+                )
             if self.local is not None:
                 return Path(key).read_bytes()
             return bytes(self.fs.cat_file(key))
@@ -126,7 +141,9 @@ class Location:
         except OSError as error:
             if isinstance(error, StoreError):
                 raise
-            raise StoreError(f"{key:.200} cannot be read: {error.strerror or error}") from error
+            raise StoreError(
+                f"{key:.200} cannot be read: {error.strerror or error}", code="file-unreadable"
+            ) from error
 
     def read_json(self, *parts: str) -> dict[str, Any] | None:
         """Return a JSON object; None without such a file, IncompleteStoreError where it is damaged."""
@@ -134,13 +151,19 @@ class Location:
         if raw is None:
             return None
         if len(raw) > 2**20 and sum(map(raw.count, (b"{", b"[", b","))) > MAX_VALUES:
-            raise IncompleteStoreError(f"{self.key(*parts)} has more than {MAX_VALUES} values")
+            raise IncompleteStoreError(
+                f"{self.key(*parts)} has more than {MAX_VALUES} values", code="file-too-large"
+            )
         try:
             document = json.loads(raw)
         except (ValueError, RecursionError) as error:
-            raise IncompleteStoreError(f"{self.key(*parts)} is damaged: {error!s:.200}") from None
+            raise IncompleteStoreError(
+                f"{self.key(*parts)} is damaged: {error!s:.200}", code="metadata-damaged"
+            ) from None
         if not isinstance(document, dict):
-            raise IncompleteStoreError(f"{self.key(*parts)} is damaged: expected a JSON object")
+            raise IncompleteStoreError(
+                f"{self.key(*parts)} is damaged", expected="a JSON object", code="metadata-damaged"
+            )
         return document
 
     def metadata(self, path: str) -> dict[str, Any] | None:
@@ -149,7 +172,10 @@ class Location:
         if document is not None:
             document.pop("consolidated_metadata", None)
             if not isinstance(document.get("attributes", {}), dict):
-                raise IncompleteStoreError(f"{self.key(path, METADATA)} is damaged: attributes are no object")
+                raise IncompleteStoreError(
+                    f"{self.key(path, METADATA)} is damaged: attributes are no object",
+                    code="metadata-damaged",
+                )
         return document
 
     def kind(self, path: str) -> str:
@@ -176,7 +202,10 @@ class Location:
         path = self.local.joinpath(*(part for part in parts if part))
         for folder in path.parents[: len(path.relative_to(self.local).parts) - 1]:
             if folder.is_symlink():
-                raise StoreError(f"{folder} is a link; nothing is written through links inside a store")
+                raise StoreError(
+                    f"{folder} is a link; nothing is written through links inside a store",
+                    code="link-refused",
+                )
         fresh = not path.parent.exists()
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, [content], durable=True)
@@ -211,7 +240,9 @@ class Location:
                 if len(kinds) > MAX_NODES or path.count("/") > MAX_DEPTH:
                     raise StoreError(
                         f"{self.url}: more than {MAX_NODES} groups and arrays, or groups more than "
-                        f"{MAX_DEPTH} deep ({path:.80}); open a group by its own path"
+                        f"{MAX_DEPTH} deep ({path:.80})",
+                        mend="open a group by its own path",
+                        code="nodes-too-many",
                     )
         return kinds
 
@@ -233,7 +264,9 @@ class Location:
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as error:
-            raise StoreError(f"{self.key(group):.200} cannot be listed: {error.strerror or error}") from error
+            raise StoreError(
+                f"{self.key(group):.200} cannot be listed: {error.strerror or error}", code="file-unreadable"
+            ) from error
         # hidden and half-written files do not count
         return {
             name: folder

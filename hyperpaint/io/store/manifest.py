@@ -27,7 +27,7 @@ from shlex import join, split
 from typing import Any, NamedTuple
 
 from hyperpaint.base.constants import NUMERICS_VERSION
-from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problem, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
 from .budget import counted
@@ -152,6 +152,7 @@ class Manifest:
                 f"the manifest {where} is damaged ({error!s:.100})",
                 mend="write all groups of the store with overwrite=True",
                 option="run its command again with --overwrite; groups that are whole stay",
+                code="manifest-damaged",
             ) from None
 
     @classmethod
@@ -208,9 +209,14 @@ class Manifest:
 class StoreState:
     """How the groups of a store agree with its manifest."""
 
-    problems: tuple[str, ...] = ()
+    faults: tuple[Problem, ...] = ()
     notes: tuple[str, ...] = ()
-    resume: str = ""  # What finishes it on the command line, where that is known
+    resume: str = ""  # Command that finishes the store, where known
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """The faults, one line each."""
+        return tuple(map(str, self.faults))
 
 
 def store_state(location: Location, groups: Iterable[str] | None = None) -> StoreState:
@@ -219,11 +225,12 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
     try:
         manifest = Manifest.read(location)
     except IncompleteStoreError as error:
-        return StoreState((str(error),))
+        return StoreState((error.problem,))
     contents = functools.cache(lambda name: content_of(location, name, manifest))
     if manifest is None:
         return _state_without_manifest(location, {name: contents(name) for name in present})
-    problems, notes, resume = [], [], ""
+    faults: list[Problem] = []
+    notes, resume = [], ""
     # writes that were cut short
     for write in manifest.writes:
         if not (lacking := manifest.lacking(write, contents)):
@@ -236,7 +243,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         there = f"{len(write.contents) - len(lacking)} of {counted(len(write.contents), 'group')} are there"
         named = ", ".join(f"/{name}" for name in lacking[:5]) + (" ..." if len(lacking) > 5 else "")
         mend = f"to finish it: {resume}" if resume else "write it again as it was begun"
-        problems.append(f"unfinished: {there}, not yet: {named}; {mend}")
+        faults.append(Problem(f"unfinished: {there}, not yet: {named}", mend=mend, code="store-unfinished"))
     # groups that are not what was written
     mend = "write it again" + (", or run its command with --overwrite" if manifest.command else "")
     for name, entry in manifest.groups.items():
@@ -248,9 +255,11 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
                 for write in manifest.writes
             )
         ):
-            changed = "changed: its content differs from the manifest"
-            state = changed if location.has(name, METADATA) else "deleted"
-            problems.append(f"/{name}: {state}; {mend}")
+            if location.has(name, METADATA):
+                found, code = "changed: its content differs from the manifest", "group-changed"
+            else:
+                found, code = "deleted", "group-deleted"
+            faults.append(Problem(f"/{name}: {found}", mend=mend, code=code))
     notes += [
         f"/{name}: added by another program, not in the manifest"
         for name in present
@@ -261,16 +270,18 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         f"made by numerics {version}, this is {NUMERICS_VERSION}: --overwrite computes it again"
         for version in sorted(filter(None, versions))
     ]
-    return StoreState(_bounded(problems), tuple(notes), resume)
+    return StoreState(_bounded(faults), tuple(notes), resume)
 
 
 def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> StoreState:
     """Return what is known of a Zarr store without a manifest."""
     if any(content.startswith(f"/{name} ") for name, content in contents.items()):
-        return StoreState((
-            f"{location.url} has lost its manifest, the group {MANIFEST_NODE!r} of its root; write it again "
-            "by the command that made it, groups that are whole stay",
-        ))  # fmt: skip
+        lost = Problem(
+            f"{location.url} has lost its manifest, the group {MANIFEST_NODE!r} of its root",
+            mend="write it again by the command that made it; complete groups stay",
+            code="manifest-lost",
+        )
+        return StoreState((lost,))
     if any(contents.values()):
         note = "a part of a store of hyperpaint, without its manifest"
     elif any("hyperpaint_complete" in location.attributes(name) for name in contents):
@@ -284,23 +295,24 @@ def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> 
 
 def check_state(location: Location) -> None:
     """Refuse a store that is unfinished, or whose groups are not those of its manifest."""
-    problems = Problems(
-        f"{location.url} is not whole; hyperpaint.io.store.open_group(path, group) opens what is finished",
-        IncompleteStoreError,
-    )
-    for text in store_state(location).problems:
-        problems.add(text)
-    problems.raise_if_any()
+    if faults := store_state(location).faults:
+        raise IncompleteStoreError(
+            f"{location.url} is not whole; hyperpaint.io.store.open_group(path, group) opens finished groups",
+            problems=faults,
+        )
 
 
-def _bounded(problems: list[str]) -> tuple[str, ...]:
-    """Return problems so that a terminal shows them: names of groups may be anything."""
+def _bounded(faults: list[Problem]) -> tuple[Problem, ...]:
+    """Return at most `MAX_MESSAGES` faults in printable characters: group names may hold any character."""
     shown = [
-        "".join(sign if sign.isprintable() else "\ufffd" for sign in text[:MAX_MESSAGE_CHARS])
-        for text in problems[:MAX_MESSAGES]
+        replace(
+            fault,
+            found="".join(c if c.isprintable() else "\ufffd" for c in fault.found[:MAX_MESSAGE_CHARS]),
+        )
+        for fault in faults[:MAX_MESSAGES]
     ]
-    more = len(problems) - MAX_MESSAGES
-    return (*shown, *([f"{counted(more, 'more problem')}"] if more > 0 else []))
+    more = len(faults) - MAX_MESSAGES
+    return (*shown, *([Problem(counted(more, "more problem"))] if more > 0 else []))
 
 
 # --- what lies on the disk ---------------------------------------------------------------------------------
@@ -386,6 +398,7 @@ def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
         f"{name}: chunk grid missing or too large",
         expected=f"at most {MAX_CHUNKS} chunks",
         mend="write the group again",
+        code="metadata-damaged",
     )
 
 
@@ -413,7 +426,9 @@ def entry_of(location: Location, group: str) -> GroupEntry:
     attributes = own.get("attributes", {}) if entries else {}
     if attributes.get(SEAL, seal_of(entries)) != seal_of(entries):
         raise IncompleteStoreError(
-            f"the arrays of {location.group_url(group)} are not those that were written"
+            f"the arrays of {location.group_url(group)} are not those that were written",
+            mend="write the group again",
+            code="group-changed",
         )
     return GroupEntry(content_of(location, group), document_checksum(own), entries, attributes)
 
@@ -428,4 +443,6 @@ def _last_bytes(location: Location, *parts: str) -> bytes:
             file.seek(-4, 2)
             return file.read()
     except OSError as error:
-        raise IncompleteStoreError(f"the chunk {key} is missing or empty; write the group again") from error
+        raise IncompleteStoreError(
+            f"the chunk {key} is missing or empty", mend="write the group again", code="chunk-missing"
+        ) from error

@@ -84,9 +84,14 @@ class RawFile:
             try:
                 status = os.stat(_local_path(url))
             except OSError as error:
-                raise StoreError(f"{url}: {error.strerror}") from error
+                raise StoreError(f"{url}: {error.strerror}", code="file-unreadable") from error
             if not stat.S_ISREG(status.st_mode):
-                raise StoreError(f"{url} is no plain file")
+                raise StoreError(
+                    f"{url} is no plain file",
+                    expected="a raw file",
+                    mend="check the path",
+                    code="file-not-plain",
+                )
             return cls(url, status.st_size, status.st_mtime_ns)
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
@@ -96,7 +101,11 @@ class RawFile:
             etag = info.get("ETag")
             return cls(url, int(info["size"]), etag=None if etag is None else str(etag).strip('"'))
         except Exception as error:  # each file system of fsspec has its own
-            raise StoreError(f"{url}: {type(error).__name__}: {error!s:.200}") from error
+            raise StoreError(
+                f"{url}: {type(error).__name__}: {error!s:.200}",
+                mend="check the URL and the credentials of the environment",
+                code="file-unreadable",
+            ) from error
 
     def difference(self) -> str:
         """Return in words how the file of today differs from this one; empty where it does not."""
@@ -181,7 +190,12 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
             slabs.append(icechunk.VirtualChunkSpec([number, 0, 0], url, offset, size, raw.etag, changed))
         # references that it does not take would be read as missing
         if session.store.set_virtual_refs(f"/{name}/{cube.name}", slabs):
-            raise StoreError(f"icechunk does not reach {cube.files[0].url}")
+            raise StoreError(
+                f"icechunk does not reach {cube.files[0].url}",
+                expected="raw files below a folder or URL that icechunk reads",
+                mend="copy the raw files to a local disk",
+                code="file-unreadable",
+            )
         for number, block in cube.copies.items():
             array[number * cube.lines : number * cube.lines + len(block)] = block
     session.commit("references to raw cubes")
@@ -205,6 +219,7 @@ def check_url(url: str) -> None:
         raise StoreError(
             f"icechunk reads no raw files from {url!r:.200}",
             expected="a local path, or a URL with s3, or http or https without a port",
+            code="url-unusable",
         )
 
 
@@ -282,6 +297,7 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
             expected="a repository of icechunk, a folder",
             mend="convert references that you trust with tools that you trust, such as virtualizarr, or "
             "write a repository with `hyperpaint virtual COLLECT.toml --out lot.icechunk`",
+            code="kerchunk-refused",
         )
 
 
@@ -295,7 +311,10 @@ def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
     except Exception as error:  # each library has its own; icechunk names the cause in the last line
         cause = str(error).rstrip("\n |`->").rpartition("\n")[2].strip(" |`->")
         raise IncompleteStoreError(
-            f"{os.fspath(path)} is no whole virtual store: {type(error).__name__}: {cause:.300}", mend=_AGAIN
+            f"{os.fspath(path)} is damaged: {type(error).__name__}: {cause:.300}",
+            expected="a virtual store",
+            mend=_AGAIN,
+            code="store-damaged",
         ) from error
 
 
@@ -303,10 +322,19 @@ def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[An
     """Return a repository and a session that reads it; it may read raw files in the folders of ``urls``."""
     refuse_kerchunk(path)
     if not is_virtual(path):
-        raise StoreError(f"{os.fspath(path)} is no virtual store", expected="one of `hyperpaint virtual`")
+        raise StoreError(
+            f"{os.fspath(path)} is no virtual store",
+            expected="one of `hyperpaint virtual`",
+            code="store-unreadable",
+        )
     for entry in Path(path).rglob("*"):
         if entry.is_symlink():
-            raise StoreError(f"{os.fspath(entry)!r} is a link, which no repository holds")
+            raise StoreError(
+                f"{os.fspath(entry)!r} is a link",
+                expected="plain files and folders",
+                mend=_AGAIN,
+                code="link-refused",
+            )
     icechunk = _icechunk()
     config = _own_config(urls)
     access = {
@@ -336,17 +364,28 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
                 f"{os.fspath(path)} does not name its raw files",
                 expected="a store of `hyperpaint virtual`",
                 mend="open others with icechunk and xarray.open_zarr",
+                code="raw-files-unnamed",
             )
         groups: dict[str, Any] = json.loads(text)
         for name, about in groups.items():
             if not name or clean_group(name) != name or not name.isprintable():
-                raise StoreError(f"{os.fspath(path)} names a group {name!r:.200}")
+                raise StoreError(
+                    f"{os.fspath(path)} names a group {name!r:.200}",
+                    expected="a path such as 'flightlines/raw_0'",
+                    mend=_AGAIN,
+                    code="group-name",
+                )
             about[RAW_FILES] = [RawFile(**row) for row in about[RAW_FILES]]
             for raw in about[RAW_FILES]:
                 check_url(raw.url)
                 numbers = isinstance(raw.size, int) and isinstance(raw.changed_ns, int | None)
                 if not (numbers and isinstance(raw.etag, str | None)):
-                    raise StoreError(f"{os.fspath(path)} describes a raw file by {raw!r:.200}")
+                    raise StoreError(
+                        f"{os.fspath(path)} describes a raw file by {raw!r:.200}",
+                        expected="size and time as whole numbers, the etag as text",
+                        mend=_AGAIN,
+                        code="type-wrong",
+                    )
     return groups
 
 
@@ -391,8 +430,10 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
     from zarr.abc.store import RangeByteRequest, SuffixByteRequest
     from zarr.core.buffer import default_buffer_prototype
 
-    def error(fault: str) -> IncompleteStoreError:
-        return IncompleteStoreError(f"{place}: /{name} {fault}", mend=_AGAIN)
+    def error(fault: str, expected: str = "") -> IncompleteStoreError:
+        return IncompleteStoreError(
+            f"{place}: /{name} {fault}", expected=expected, mend=_AGAIN, code="reference-wrong"
+        )
 
     # icechunk lists the references of all groups: those of this one are left when the others are deleted,
     # which happens in memory and is never committed
@@ -404,14 +445,14 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
         above += f"{part}/"
     foreign = {unquote(url) for url in own.all_virtual_chunk_locations()} - set(urls)
     if foreign:
-        raise error(f"refers to {min(foreign)!r:.200}, which the record does not name")
+        raise error(f"refers to {min(foreign)!r:.200}", "a raw file that the root names")
     limit = asyncio.Semaphore(_MAX_READS)
 
     async def check(key: str, size: int | None) -> None:
         async with limit:
             length = await session.store.getsize(key)
             if size is not None and length != size:
-                raise error(f"has {length} bytes in {key}, expected {size}")
+                raise error(f"has {length} bytes in {key}", str(size))
             some = min(2, length)
             for part in (RangeByteRequest(0, some), SuffixByteRequest(some)) if some else ():
                 content = await session.store.get(key, default_buffer_prototype(), part)
@@ -429,7 +470,7 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
             size = math.prod(array.chunks) * array.dtype.itemsize
             codecs = [type(codec).__name__ for codec in array.metadata.codecs]
             if codecs != ["BytesCodec"] or len(places) != math.prod(array.cdata_shape):
-                raise error(f"has other chunks of {array.basename} than `hyperpaint virtual` writes")
+                raise error(f"has chunks of {array.basename} that `hyperpaint virtual` does not write")
         keys = [f"{path}/{array.metadata.encode_chunk_key(at)}" for at in places]
         await asyncio.gather(*(check(key, size) for key in keys))
 
@@ -492,7 +533,11 @@ def open_virtual(
     if not name and len(groups) == 1:
         (name,) = groups
     if name not in groups:
-        raise StoreError(f"group {name!r} of {os.fspath(path)}", expected=f"one of {', '.join(groups)}")
+        raise StoreError(
+            f"group {name!r} of {os.fspath(path)}",
+            expected=f"one of {', '.join(groups)}",
+            code="group-unknown",
+        )
     # raw files: all are allowed, and are the files that the record describes
     refused, needed = outside(path, groups, allow)
     if refused:
@@ -503,11 +548,12 @@ def open_virtual(
             expected=f"files below {os.path.dirname(os.path.realpath(path))}",
             mend=f"pass allow={shown!r} if these are your raw files",
             option=f"pass {options} if these are your raw files",
+            code="raw-file-not-allowed",
         )
     problems = Problems(f"{os.fspath(path)} refers to raw files that are not what they were", StoreError)
     for raw in groups[name][RAW_FILES]:
         if difference := raw.difference():
-            problems.add(difference, mend=_AGAIN)
+            problems.add(difference, mend=_AGAIN, code="raw-file-changed")
     problems.raise_if_any()
     urls = [raw.url for raw in groups[name][RAW_FILES]]
     # references: each lies in one of these files

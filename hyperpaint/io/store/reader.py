@@ -93,13 +93,18 @@ def list_groups(path: Any) -> list[str]:
             raise StoreError(
                 f"{path} is not a Zarr store ({type(error).__name__}: {error!s:.200})",
                 expected="a folder, zip file or URL with a zarr.json or .zgroup",
+                code="store-unreadable",
             ) from error
         groups = [joined(name, key) for key, node in members.items() if isinstance(node, zarr.Group)]
         found += [name] if len(groups) < len(members) else []
         pending += groups
         nodes += len(members)
         if nodes > MAX_NODES or name.count("/") >= MAX_DEPTH:
-            raise StoreError(f"{path}: more than {MAX_NODES} nodes, or groups more than {MAX_DEPTH} deep")
+            raise StoreError(
+                f"{path}: more than {MAX_NODES} nodes, or groups more than {MAX_DEPTH} deep",
+                mend="open a group by its own path",
+                code="nodes-too-many",
+            )
     return sorted(found)
 
 
@@ -188,13 +193,16 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         recorded = manifest.groups.items() if manifest is not None else ()
         groups = sorted({*groups, *(name for name, entry in recorded if entry.arrays)})
     if groups and "" not in groups:
-        problems = Problems(f"{path} cannot be opened whole", IncompleteStoreError)
+        problems = Problems(
+            f"{path} cannot be opened whole; open_store(path, group) opens the other groups",
+            IncompleteStoreError,
+        )
         opened = {}
         for name in groups:
             try:
                 opened[name] = open_group(path, name, **kwargs)
             except IncompleteStoreError as error:
-                problems.add(str(error), mend="open the others by open_store(path, group)")
+                problems.add_error(f"group {'/' + name!r}", error)
         problems.raise_if_any()
         return xr.DataTree.from_dict(opened)
     name = clean_group(group)
@@ -248,27 +256,31 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
     content, entry = content_of(location, group, manifest), manifest.groups.get(group)
     if content not in manifest.allowed(group):
         state = "is not what the manifest names" if location.has(group, METADATA) else "was deleted"
-        raise IncompleteStoreError(f"{where} {state}", mend=mend)
+        raise IncompleteStoreError(f"{where} {state}", mend=mend, code="group-changed")
     if entry is None or content != entry.content:
         entry_of(location, group)  # of a writer who has not come to its entry: its chunks are there
         return
     problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
     if attributes_replaced(location, group, entry):
         text = f"{where}: another program replaced its attributes; those of the manifest are taken"
-        warnings.warn(text, PaintWarning, stacklevel=4)
+        warnings.warn(PaintWarning(text, code="attributes-replaced"), stacklevel=4)
     elif others := changed_attributes(location, group, entry):
-        problems.add(f"attributes differ from the manifest: {', '.join(others)}")
+        problems.add(f"attributes differ from the manifest: {', '.join(others)}", code="attributes-changed")
     files = location.files(group)
     for name, array in entry.arrays.items():
         document = location.metadata(joined(group, name))
         if document is None or document_checksum(document) != array.metadata:
             problems.add(
-                f"{name}: metadata {'are missing' if document is None else 'differ from the manifest'}"
+                f"{name}: metadata {'are missing' if document is None else 'differ from the manifest'}",
+                code="metadata-changed",
             )
             continue
         missing = [key for key in chunk_keys(document, name) if joined(name, key) not in files]
         if missing and METADATA in files:  # not all servers list what they have
-            problems.add(f"{name}: {len(missing)} of {array.chunks} chunks are missing, first {missing[0]}")
+            problems.add(
+                f"{name}: {len(missing)} of {array.chunks} chunks are missing, first {missing[0]}",
+                code="chunk-missing",
+            )
     problems.raise_if_any()
 
 
@@ -317,10 +329,12 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
                 text = f"groups found: {', '.join('/' + each for each in list_groups(path)) or 'none'}"
             except StoreError as other:
                 text = str(other)
-            raise StoreError(f"there is no group {'/' + name!r} of {path}; {text}") from error
+            raise StoreError(
+                f"there is no group {'/' + name!r} of {path}; {text}", code="group-unknown"
+            ) from error
         except Exception as error:  # zarr, file systems and xarray's decoding each have their own
             text = f"{type(error).__name__}: {error!s:.200}"
-            raise StoreError(f"{path}/{name} cannot be opened: {text}") from error
+            raise StoreError(f"{path}/{name} cannot be opened: {text}", code="store-unreadable") from error
     if COARSE in opened.variables:
         stamp_means(opened[COARSE], opened)
     if isinstance(path, str | os.PathLike):
@@ -330,7 +344,7 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
     return opened
 
 
-def load_unverified(path: Any, group: str | None = None) -> xr.Dataset:
+def load_group(path: Any, group: str | None = None) -> xr.Dataset:
     """Load a small group whole; one in a manifest must be as it was written.
 
     Raises
@@ -343,14 +357,20 @@ def load_unverified(path: Any, group: str | None = None) -> xr.Dataset:
     if isinstance(path, str | os.PathLike) and os.path.exists(path):
         files = [file.stat() for file in (Path(path), *Path(path, clean_group(group)).rglob("*"))]
         if not all(stat.S_ISREG(file.st_mode) or stat.S_ISDIR(file.st_mode) for file in files):
-            raise StoreError(f"{path} has a pipe or device in it", expected="plain files")
+            raise StoreError(
+                f"{path} has a pipe or device in it", expected="plain files", code="file-not-plain"
+            )
         limit = min(limit, max(SMALL_BYTES, MAX_RATIO * sum(file.st_size for file in files)))
     if opened.nbytes > limit:
-        raise StoreError(f"{path} declares {opened.nbytes} bytes", expected=f"at most {limit}")
+        raise StoreError(
+            f"{path} declares {opened.nbytes} bytes", expected=f"at most {limit}", code="file-too-large"
+        )
     try:
         opened.load()
     except Exception as error:  # each codec has its own
-        raise StoreError(f"{path} cannot be read: {type(error).__name__}: {error!s:.200}") from error
+        raise StoreError(
+            f"{path} cannot be read: {type(error).__name__}: {error!s:.200}", code="store-unreadable"
+        ) from error
     return opened
 
 
@@ -422,6 +442,7 @@ def check_metadata(location: Location | None, group: str) -> None:
             raise StoreError(
                 f"{location.url}: metadata of {total} bytes or more, up to {name!r:.80}",
                 expected=f"at most {2 * MAX_METADATA_BYTES} bytes, {MAX_VALUES} values, {MAX_NODES} arrays",
+                code="file-too-large",
             )
 
 
@@ -434,14 +455,20 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
             if not os.path.lexists(location.key(key)):
                 continue
             if not os.path.isfile(location.key(key)):
-                raise StoreError(f"{location.key(key)} is no plain file", expected="metadata")
+                raise StoreError(
+                    f"{location.key(key)} is no plain file", expected="metadata", code="file-not-plain"
+                )
             yield key, os.path.getsize(location.key(key))
     elif hasattr(location.fs, "zip"):
         for entry in location.fs.zip.infolist():
             if entry.filename.endswith(METADATA_FILES):
                 yield entry.filename, entry.file_size
             elif entry.file_size > MAX_CHUNK_BYTES:
-                raise StoreError(f"{location.url}: {entry.filename:.80} has {entry.file_size} bytes")
+                raise StoreError(
+                    f"{location.url}: {entry.filename:.80} has {entry.file_size} bytes",
+                    expected=f"at most {MAX_CHUNK_BYTES}",
+                    code="file-too-large",
+                )
     else:
         for key in (joined(group, file) for file in METADATA_FILES):
             if location.has(key):
@@ -464,24 +491,39 @@ def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
         # codecs: of format 3 in a list, of format 2 a compressor and filters
         named = repr([getattr(metadata, key, None) for key in ("codecs", "compressor", "filters")])
         if bad := [word for word in CODE_CODECS if word in named.lower()]:
-            problems.add(f"{name}: codec {bad[0]!r}, which runs code that the file brings along")
+            problems.add(
+                f"{name}: codec {bad[0]!r}, which runs code that the file brings along",
+                code="codec-runs-code",
+            )
         dtype = np.dtype(array.dtype)
         is_text = dtype.kind in "OT"
         if is_text and not any(word in str(type(metadata.dtype)) for word in ("VariableLength", "String")):
-            problems.add(f"{name}: data type {metadata.dtype!s:.80}", expected="numbers, times or text")
+            problems.add(
+                f"{name}: data type {metadata.dtype!s:.80}",
+                expected="numbers, times or text",
+                code="type-wrong",
+            )
         # sizes; of shards those of the inner chunks, which are read one by one
         item = TEXT_BYTES if is_text else dtype.itemsize
         limit = MAX_INDEX_BYTES if is_text or "since" in str(array.attrs.get("units")) else MAX_CHUNK_BYTES
         if math.prod(array.chunks) * item > limit:
-            problems.add(f"{name}: chunks of {array.chunks} {dtype}", expected=f"at most {limit} bytes")
+            problems.add(
+                f"{name}: chunks of {array.chunks} {dtype}",
+                expected=f"at most {limit} bytes",
+                code="size-too-large",
+            )
         sizes = zip(array.shape, array.chunks, strict=True)
         chunks += math.prod(-(-size // max(step, 1)) for size, step in sizes)
         if array.ndim > 32:
-            problems.add(f"{name}: {array.ndim} dims", expected="at most 32")
+            problems.add(f"{name}: {array.ndim} dims", expected="at most 32", code="size-too-large")
         if array.ndim == 1:
             index_bytes = max(index_bytes, array.shape[0] * max(item, 8))
     if chunks > MAX_CHUNKS:
-        problems.add(f"{chunks} chunks", expected=f"at most {MAX_CHUNKS}")
+        problems.add(f"{chunks} chunks", expected=f"at most {MAX_CHUNKS}", code="size-too-large")
     if index_bytes > MAX_INDEX_BYTES:
-        problems.add(f"{index_bytes} bytes of an array with one dim", expected=f"at most {MAX_INDEX_BYTES}")
+        problems.add(
+            f"{index_bytes} bytes of an array with one dim",
+            expected=f"at most {MAX_INDEX_BYTES}",
+            code="size-too-large",
+        )
     problems.raise_if_any()

@@ -158,7 +158,11 @@ class Staging:
         entries = []
         for path in (self.folder, *paths):
             if path.is_symlink():
-                raise StoreError(f"{path} is a link, which no writer left there; look at it, then remove it")
+                raise StoreError(
+                    f"{path} is a link, which no writer left there",
+                    mend="look at it, then remove it",
+                    code="link-refused",
+                )
             match = _NAMES.fullmatch(path.name)
             if match is None:
                 continue
@@ -169,7 +173,9 @@ class Staging:
                 good = good or (clean_group(group) == group and _quoted(group) == name)
             if not good:
                 raise StoreError(
-                    f"{path} names no group, and no writer left it there; look at it, then remove it"
+                    f"{path} names no group, and no writer left it there",
+                    mend="look at it, then remove it",
+                    code="staging-foreign",
                 )
             entries.append(_Entry(path, path.name.partition("-")[0], group, match["content"] or ""))
         return entries
@@ -183,7 +189,9 @@ class Staging:
         for part in group.split("/") if group else ():
             place = place / part
             if place.is_symlink():
-                raise StoreError(f"{place} is a link; a store holds plain files and folders")
+                raise StoreError(
+                    f"{place} is a link", expected="plain files and folders in a store", code="link-refused"
+                )
         return place
 
 
@@ -248,6 +256,7 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
         raise StoreError(
             f"{store} is being written by process {process[:80]} on {host[:80]} since {since}",
             mend=f"wait for it to finish, or delete {lock} once you know that it has died",
+            code="store-locked",
         )
     mark = lock.with_name(_MARK)
     try:
@@ -272,7 +281,11 @@ def _check_folder(lock: Path, store: Path) -> None:
     """
     folder = lock.parent
     if folder.is_symlink():
-        raise StoreError(f"{folder} is a link, which no writer left there; look at it, then remove it")
+        raise StoreError(
+            f"{folder} is a link, which no writer left there",
+            mend="look at it, then remove it",
+            code="link-refused",
+        )
     try:
         there = {path.name: path.lstat() for path in folder.iterdir()}
     except (FileNotFoundError, NotADirectoryError):  # the writer before us removes it
@@ -285,12 +298,14 @@ def _check_folder(lock: Path, store: Path) -> None:
             f"{lock} is a link, a folder, a pipe or a file of {status.st_size} bytes",
             expected="the file that a writer leaves there",
             mend=f"delete it once no process writes {store}",
+            code="lock-foreign",
         )
     if there and text != _MARK_TEXT and (text != b"" or len(there) > 1):
         named = ", ".join(sorted(there)[:3]) + (" ..." if len(there) > 3 else "")
         raise StoreError(
             f"{folder} is not of hyperpaint, which builds there: it holds {named}",
             mend="move it away, or choose another path for the store; nothing in it was touched",
+            code="staging-foreign",
         )
     if status is not None and not status.st_size and time.time() - status.st_mtime > _EMPTY_AGE_S:
         lock.unlink(missing_ok=True)

@@ -117,6 +117,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
         raise StoreError(
             f"{location.url} is an icechunk repository, whose snapshots icechunk checks",
             expected="a Zarr store",
+            code="store-unreadable",
         )
     begin = _stamp(location)
     if is_format_3(location):
@@ -134,7 +135,11 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
         manifest = Manifest.read(location) or Manifest()
     except StoreError:
         manifest = Manifest()  # its state says so
-    problems += [f"/{name}: its metadata cannot be read" for name in nodes if nodes[name] == "unreadable"]
+    problems += [
+        f"/{name}: its metadata cannot be read [metadata-damaged]"
+        for name in nodes
+        if nodes[name] == "unreadable"
+    ]
     problems += _metadata_problems(location, "", manifest.groups.get(""))
     if manifest.groups:
         problems += _listing_problems(location, nodes, manifest)
@@ -174,7 +179,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             except StoreError as error:
                 problems.append(f"/{where}: {error!s:.400}")
     if _stamp(location) != begin:
-        problems.insert(0, "/: was written to meanwhile; run verify again")
+        problems.insert(0, "/: was written to meanwhile; run verify again [store-locked]")
     return StoreReport(
         location.url,
         tuple(groups),
@@ -201,10 +206,11 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
         return  # that the root's metadata are damaged has been said
     head = root.get("consolidated_metadata")
     if not isinstance(head, dict) or not head.items() >= LISTED.items():
-        yield "/: the root has no list of all metadata; run the writer again"
+        yield "/: the root has no list of all metadata; run the writer again [listing-missing]"
         return
     gone = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
-    yield from (f"/{name[:200]}: listed in the root's metadata but not there" for name in gone[:MAX_MESSAGES])
+    for name in gone[:MAX_MESSAGES]:
+        yield f"/{name[:200]}: listed in the root's metadata but missing [listing-wrong]"
     wanted = {}
     for group, entry in manifest.groups.items():
         # a writer that was killed has put another group in the place of this entry's
@@ -217,7 +223,7 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
         plain = dict(document) if isinstance(document, dict) else {}
         below = plain.pop("consolidated_metadata", {**LISTED, "metadata": {}})
         if document_checksum(plain) != wanted[name] or below != {**LISTED, "metadata": {}}:
-            yield f"/{name}: metadata in the root's list of all metadata differ; run the writer again"
+            yield f"/{name}: the root's list of all metadata differs; run the writer again [listing-wrong]"
 
 
 def _metadata_problems(location: Location, group: str, entry: GroupEntry | None) -> Iterator[str]:
@@ -225,10 +231,11 @@ def _metadata_problems(location: Location, group: str, entry: GroupEntry | None)
     try:
         document = location.metadata(group)
         if entry is not None and document is None and not entry.content:  # of others the state tells
-            yield f"/{group}: its metadata are missing"
+            yield f"/{group}: its metadata are missing [metadata-missing]"
         changed = [] if entry is None or document is None else changed_attributes(location, group, entry)
         if changed:
-            yield f"/{group}: attributes are not those that were written: {', '.join(changed)[:200]}"
+            named = ", ".join(changed)[:200]
+            yield f"/{group}: attributes differ from those written: {named} [attributes-changed]"
     except StoreError as error:
         yield f"/{group}: {error!s:.200}"
 
@@ -238,25 +245,27 @@ def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> t
     where = joined(group, name)
     document = location.metadata(where)
     if document is None or document_checksum(document) != array.metadata:
-        state = "the array is missing" if document is None else "metadata are not those that were written"
+        state = "metadata differ from those written [metadata-changed]"
+        if document is None:
+            state = "the array is missing [array-missing]"
         return 0, [f"/{where}: {state}"]
     keys = chunk_keys(document, where)
     problems = [
-        f"/{where}/{stray}: not a chunk of this array"
+        f"/{where}/{stray}: not a chunk of this array [chunk-foreign]"
         for stray in sorted(location.files(where) - {*keys, METADATA, OLD_RECORD})[:MAX_MESSAGES]
     ]
 
     def end(key: str) -> bytes | str:
         encoded = location.read(where, key, limit=MAX_CHUNK_BYTES)
         if encoded is None:
-            return "the chunk is missing"
-        return "the chunk is damaged" if whole_chunk(encoded) is None else encoded[-4:]
+            return "the chunk is missing [chunk-missing]"
+        return "the chunk is damaged [chunk-damaged]" if whole_chunk(encoded) is None else encoded[-4:]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         ends = dict(zip(keys, pool.map(end, keys), strict=True))
     wrong = [f"/{where}/{key}: {state}" for key, state in ends.items() if isinstance(state, str)]
     if not wrong and chunk_digest(group, name, ends.items()) != array.digest:  # type: ignore[arg-type]
-        wrong = [f"/{where}: chunks are not those that were written: exchanged, stale or altered"]
+        wrong = [f"/{where}: chunks differ from those written: exchanged, stale or altered [chunk-changed]"]
     return len(keys), problems + wrong
 
 
@@ -268,7 +277,7 @@ def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, lis
     try:
         array: Any = zarr.open_array(source, path=where, mode="r")
     except Exception as error:  # zarr's own checks have classes of their own
-        return 0, [f"/{where}: {type(error).__name__}: {error!s:.200}"]
+        return 0, [f"/{where}: {type(error).__name__}: {error!s:.200} [array-unreadable]"]
     check_arrays(location.url, {where: array})
 
     def state(index: tuple[int, ...]) -> str:
@@ -276,7 +285,8 @@ def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, lis
         try:
             np.asarray(array[place])
         except Exception as error:  # a damaged chunk may raise anything that a codec raises
-            return f"/{where}: chunk {index} cannot be read: {type(error).__name__}: {error!s:.200}"
+            cause = f"{type(error).__name__}: {error!s:.200}"
+            return f"/{where}: chunk {index} cannot be read: {cause} [chunk-damaged]"
         return ""
 
     positions = list(

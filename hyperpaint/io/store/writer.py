@@ -26,6 +26,7 @@ from .budget import check_memory, limited_threads, thread_space
 from .disk import check_disk, disk_needed, errors_of_the_system, flush_group
 from .groups import (
     VOLATILE_ATTRS,
+    check_above,
     ensure_groups,
     group_document,
     groups_above,
@@ -33,7 +34,6 @@ from .groups import (
     is_named_by_content,
     listed_documents,
     occupant,
-    problems_above,
     reads_from,
     set_attributes,
     stamped,
@@ -370,7 +370,11 @@ class _StoreWriter:
             check_state(location)
         if lacking:
             gone = sorted(set(self._write.contents) - set(there))
-            raise IncompleteStoreError(f"{location.url}: somebody removed /{gone[0]} while it was written")
+            raise IncompleteStoreError(
+                f"{location.url}: somebody removed /{gone[0]} while it was written",
+                mend="run the writer again",
+                code="group-removed",
+            )
 
 
 @contextlib.contextmanager
@@ -635,9 +639,14 @@ def _write_to_store_object(
     problems = Problems(f"cannot write {store}", StoreError)
     for job in jobs:
         if names := reads_from(job.dataset, store, job.group):
-            problems.add(f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read")
+            problems.add(
+                f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
+                code="source-overwritten",
+            )
         if not job.group and held and overwrite:
-            problems.add(f"its root holds groups, which would be lost: {', '.join(held[:5])}")
+            problems.add(
+                f"its root holds groups, which would be lost: {', '.join(held[:5])}", code="group-occupied"
+            )
     problems.raise_if_any()
     try:
         for group, wanted in attrs.items():
@@ -648,11 +657,14 @@ def _write_to_store_object(
             options: Any = {"consolidated": False, "mode": "w" if overwrite else "w-"}
             dataset.to_zarr(store, group=job.group or None, encoding=encoding, zarr_format=3, **options)
     except FileExistsError as error:  # zarr's ContainsGroupError is one
-        raise StoreError(f"{store}: {error}", mend="pass overwrite=True to replace it") from error
+        raise StoreError(
+            f"{store}: {error}", mend="pass overwrite=True to replace it", code="store-exists"
+        ) from error
     except Exception as error:  # zarr and each kind of store have their own
         raise StoreError(
             f"{store} cannot be written: {type(error).__name__}: {error!s:.200}",
             expected="a folder, a URL, or a writable store object of zarr, as icechunk's session.store",
+            code="store-unwritable",
         ) from error
 
 
@@ -695,7 +707,7 @@ def _plan(
 def check_codec(codec: str) -> None:
     """Refuse a word that is no codec (`SchemaError`)."""
     if codec not in get_args(layout.Codec):
-        raise SchemaError(f"codec={codec!r}, expected 'compact' or 'fast'")
+        raise SchemaError(f"codec={codec!r}", expected="'compact' or 'fast'", code="choice-unknown")
 
 
 def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr.Dataset:
@@ -743,8 +755,9 @@ def _refuse_own_source(jobs: list[Job], location: Location) -> None:
             if names := reads_from(job.dataset, location, other.group):
                 problems.add(
                     f"group {'/' + other.group!r} would be overwritten while {', '.join(names)} "
-                    f"{'is' if len(names) == 1 else 'are'} read from it; "
-                    "write to another group or path, or .load() the dataset first"
+                    f"{'is' if len(names) == 1 else 'are'} read from it",
+                    mend="write to another group or path, or .load() the dataset first",
+                    code="source-overwritten",
                 )
     problems.raise_if_any()
 
@@ -758,8 +771,7 @@ def pending_groups(
     """
     problems = Problems(f"cannot write {location.url}", StoreError)
     above = dict.fromkeys(each for name in (*contents, *around) for each in groups_above(name))
-    for text in problems_above(above, location, overwrite=overwrite):
-        problems.add(text)
+    check_above(above, location, problems, overwrite=overwrite)
     manifest = None
     try:
         manifest = Manifest.read(location)
@@ -768,25 +780,36 @@ def pending_groups(
             problems.add_error(location.url, error)
     pending = []
     there = location.has("")
-    lost = store_state(location).problems if manifest is None and there and not len(problems) else ()
+    lost = store_state(location).faults if manifest is None and there and not len(problems) else ()
     if lost and not overwrite:
-        problems.add(lost[0], mend="pass overwrite=True to make it again", option="pass --overwrite")
+        problems.add(
+            lost[0].found,
+            mend="pass overwrite=True to make it again",
+            option="pass --overwrite",
+            code=lost[0].code,
+        )
     for group, content in contents.items():
         state = occupant(group, content, location, manifest) if there else ""
         if state == "same":
             continue
         if state == "parent":
             problems.add(
-                f"group {'/' + group!r} holds other groups, or files and folders that are none of its "
-                "arrays, which would be lost; choose another group, or move them away first"
+                f"group {'/' + group!r} holds other groups, files or folders, which would be lost",
+                mend="choose another group, or move them away first",
+                code="group-occupied",
             )
         elif state == "array":
-            problems.add(f"{'/' + group!r} or a group above it is an array; choose another group")
+            problems.add(
+                f"{'/' + group!r} or a group above it is an array",
+                mend="choose another group",
+                code="group-occupied",
+            )
         elif state not in ("", "lacks chunks") and not overwrite:
             problems.add(
                 f"group {'/' + group!r} exists, {state}",
                 mend="pass overwrite=True to replace it",
                 option="pass --overwrite to replace it",
+                code="store-exists",
             )
         pending.append(group)
     problems.raise_if_any()
