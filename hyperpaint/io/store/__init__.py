@@ -1,8 +1,7 @@
-"""Zarr stores: written whole or not at all, readable with plain `xarray.open_zarr`.
+"""Zarr stores: written completely or not at all, readable with plain `xarray.open_zarr`.
 
 In: datasets and trees of them (`to_store`), or a store's path. Out: a store with a checksum for every chunk,
-its groups opened lazily and checked as they are read, a report of `verify`. Called by io, workflows and the
-user.
+groups opened lazily and checked as they are read, a report of `verify`. Called by io, workflows and the user.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The memory plan of a run, made before it starts.
 
 A model gives the memory: a fixed share, the calibration and matched spectra that every task reads, and for
-every thread the slabs of lines that it holds; `MARGIN` comes on top. The figures of merit (docs) compare the
+every thread its slabs of lines; `MARGIN` is added. The figures of merit (docs) compare the
 model with measured peaks.
 
 A limit of the address space (``ulimit -v``, some batch systems) counts more than resident memory: stacks, and
@@ -91,7 +91,6 @@ class Load:
 
     @classmethod
     def of(cls, line: xr.Dataset) -> Load:
-        """Return the load of a flight line as `open_flightline` returns it."""
         import numpy as np
 
         cube = next(line[name] for name in ("counts", "radiance", "reflectance") if name in line)
@@ -116,12 +115,12 @@ class Load:
 
     @property
     def a_thread(self) -> int:
-        """Memory of a thread that reads slabs of the lines of a storage chunk [byte]."""
+        """Memory of a thread with slabs as high as a storage chunk [byte]."""
         slab = min(CHUNK_LINES, self.lines) * (self.scan_line + self.light)
         return SLABS_IN_HAND * slab + self.encoded // 2
 
     def peak(self, *, lines: int, threads: int, fixed: int) -> int:
-        """Return the modelled peak [byte] at ``lines`` a task; ``fixed`` is there without any slab."""
+        """Return the modelled peak [byte] at ``lines`` a task; ``fixed``: memory without any slab."""
         slabs = math.ceil(self.lines / lines)
         slab = min(lines, self.lines) * (self.scan_line + self.light)
         a_thread = min(SLABS_IN_HAND, slabs) * slab + self.encoded
@@ -130,7 +129,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Demand:
-    """How a run is done so that it stays within its memory."""
+    """Lines a task and threads with which a run stays within its memory."""
 
     lines: int  # Scan lines a task
     threads: int  # Threads at once, in one process
@@ -194,9 +193,9 @@ _LIMIT: ContextVar[int | None] = ContextVar("memory_limit", default=None)
 
 @contextlib.contextmanager
 def memory_limit(size: str | int | None) -> Iterator[None]:
-    """Let nothing in this process plan with more memory than that; None leaves 80 % of the available.
+    """Limit the memory that this process plans with; None restores 80 % of the available memory.
 
-    Raises `SchemaError`: this is no size.
+    Raises `SchemaError`: not a size.
     """
     share_one_heap()
     token = _LIMIT.set(None if size is None else parse_size(size))
@@ -208,12 +207,12 @@ def memory_limit(size: str | int | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0) -> Iterator[None]:
-    """Compute on as many threads as stay within the memory that may be taken; all of a cluster's.
+    """Limit the number of threads to the memory limit; on a cluster, change nothing.
 
     ``a_thread``: memory of a thread; ``fixed``: memory without any thread; ``least``: memory needed at
     another time, whatever the threads; all in bytes.
 
-    Raises `StoreError`: not even one thread stays within; the figures are given.
+    Raises `StoreError`: not even one thread stays within the limit.
     """
     from dask.base import get_scheduler
 
@@ -269,10 +268,10 @@ def parse_size(size: str | int) -> int:
 
 
 def available_memory(system: Path = Path("/")) -> int:
-    """Return the memory that can still be taken [byte]; ``system`` is where ``proc`` and ``sys`` are.
+    """Return the memory that can still be allocated [byte]; ``system``: root of ``proc`` and ``sys``.
 
-    The machine, its container and the limit of the address space of this process each leave some: this is
-    the least. The reserve of helper threads is taken off the address space first.
+    The least of the memory left by the machine, its container and the address space limit of this process.
+    The reserve of helper threads is subtracted from the address space first.
     """
     space, limit = _address_space(), _LIMIT.get()
     shared = _shared_memory(system)
@@ -282,7 +281,7 @@ def available_memory(system: Path = Path("/")) -> int:
 
 
 def _shared_memory(system: Path) -> int:
-    """Return the memory that the machine and its container leave; other programs share it."""
+    """Return the memory left by the machine and its container, which other programs share."""
     import psutil
 
     # with the cache of files, which gives way
@@ -290,10 +289,10 @@ def _shared_memory(system: Path) -> int:
 
 
 def process_limit(resident: int, limit: int | None = None) -> int:
-    """Return the most memory that this process, which holds ``resident`` bytes, may take [byte].
+    """Return the memory that this process, which holds ``resident`` bytes, may take at most [byte].
 
-    ``limit`` of the user stands in place of `USABLE` of what is available; a limit of the address space,
-    which no other program shares, holds besides.
+    ``limit`` of the user replaces `USABLE` of the available memory; a limit of the address space,
+    which no other program shares, applies as well.
     """
     limit = _LIMIT.get() if limit is None else limit
     if limit is None:
@@ -303,7 +302,7 @@ def process_limit(resident: int, limit: int | None = None) -> int:
 
 
 def thread_space() -> int:
-    """Return the address space that a computing thread takes besides its slabs [byte]; 0 without a limit."""
+    """Return the address space of a computing thread besides its slabs [byte]; 0 without a limit."""
     return 0 if _address_limit() is None else THREAD_SPACE
 
 
@@ -317,7 +316,7 @@ def _address_limit() -> int | None:
 
 
 def _address_space() -> int | None:
-    """Return the address space that is left to slabs; None without a limit."""
+    """Return the address space left for slabs; None without a limit."""
     limit = _address_limit()
     if limit is None:
         return None
@@ -330,7 +329,7 @@ def _address_space() -> int | None:
 
 
 def _container_memory(system: Path) -> Iterator[int]:
-    """Yield the memory that the control groups of this process (version 2 or 1), and those above them, leave.
+    """Yield the memory left by each control group (version 2 or 1) of this process, and by those above.
 
     psutil knows no control groups, and distributed only the limit of the innermost one.
     """
@@ -358,18 +357,17 @@ def _container_memory(system: Path) -> Iterator[int]:
 
 
 def resident_memory() -> int:
-    """Return the memory this process holds now [byte]."""
+    """Return the resident memory of this process [byte]."""
     import psutil
 
     return int(psutil.Process().memory_info().rss)
 
 
 def share_one_heap() -> None:
-    """Let threads that start later allocate from one heap, if the allocator is that of glibc.
+    """Let threads that start later allocate from one heap, if the allocator is glibc's.
 
-    By itself it gives each thread a heap of its own, which stays as large as the most that the thread ever
-    held, and takes address space before any plan. The setting lasts as long as the process; the user decides
-    by ``MALLOC_ARENA_MAX`` or ``GLIBC_TUNABLES``.
+    By default each thread has a heap, which stays as large as its peak, and takes address space before any
+    plan. The setting lasts as long as the process; ``MALLOC_ARENA_MAX`` or ``GLIBC_TUNABLES`` override it.
     """
     if not {"MALLOC_ARENA_MAX", "GLIBC_TUNABLES"} & set(os.environ):
         with contextlib.suppress(OSError, AttributeError, TypeError):  # not of glibc
@@ -380,7 +378,7 @@ def share_one_heap() -> None:
 
 
 def thread_count() -> int:
-    """Return how many threads dask would take here."""
+    """Return the number of threads that dask would use."""
     import dask
     from dask.system import CPU_COUNT
 
@@ -392,7 +390,7 @@ def thread_count() -> int:
 
 @contextlib.contextmanager
 def limited_threads(count: int | None) -> Iterator[None]:
-    """Let dask take no more threads than that; None leaves them as they are."""
+    """Limit the number of dask threads; None leaves it unchanged."""
     import dask
 
     saved = count is not None and count < thread_count()
@@ -401,14 +399,14 @@ def limited_threads(count: int | None) -> Iterator[None]:
 
 
 def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
-    """Return how many threads may store a dataset at once; refuse one of which not even one block fits.
+    """Return the number of threads that may store a dataset; StoreError if not even one block fits.
 
     The dask chunks cannot be changed here, only the number of threads. No value is read. Dask arrays count:
     cubes along the flight are computed together, line by line, other arrays one by one.
 
-    ``subject`` names the dataset in errors. Returns None where nothing is known against any number.
+    ``subject`` names the dataset in errors. None where any number will do.
 
-    Raises `StoreError`: One block is larger than the memory that is available; the figures are given.
+    Raises `StoreError`: one block is larger than the available memory.
     """
     share_one_heap()
     available, fixed = available_memory(), thread_space()
@@ -455,7 +453,7 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
 
 
 def _threads_within(limit: int, needed: Callable[[int], float]) -> int:
-    """Return the most threads, at least one, that need no more memory than the limit."""
+    """Return the largest number of threads, at least one, within a memory limit."""
     threads = thread_count()
     while threads > 1 and needed(threads) > limit:
         threads -= 1
@@ -466,7 +464,7 @@ def _threads_within(limit: int, needed: Callable[[int], float]) -> int:
 
 
 def size_text(size: int) -> str:
-    """Return a size for reading: MiB below one GiB.
+    """Return a size in MiB, or in GiB from one GiB on.
 
     Examples
     --------
@@ -477,5 +475,5 @@ def size_text(size: int) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things, in the singular or plural."""
+    """Return a number with its noun, in the singular or plural."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,8 +1,8 @@
 """Compute blocks on threads or a cluster; errors name the block, a bar shows the progress.
 
 A cluster repeats a task whose worker died, and `RETRIES` times one that raised: a file system shared by many
-nodes fails for a moment now and then. The result of a block is fetched as soon as it is done, so that the
-death of a worker costs only the blocks it had in hand.
+nodes may fail for a moment. The result of a block is fetched as soon as it is computed, so that a dying
+worker loses only its current blocks.
 """
 
 from __future__ import annotations
@@ -41,8 +41,6 @@ Found = Generator[tuple[Key, Any], None, None]
 
 @dataclass(frozen=True)
 class _Block:
-    """One block to compute."""
-
     array: str
     sums: tuple[slice, ...]  # Its place among the checksums of the array
     words: str  # Name its lines in messages
@@ -52,13 +50,13 @@ class _Block:
 def compute(
     lazy: Mapping[str, da.Array], targets: Mapping[str, Target], *, group: str, progress: bool
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """Compute lazy checksums (`chunks.lazy_checksums`) together: what two arrays share is computed once.
+    """Compute lazy checksums (`chunks.lazy_checksums`) together: tasks shared by two arrays run once.
 
     Raises
     ------
     StoreError
         A block could not be read, computed or written, or the cluster was lost; the message names group and
-        block. Other errors of a task are raised as they are, with a note that names it.
+        block. Other errors of a task are raised unchanged, with a note that names it.
     """
     import numpy as np
     from dask.array.core import slices_from_chunks
@@ -99,7 +97,7 @@ def compute(
 
 
 def client_in_force() -> Client | None:
-    """Return the client of dask.distributed in force; None without a cluster."""
+    """Return the current client of dask.distributed; None without a cluster."""
     client = getattr(scheduler_in_force(), "__self__", None)
     return client if hasattr(client, "scheduler_info") else None
 
@@ -165,7 +163,6 @@ def _on_threads(
 def _on_cluster(
     client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
 ) -> Found:
-    """Yield keys and checksums as they come."""
     from distributed import as_completed
 
     with errors_of_the_cluster(f"cannot store /{group}"):
@@ -194,7 +191,7 @@ def _on_cluster(
 
 
 def _cluster_failure(error: BaseException) -> str | None:
-    """Return words for a failure of the cluster, None for any other error."""
+    """Return a description of a failure of the cluster; None for any other error."""
     if type(error).__name__ == "KilledWorker":
         times = getattr(error, "allowed_failures", 0) + 1
         last = getattr(getattr(error, "last_worker", None), "address", "unknown")
@@ -209,7 +206,7 @@ def _cluster_failure(error: BaseException) -> str | None:
 
 
 def _raise_named(error: BaseException, group: str, blocks: Sequence[_Block], hint: str = "") -> NoReturn:
-    """Raise the error of a task so that it names the blocks; of system, memory or cluster as StoreError."""
+    """Raise a task's error with the names of its blocks; of system, memory or cluster as StoreError."""
     # one block an array; the group alone where many blocks need the task
     words = dict.fromkeys(block.words for block in blocks)
     few = 0 < len(words) == len({block.array for block in blocks})
@@ -228,7 +225,7 @@ _FEWEST = 0.02  # share that must be done before the rest is guessed
 
 
 class BlockBar:
-    """A bar on stdout over ``total`` blocks, as dask draws it, with the time that is left."""
+    """A progress bar on stdout over ``total`` blocks, in dask's style, with the remaining time."""
 
     def __init__(self, total: int) -> None:
         self._total, self._done, self._shown = total, 0, 0
@@ -243,7 +240,7 @@ class BlockBar:
         sys.stdout.flush()
 
     def advance(self, blocks: int = 1) -> None:
-        """Count blocks that are done, and draw."""
+        """Count finished blocks, and draw."""
         from dask.utils import format_time
 
         self._done += blocks

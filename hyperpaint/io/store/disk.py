@@ -1,8 +1,8 @@
-"""The disk under a store: its free space, files that survive a power failure, folders that change places.
+"""The disk of a store: free space, files that survive a power failure, folders exchanged in one step.
 
-The kernel keeps written files in memory for half a minute or so. All files and folders of a group are
-therefore flushed before it gets its place. The disk begins to write each chunk at once, so that little is
-left to wait for at the end.
+The kernel holds written files in memory for about half a minute. All files and folders of a group are
+therefore flushed before it is published. Each chunk is scheduled for writing at once, so that little is left
+to wait for at the end.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
-    """Return the bytes a group takes on disk at the most, margin included: as if it were all noise.
+    """Return an upper bound of the bytes a group takes on disk, margin included: as if it were all noise.
 
-    Of a sample only the bits that can differ count: those up to the saturation of the counts, and the
-    mantissa that is kept of a rounded float, in whole bytes where these are shuffled (``"fast"``). Data that
+    Only the bits of a sample that can differ count: those up to the saturation of the counts, and the
+    mantissa bits of a rounded float, in whole bytes where these are shuffled (``"fast"``). Data that
     are not noise take less: real counts of 12 bits about half.
 
     Examples
@@ -73,10 +73,10 @@ def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
 
 
 def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
-    """Refuse a store whose disk has less free space than ``needed`` bytes, with the figures.
+    """Raise StoreError if the disk of a store has less free space than ``needed`` bytes.
 
     Neither the store nor the folders above need exist. The size of the folders ``begun``, which an
-    interrupted run left and this one resumes, is taken off.
+    interrupted run left and this one resumes, is subtracted.
     """
     free, left = _free(store), needed
     for file in (file for folder in begun for file in folder.rglob("*")):
@@ -92,7 +92,7 @@ def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
 
 
 def _free(store: Path) -> int | None:
-    """Return the free bytes of the disk on which a store is, or will be; None where it is not known."""
+    """Return the free bytes of the disk of a store that may not exist yet; None where unknown."""
     for folder in store.absolute().parents:
         with contextlib.suppress(OSError):
             return shutil.disk_usage(folder).free
@@ -101,7 +101,7 @@ def _free(store: Path) -> int | None:
 
 @contextlib.contextmanager
 def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -> Iterator[None]:
-    """Turn a full disk or memory, and files that cannot be used, into one readable error."""
+    """Turn a full disk, exhausted memory and unusable files into one readable StoreError."""
 
     def needs() -> str:
         needed = size_text(sum(map(disk_needed, groups.values())))
@@ -141,7 +141,7 @@ def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -
 
 
 def _is_beside(file: object, store: Path) -> bool:
-    """Return whether a file is in a store, or in the folder where it is staged."""
+    """Return whether a file is in a store or in its staging folder."""
     if not isinstance(file, str | bytes):
         return False
     inside = os.path.relpath(os.path.abspath(os.fsdecode(file)), os.path.abspath(store.parent))
@@ -156,7 +156,7 @@ _AT_ONCE = 8
 
 
 def flush_group(folder: Path, expected: Iterable[Path]) -> None:
-    """Flush all files of a folder, then all its folders; return when the disk has them.
+    """Flush all files of a folder, then all its folders, to the disk.
 
     FileNotFoundError where one of the files ``expected`` is missing: another process may have removed it.
     """
@@ -170,10 +170,10 @@ def flush_group(folder: Path, expected: Iterable[Path]) -> None:
 
 
 def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: int) -> list[_Result]:
-    """Return the results of a function that waits for the disk, for all items, some at a time.
+    """Return the results of a function that waits for the disk, for all items, ``most`` at a time.
 
     One after the other where the address space is limited: a thread would reserve some 70 MiB of it, which
-    the plan of a run has given to its computing threads.
+    the memory plan of a run has assigned to its computing threads.
     """
     if thread_space():
         return [function(item) for item in items]
@@ -188,7 +188,7 @@ _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Let two existing paths change places; return False, with nothing done, where system or disk cannot.
+    """Exchange two existing paths in one step; return False, with nothing done, where the system cannot.
 
     Linux can, on most local disks.
     """

@@ -1,4 +1,4 @@
-"""The groups of a store: their metadata, the list of all in the root, and what writing one would lose."""
+"""Groups of a store: metadata, the list of all nodes in the root, and checks before a group is written."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LISTED = {"kind": "inline", "must_understand": False}
 
 
 def groups_above(group: str) -> list[str]:
-    """Return the groups that a group is in, the root first."""
+    """Return the ancestors of a group, the root first."""
     parts = group.split("/") if group else []
     return ["/".join(parts[:depth]) for depth in range(len(parts))]
 
@@ -47,7 +47,6 @@ def stamped(attrs: Mapping[Any, Any], action: str) -> dict[str, Any]:
 
 @functools.cache
 def version_of_program() -> str:
-    """Return the version of hyperpaint that is running."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -57,13 +56,12 @@ def version_of_program() -> str:
 
 
 def group_document(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``zarr.json`` of a group."""
     plain = json.loads(json.dumps(attributes, default=lambda value: value.tolist()))
     return {"attributes": plain, "zarr_format": 3, "node_type": "group"}
 
 
 def ensure_groups(groups: Iterable[str], location: Location) -> None:
-    """Write the metadata of groups where they are missing or damaged; what is in the groups stays."""
+    """Write the metadata of groups where they are missing or damaged; contents stay."""
     for group in groups:
         try:
             if location.metadata(group) is not None:
@@ -74,7 +72,6 @@ def ensure_groups(groups: Iterable[str], location: Location) -> None:
 
 
 def set_attributes(group: str, wanted: Mapping[str, Any], location: Location) -> None:
-    """Set attributes of a group without arrays, unless it has them."""
     stored = location.attributes(group)
     if not has_attributes(group, wanted, location):
         attributes = {**stored, **stamped({**stored, **wanted}, "to_store")}
@@ -82,7 +79,7 @@ def set_attributes(group: str, wanted: Mapping[str, Any], location: Location) ->
 
 
 def has_attributes(group: str, wanted: Mapping[str, Any], location: Location) -> bool:
-    """Return whether a group is there with these attributes, those of the time of writing left out."""
+    """Return whether a group exists with these attributes, apart from `VOLATILE_ATTRS`."""
     if not location.has(group, METADATA):
         return False
     stored, plain = location.attributes(group), group_document(wanted)["attributes"]
@@ -91,7 +88,7 @@ def has_attributes(group: str, wanted: Mapping[str, Any], location: Location) ->
 
 
 def listed_documents(location: Location) -> dict[str, Any]:
-    """Return the metadata of nodes by path that the root lists; none where it lists none."""
+    """Return the metadata of nodes by path that the root lists; empty without a list."""
     try:
         root = location.read_json("", METADATA) or {}
     except IncompleteStoreError:
@@ -148,7 +145,7 @@ def check_above(groups: Iterable[str], location: Location, problems: Problems, *
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
-    """Return the state of a group's place; ``content`` names what will be written there.
+    """Return the state of the place of a group; ``content`` names what will be written there.
 
     ``""``: empty. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
     ``"parent"``: holds other groups or foreign files. ``"array"``: it, or a group above, is an array. Any
@@ -196,7 +193,7 @@ _INNER = ("array", "_array", "variable", "_data")
 
 
 def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
-    """Return the variables that are still read, lazily, from a group of a store or store object of zarr."""
+    """Return the variables that are read lazily from a group of a store or store object of zarr."""
     return [
         str(name)
         for name, variable in dataset.variables.items()
@@ -207,7 +204,7 @@ def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
 def is_named_by_content(variable: xr.Variable) -> bool:
     """Return whether dask's name for a variable changes with the content of the Zarr arrays it reads.
 
-    Names follow the URL and the time of the root folder; those of `named_stores` follow the content.
+    Usual names follow the URL and the time of the root folder; those of `named_stores` follow the content.
     """
     return all(getattr(array.store_path.store, "content", "") for array in _zarr_arrays(variable))
 
@@ -232,7 +229,7 @@ def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:
 
 
 def _graph_values(variable: xr.Variable) -> Iterator[Any]:
-    """Yield what the layers of a graph hold, without making their tasks."""
+    """Yield the values in the layers of a graph, without creating their tasks."""
     from dask.blockwise import Blockwise
 
     for layer in variable.__dask_graph__().layers.values():  # type: ignore[union-attr]

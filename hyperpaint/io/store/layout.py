@@ -1,12 +1,12 @@
 """Layout on disk: chunks, codec, fill values and encodings of every variable.
 
-One rule for every group, so that a chunk of `xarray.open_zarr` is the chunk that one task computes on:
+One rule for every group, so that a chunk of `xarray.open_zarr` is the chunk of one task:
 
-* an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines, and for
-  looking at, `"explore"`, a cube into groups of bands as well; for pages, `"web"`, into small tiles;
+* an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines; with
+  `"explore"`, a cube also into groups of bands; with `"web"`, into small tiles;
 * a map (`y`, `x`, ...) is cut in tiles of 128 x 128 cells, all bands;
-* means of blocks of a line (`coarse_y`, ...), for looking at, are cut every 128 rows and in groups of bands;
-* anything else is one chunk, unless it is larger than 64 MiB.
+* means of blocks of a line (`coarse_y`, ...), for display, are cut every 128 rows and in groups of bands;
+* any other array is one chunk, unless it is larger than 64 MiB.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def storage_chunks(
 
 
 def chunks_of(variable: xr.Variable) -> tuple[int, ...]:
-    """Return the storage chunk of a variable, in the layout that `with_layout` gave it."""
+    """Return the storage chunk of a variable, in its layout (`with_layout`)."""
     itemsize = variable.dtype.itemsize if variable.dtype.kind in "biufcmM" else 1
     return storage_chunks(variable.dims, variable.shape, itemsize, variable.encoding.get(_LAYOUT, "cube"))
 
@@ -97,12 +97,12 @@ _LAYOUT = "hyperpaint_layout"
 
 
 def layouts_of(dataset: xr.Dataset) -> dict[Hashable, Layout]:
-    """Return the layouts that `with_layout` gave variables."""
+    """Return the layouts of the variables that have one (`with_layout`)."""
     return {name: v.encoding[_LAYOUT] for name, v in dataset.variables.items() if _LAYOUT in v.encoding}
 
 
 def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
-    """Return a dataset that will be stored in a layout; `SchemaError` where that is none."""
+    """Return a dataset whose variables are marked for a layout; `SchemaError` for an unknown layout."""
     if layout not in get_args(Layout):
         raise SchemaError(
             f"layout={layout!r}", expected=" or ".join(map(repr, get_args(Layout))), code="choice-unknown"
@@ -117,8 +117,8 @@ def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
 def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
     """Return dask chunks along one dim that start at multiples of the storage chunk.
 
-    Borders move down to the next multiple of ``step``; borders that meet become one. Aligned chunks come back
-    unchanged, so nothing is recomputed or moved without need. ``pieces``: dask chunks along the
+    Borders move down to the next multiple of ``step``; equal borders merge. Aligned chunks are returned
+    unchanged, so that nothing is recomputed or moved without need. ``pieces``: dask chunks along the
     dim; ``step``: storage chunk along it.
 
     Examples
@@ -136,10 +136,10 @@ def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
 
 
 def fill_value(dtype: np.dtype[Any]) -> Any:
-    """Return the value that a missing chunk reads as: where possible one that cannot be taken for data.
+    """Return the value of samples in a missing chunk: where possible one that is not valid data.
 
     NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers; booleans
-    and strings have no such value, for them `hyperpaint.verify` is the only protection.
+    and strings have no such value, and only `hyperpaint.verify` detects their loss.
     """
     import numpy as np
 
@@ -153,10 +153,10 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
 
 
 def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, dict[str, Any]]:
-    """Return the xarray encoding `to_store` uses, for writers that know nothing of hyperpaint.
+    """Return the xarray encoding that `to_store` uses, for writers other than hyperpaint.
 
-    With it, `Dataset.to_zarr` into any Zarr v3 store (an icechunk session, say) keeps chunks of 32 whole
-    lines, fill values that cannot be taken for data, and the crc32c that lets every later reader notice a
+    With it, `Dataset.to_zarr` into any Zarr v3 store (such as an icechunk session) uses chunks of 32 whole
+    lines, fill values that are not valid data, and the crc32c by which every later reader notices a
     damaged chunk; Zarr's default has none.
 
     Parameters
@@ -164,7 +164,7 @@ def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, di
     dataset
         The dataset to write; only dims, shapes and dtypes are read.
     codec
-        As that of `to_store`.
+        As in `to_store`.
 
     Returns
     -------
@@ -208,7 +208,7 @@ def encoding_of(variable: xr.Variable, codec: Codec = "compact") -> dict[str, An
 
 
 def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
-    """Return ``dataset`` as it will be stored: no stale encodings, strings as objects, aligned dask chunks.
+    """Return a dataset ready for storage: without old encodings, strings as objects, dask chunks aligned.
 
     StoreError where names, dtypes or attributes cannot be stored; all are listed.
     """
@@ -286,7 +286,7 @@ def with_variables(
 
 
 def is_at_hand(variable: xr.Variable) -> bool:
-    """Return whether ``variable.data`` costs nothing: a lazy file-backed array would be read whole."""
+    """Return whether ``variable.data`` is free to access; a lazy file-backed array would be read."""
     import dask
 
     return dask.is_dask_collection(variable) or bool(variable._in_memory)
@@ -306,9 +306,9 @@ def _is_plain(value: Any, depth: int = 0) -> bool:
 
 @functools.cache
 def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], bytes]:
-    """Return a function that makes a blosc frame of an array: of the package ``blosc``, or else numcodecs.
+    """Return a function that makes a blosc frame of an array, by the package ``blosc`` or else numcodecs.
 
-    Both make the same bytes; the first has the wider instructions of newer processors. Many tasks encode at
+    Both make the same bytes; the first uses wider instructions of newer processors. Many tasks encode at
     once, one thread each.
     """
     import numcodecs.blosc
@@ -332,9 +332,9 @@ def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], byte
 def encode_chunk(
     block: np.ndarray[Any, Any], chunk: tuple[int, ...], fill: Any, codec: Codec = "compact"
 ) -> tuple[bytes, bytes]:
-    """Return a storage chunk as its bytes on disk: blosc, then the crc32c that follows it.
+    """Return a storage chunk as its bytes on disk: the blosc frame, and the crc32c that follows it.
 
-    The very bytes that zarr-python makes with the codecs of `encoding_of`, without its copies and its one
+    The bytes equal those of zarr-python with the codecs of `encoding_of`, without its copies and its single
     event loop, which cost as much again as the compression. ``block`` is C-contiguous and little-endian; at
     the far edge of an array, where it is smaller than ``chunk``, ``fill`` completes it.
     """

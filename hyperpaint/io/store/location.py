@@ -1,4 +1,4 @@
-"""Where a store lies: a local folder, a zip file, a URL of fsspec, or a store object of zarr."""
+"""The location of a store: a local folder, a zip file, a URL of fsspec, or a store object of zarr."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MAX_NODES = 50_000
 
 
 def clean_group(group: str | None) -> str:
-    """Return a group's path without slashes around it (the root is ``""``), or raise a StoreError."""
+    """Return a group's path without outer slashes (the root is ``""``); StoreError for bad names."""
     parts = [part for part in (group or "").split("/") if part]
     wrong = any(part.startswith((".", "__")) or part == METADATA or "\\" in part for part in parts)
     if wrong or parts[:1] == [MANIFEST_NODE]:
@@ -53,7 +53,7 @@ def joined(*parts: str) -> str:
 
 @dataclass(frozen=True)
 class Location:
-    """A store's place: metadata and chunks are read and written by their keys."""
+    """Location of a store; metadata and chunks are read and written by their keys."""
 
     url: str  # What zarr and xarray open
     root: str  # Path inside the file system ``fs``
@@ -62,10 +62,10 @@ class Location:
 
     @classmethod
     def of(cls, path: str | os.PathLike[str]) -> Location:
-        """Return the place named by a path or a URL.
+        """Return the location for a path or a URL.
 
         Raises `MissingExtraError`: The package for this kind of URL is not installed; its name is given.
-        Raises `StoreError`: The URL is of no known kind, or what it leads to cannot be opened.
+        Raises `StoreError`: The URL is of no known kind, or cannot be opened.
         """
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
@@ -107,21 +107,18 @@ class Location:
         return cls(text.rstrip("/"), str(root).rstrip("/"), fs, None)
 
     def key(self, *parts: str) -> str:
-        """Return a path inside the file system."""
         return joined(self.root, *parts)
 
     def group_url(self, group: str) -> str:
-        """Return what zarr opens for a group."""
         return joined(self.url, group)
 
     def has(self, *parts: str) -> bool:
-        """Return whether a file or folder is there."""
         if self.local is not None:
             return os.path.exists(self.key(*parts))
         return bool(self.fs.exists(self.key(*parts)))
 
     def read(self, *parts: str, limit: int | None = MAX_METADATA_BYTES) -> bytes | None:
-        """Return a file's bytes, None where there is none; `StoreError` above ``limit`` bytes."""
+        """Return a file's bytes; None where there is no file. `StoreError` above ``limit`` bytes."""
         key = self.key(*parts)
         try:
             if self.local is not None:
@@ -187,14 +184,14 @@ class Location:
         return "" if document is None else str(document.get("node_type"))
 
     def attributes(self, group: str) -> dict[str, Any]:
-        """Return the attributes of a group; none where its metadata are missing or damaged."""
+        """Return the attributes of a group; empty where its metadata are missing or damaged."""
         try:
             return dict((self.metadata(group) or {}).get("attributes", {}))
         except StoreError:
             return {}
 
     def write_json(self, document: Mapping[str, Any], *parts: str) -> None:
-        """Write a JSON object: on a local disk it is there whole or not at all, also after a power cut."""
+        """Write a JSON object; on a local disk atomically and flushed."""
         content = json.dumps(document).encode()
         if self.local is None:
             self.fs.pipe_file(self.key(*parts), content)
@@ -213,7 +210,7 @@ class Location:
             sync(path.parent.parent)
 
     def write_files(self, files: Mapping[str, bytes]) -> None:
-        """Write small files by their paths; they are not flushed to the disk yet."""
+        """Write small files by their paths, without flushing them."""
         if self.local is None:
             self.fs.pipe({self.key(path): content for path, content in files.items()})
             return
@@ -275,11 +272,10 @@ class Location:
         }
 
     def folders(self, group: str) -> list[str]:
-        """Return the names of the folders in a group, sorted."""
         return sorted(name for name, folder in self.entries(group).items() if folder)
 
     def strays(self, group: str) -> list[str]:
-        """Return what lies in a group's folder and is no node of the store."""
+        """Return the entries of a group's folder that are not nodes of the store."""
         return [
             name
             for name, folder in sorted(self.entries(group).items())
@@ -287,7 +283,7 @@ class Location:
         ]
 
     def files(self, path: str) -> set[str]:
-        """Return the paths of all files below a node, relative to it."""
+        """Return the relative paths of all files below a node."""
         if self.local is None:
             prefix = self.key(path).rstrip("/") + "/"
             return {file.removeprefix(prefix) for file in self.fs.find(self.key(path))}
@@ -300,7 +296,7 @@ _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
 
 
 def temporaries(folder: Path) -> Iterator[Path]:
-    """Yield the half-written files that a killed writer left in a group's own folder."""
+    """Yield the half-written files that a killed writer left in a group's folder."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if _TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
@@ -308,7 +304,7 @@ def temporaries(folder: Path) -> Iterator[Path]:
 
 
 def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
-    """Write a file so that it is there whole or not at all; ``durable``: even after a power failure.
+    """Write a file atomically; ``durable``: flush it, so that it survives a power failure.
 
     Without ``durable`` the disk begins to write it at once, but is not waited for.
     """
@@ -332,7 +328,7 @@ def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
 
 
 def sync(path: str | Path) -> None:
-    """Make a file, or renames in a folder, outlive a power failure."""
+    """Flush a file, or renames in a folder, to the disk."""
     if os.name != "posix" and os.path.isdir(path):
         return
     descriptor = os.open(path, os.O_RDONLY)

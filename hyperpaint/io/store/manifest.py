@@ -1,15 +1,16 @@
-"""The manifest of a store: which groups belong together, what each is made from, and what their files hold.
+"""The manifest of a store: its groups, their contents, and checksums of their files.
 
-It stands in the attributes of the group ``hyperpaint`` in the root, a plain Zarr group without arrays, and is
-written last. For every group it names
+It is stored in the attributes of the group ``hyperpaint`` in the root, a plain Zarr group without arrays, and
+is written last. For every group it records
 
-* ``content``: its path, its inputs and settings, as the group's own attribute `CONTENT` repeats them;
-* ``metadata``: the crc32c of its ``zarr.json``, read as JSON, and that of each of its arrays;
-* for each array the number of its chunks, and a digest over their keys and the crc32c that ends each chunk.
+* ``content``: path, inputs and settings, equal to the group's attribute `CONTENT`;
+* ``metadata``: the crc32c of its ``zarr.json``, read as JSON, and those of its arrays;
+* for each array the number of its chunks, and a digest over their keys and the crc32c at the end of each
+chunk.
 
-A writer first notes which groups it is about to put in their places (`Write`), so that a store whose writer
-was killed is known to be unfinished. Everything can be made again from the files: nothing but the order of
-events needs the manifest. Groups and arrays that others add are not in it.
+A writer first records the groups it is about to publish (`Write`), so that a store whose writer
+was killed is known to be unfinished. All else can be derived from the files; only the
+order of events needs the manifest. Groups and arrays added by other programs are not in it.
 """
 
 from __future__ import annotations
@@ -69,8 +70,6 @@ _NUMERICS = re.compile(r"\bnumerics=(\d{1,9})\b")
 
 
 class ArrayEntry(NamedTuple):
-    """One array of a group."""
-
     metadata: int  # crc32c of its ``zarr.json``
     chunks: int
     digest: str  # See `chunk_digest`
@@ -86,14 +85,14 @@ class GroupEntry(NamedTuple):
 
 
 class Write(NamedTuple):
-    """What a writer that has not finished is about to put in place."""
+    """The groups that an unfinished writer is about to publish."""
 
     contents: Mapping[str, str]  # By group
     command: str = ""  # On the command line, with ``{store}`` for the store's path
 
     @property
     def source(self) -> list[str]:
-        """The words of the command that say what the store is made of, without its options."""
+        """The first words of the command, which name the source of the store, without options."""
         try:
             return split(self.command)[:3]
         except ValueError:  # unbalanced quotes: not of hyperpaint
@@ -102,14 +101,13 @@ class Write(NamedTuple):
 
 @dataclass(frozen=True)
 class Manifest:
-    """The groups of a store, by path, and the writes that have not ended."""
+    """The groups of a store, by path, and its unfinished writes."""
 
     groups: Mapping[str, GroupEntry] = field(default_factory=dict)
     writes: tuple[Write, ...] = ()
     command: str = ""  # Of the last run, which made the store
 
     def document(self) -> dict[str, Any]:
-        """Return the ``zarr.json`` of the manifest's group."""
         content = json.loads(
             json.dumps({"groups": self.groups, "writes": self.writes, "command": self.command})
         )
@@ -168,18 +166,17 @@ class Manifest:
             raise
 
     def write(self, location: Location) -> None:
-        """Write the manifest, whole or not at all."""
         location.write_json(self.document(), MANIFEST_NODE, METADATA)
 
     def allowed(self, group: str) -> set[str]:
-        """Return the contents that a group may have: of before, and of writes that have not ended."""
+        """Return the valid contents of a group: the recorded one, and those of unfinished writes."""
         contents = {write.contents[group] for write in self.writes if group in write.contents}
         return (contents | ({self.groups[group].content} if group in self.groups else set())) - {""}
 
     def lacking(self, write: Write, contents: Callable[[str], str]) -> list[str]:
-        """Return the groups that an unfinished write has still to put in place; ``contents`` of a group.
+        """Return the groups that an unfinished write has still to publish; ``contents`` of a group.
 
-        None where all are there, where all are still what they were before, and of a write of one group.
+        Empty where all are published, where all are unchanged, and for a write of one group.
         """
         lacking = [name for name, content in write.contents.items() if contents(name) != content]
         untouched = all(
@@ -188,9 +185,9 @@ class Manifest:
         return [] if untouched or len(write.contents) == 1 else lacking
 
     def settled(self, location: Location) -> Manifest:
-        """Return the manifest without the writes that are done or changed nothing.
+        """Return the manifest without the writes that are finished or changed nothing.
 
-        The groups that such a write has put in place are taken up as they lie on the disk.
+        Groups that such a write has published are recorded from the disk.
         """
         contents = functools.cache(lambda name: content_of(location, name, self))
         groups, writes = dict(self.groups), []
@@ -220,7 +217,7 @@ class StoreState:
 
 
 def store_state(location: Location, groups: Iterable[str] | None = None) -> StoreState:
-    """Compare the manifest of a store with its groups: those with arrays are ``groups``, where listed."""
+    """Compare the manifest of a store with its groups; ``groups``: those with arrays, if listed already."""
     present = list(location.groups() if groups is None else groups)
     try:
         manifest = Manifest.read(location)
@@ -274,7 +271,6 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
 
 
 def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> StoreState:
-    """Return what is known of a Zarr store without a manifest."""
     if any(content.startswith(f"/{name} ") for name, content in contents.items()):
         lost = Problem(
             f"{location.url} has lost its manifest, the group {MANIFEST_NODE!r} of its root",
@@ -294,7 +290,7 @@ def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> 
 
 
 def check_state(location: Location) -> None:
-    """Refuse a store that is unfinished, or whose groups are not those of its manifest."""
+    """Raise IncompleteStoreError if a store is unfinished, or its groups differ from its manifest."""
     if faults := store_state(location).faults:
         raise IncompleteStoreError(
             f"{location.url} is not whole; hyperpaint.io.store.open_group(path, group) opens finished groups",
@@ -319,14 +315,13 @@ def _bounded(faults: list[Problem]) -> tuple[Problem, ...]:
 
 
 def content_text(group: str, identity: str, settings: str = "") -> str:
-    """Return the attribute `CONTENT` of a group."""
     return " ".join(part for part in (f"/{group}", identity, settings) if part)
 
 
 def content_of(location: Location, group: str, manifest: Manifest | None = None) -> str:
-    """Return what a group is made from; empty where that is unknown, or the group is not there.
+    """Return the content name of a group; empty where unknown or where there is no group.
 
-    With a ``manifest``, a group whose attributes another program replaced is what the manifest names.
+    With a ``manifest``, a group whose attributes another program replaced keeps the recorded content.
     """
     entry = manifest.groups.get(group) if manifest is not None else None
     if entry is not None and attributes_replaced(location, group, entry):
@@ -353,7 +348,7 @@ def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bo
 
 
 def changed_attributes(location: Location, group: str, entry: GroupEntry) -> list[str]:
-    """Return the attributes of a group that are not those written; what others added does not count."""
+    """Return the attributes of a group that changed since it was written; additions do not count."""
     document = location.metadata(group) or {}
     attributes = document.get("attributes", {})
     changed = [key for key, value in entry.attributes.items() if attributes.get(key) != value]
@@ -362,20 +357,20 @@ def changed_attributes(location: Location, group: str, entry: GroupEntry) -> lis
 
 
 def numerics_of(content: str) -> int | None:
-    """Return the version of the numerics that a content or settings name."""
+    """Return the version of the numerics in a content or settings text; None without one."""
     match = _NUMERICS.search(content)
     return None if match is None else int(match[1])
 
 
 def document_checksum(document: Any) -> int:
-    """Return the crc32c of a JSON value, whatever its spacing and the order of its keys."""
+    """Return the crc32c of a JSON value, independent of spacing and of the order of keys."""
     import google_crc32c
 
     return int(google_crc32c.value(json.dumps(document, sort_keys=True).encode()))
 
 
 def chunk_digest(group: str, name: str, chunks: Iterable[tuple[str, bytes]]) -> str:
-    """Return the digest over the keys of an array's chunks and the 4 bytes that end each, its crc32c."""
+    """Return the digest over the keys of an array's chunks and their last 4 bytes, the crc32c."""
     digest = hashlib.blake2b(f"/{group}/{name}".encode(), digest_size=16)
     for key, checksum in chunks:
         digest.update(key.encode() + b"\0" + checksum)
@@ -385,7 +380,7 @@ def chunk_digest(group: str, name: str, chunks: Iterable[tuple[str, bytes]]) -> 
 def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
     """Return the keys of an array's chunks, in C order, from its ``zarr.json`` as `layout` writes it.
 
-    Raises `IncompleteStoreError`: There is no grid, or one of more chunks than any array has.
+    Raises `IncompleteStoreError`: the grid is missing, or has more than `MAX_CHUNKS` chunks.
     """
     try:
         chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
@@ -411,7 +406,7 @@ def seal_of(arrays: Mapping[str, ArrayEntry]) -> str:
 def entry_of(location: Location, group: str) -> GroupEntry:
     """Return the entry of a group from its files, without arrays whose chunks do not end in a crc32c.
 
-    Raises `IncompleteStoreError`: Chunks are missing, or the digest over the arrays differs from `SEAL`.
+    Raises `IncompleteStoreError`: chunks are missing, or the digest over the arrays differs from `SEAL`.
     """
     entries = {}
     for name in location.folders(group):

@@ -1,12 +1,12 @@
-"""Virtual stores: groups whose cube stays in the camera's raw files, referred to slab by slab.
+"""Virtual stores: groups whose cube stays in the camera's raw files, referenced slab by slab.
 
 A virtual store is a repository of icechunk, a folder; everything but the cube is stored in it. The root's
-attribute `RAW_FILES` names the raw files of every group.
+attribute `RAW_FILES` lists the raw files of every group.
 
-Repositories come from anywhere, so nothing in one is trusted: not its configuration (the containers and
-credentials are ours), not its record (it names files, but only the user says below which folders files may be
-read), not its references (each is compared with the record and with the size of the file), not its folder
-(links in it are refused). References of kerchunk (JSON) are refused by name: what reads them runs templates.
+Repositories may come from anyone, so none of their parts is trusted. Configuration, containers and
+credentials are ours. The list of raw files names files, but only the user says below which folders files may
+be read. Each reference is compared with the list and with the size of the file. Links in the folder are
+refused. References of kerchunk (JSON) are refused by name: their readers run templates.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ Allow = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 @dataclass(frozen=True)
 class RawFile:
-    """A raw file as it was when it was referred to."""
+    """A raw file as it was when it was referenced."""
 
     url: str
     size: int
@@ -75,7 +75,7 @@ class RawFile:
 
     @classmethod
     def of(cls, url: str) -> RawFile:
-        """Return the present state of a file; it is read with the credentials of the environment.
+        """Return the present state of a file, read with the credentials of the environment.
 
         Raises `StoreError`: it cannot be reached, or icechunk could not read it.
         """
@@ -108,7 +108,7 @@ class RawFile:
             ) from error
 
     def difference(self) -> str:
-        """Return in words how the file of today differs from this one; empty where it does not."""
+        """Return how the present file differs from this one; empty where it does not."""
         try:
             now = RawFile.of(self.url)
         except StoreError as error:
@@ -129,7 +129,7 @@ def _local_path(url: str) -> str:
 
 @dataclass(frozen=True)
 class VirtualCube:
-    """A cube in raw files: the slab ``k`` is the lines from ``k * lines`` on."""
+    """A cube in raw files: slab ``k`` begins at line ``k * lines``."""
 
     name: str
     dims: tuple[str, ...]  #: In the order of the files, lines first
@@ -151,7 +151,7 @@ Groups = Mapping[str, tuple["xr.Dataset", VirtualCube]]
 
 
 def summary_of(groups: Groups) -> dict[str, dict[str, Any]]:
-    """Return the digest of the inputs of every group, and its raw files, as `virtual_groups` finds them."""
+    """Return the inputs digest of every group, and its raw files, in the form of `virtual_groups`."""
     return {
         name: {INPUTS: dataset.attrs.get(INPUTS), RAW_FILES: list(cube.files)}
         for name, (dataset, cube) in groups.items()
@@ -159,9 +159,10 @@ def summary_of(groups: Groups) -> dict[str, dict[str, Any]]:
 
 
 def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> None:
-    """Write groups, each the cube's companions and the cube, into a new repository of icechunk.
+    """Write groups (the cube's companions, and the cube as references) into a new repository of icechunk.
 
-    Raises `MissingExtraError`: icechunk is not installed; `StoreError`: raw files lie where it cannot read.
+    Raises `MissingExtraError`: icechunk is not installed; `StoreError`: it cannot read the raw files'
+    locations.
     """
     import zarr
     from zarr.codecs import BytesCodec
@@ -226,7 +227,7 @@ def check_url(url: str) -> None:
 def _own_config(urls: Sequence[str]) -> Any:
     """Return a configuration of icechunk with the containers of raw files, and no others.
 
-    S3 is reached as the environment says.
+    S3 is configured by the environment.
     """
     icechunk = _icechunk()
     config = icechunk.RepositoryConfig.default()
@@ -268,11 +269,11 @@ def is_virtual(path: str | os.PathLike[str]) -> bool:
 
 
 def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> None:
-    """Refuse references of kerchunk, a JSON file or a folder of parquet; nothing in them is used.
+    """Refuse references of kerchunk, a JSON file or a folder of parquet; their content is not used.
 
-    ``write``: whether the path is to be written, and its name decides.
+    ``write``: the path is to be written, and its name decides.
 
-    Raises `StoreError`: they are; parts that programs run are named.
+    Raises `StoreError`: they are kerchunk references; parts that programs execute are named.
     """
     place = Path(path)
     file = place / ".zmetadata" if place.is_dir() else place
@@ -303,7 +304,7 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
 
 @contextlib.contextmanager
 def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn errors of icechunk and zarr about a damaged or forged repository into our error."""
+    """Turn errors of icechunk and zarr about a damaged or forged repository into IncompleteStoreError."""
     try:
         yield
     except PaintError:
@@ -319,7 +320,7 @@ def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[Any, Any]:
-    """Return a repository and a session that reads it; it may read raw files in the folders of ``urls``."""
+    """Return a repository and a read-only session, with access to raw files in the folders of ``urls``."""
     refuse_kerchunk(path)
     if not is_virtual(path):
         raise StoreError(
@@ -350,9 +351,9 @@ def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[An
 
 
 def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the digest of the inputs of every group, and its raw files; these are not read.
+    """Return the inputs digest of every group, and its raw files, which are not read.
 
-    Raises `StoreError`: there is no such store, it is damaged, or its record is none.
+    Raises `StoreError`: there is no such store, it is damaged, or its list of raw files is invalid.
     """
     import zarr
 
@@ -422,9 +423,9 @@ def outside(
 
 
 async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence[str], place: str) -> None:
-    """Refuse a group with chunks that do not lie in the files of ``urls``; ``place`` names it in errors.
+    """Refuse a group with chunks outside the files of ``urls``; ``place`` names it in errors.
 
-    Of each chunk the first and the last two bytes are read: icechunk fails beyond the end of a file.
+    The first and the last two bytes of each chunk are read: icechunk fails beyond the end of a file.
     """
     import zarr
     from zarr.abc.store import RangeByteRequest, SuffixByteRequest
@@ -484,20 +485,20 @@ def open_virtual(
 ) -> xr.Dataset:
     """Open a flight line whose cube stays in the raw files, as `hyperpaint virtual` writes it, lazily.
 
-    A store may come from anybody, and names the files that are read as counts. So a raw file is read only if
+    A store may come from anyone, and names the files that are read as counts. So a raw file is read only if
     it lies below the folder that holds the store, or below a folder or URL of ``allow``, after links are
-    resolved; if the store's record names it, with the size and the time of change (or etag) that it has; and
-    if every reference lies inside it. Nothing is read over the network, and no credentials of the environment
-    are used, but for URLs of ``allow``.
+    resolved; if the store lists it, with its present size and time of change (or etag); and if every
+    reference lies inside it. Only for URLs of ``allow`` is the network read, and are credentials of the
+    environment used.
 
     Parameters
     ----------
     path
         A repository of icechunk, a folder.
     group
-        Such as ``"flightlines/raw_0"``; may be left out where there is one.
+        Such as ``"flightlines/raw_0"``; may be omitted where there is one.
     allow
-        Folders, or URLs (s3, http, https), below which raw files may be read besides; one or several. S3
+        More folders, or URLs (s3, http, https), below which raw files may be read; one or several. S3
         takes region, endpoint and keys from the environment.
     **kwargs
         Passed to `xarray.open_zarr`, such as ``chunks={"along_track": 256}``.
@@ -511,8 +512,10 @@ def open_virtual(
     ------
     StoreError
         There is no such store or group; raw files lie elsewhere (the message says what to allow), are
-        missing, or others than those referred to, all of which are listed; references lead to other files or
+        missing, or differ from those referenced, all of which are listed; references lead to other files or
         beyond the end of one; the store is damaged, holds links, or is references of kerchunk.
+    MissingExtraError
+        icechunk is not installed.
 
     Examples
     --------

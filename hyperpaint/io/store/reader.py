@@ -1,7 +1,7 @@
-"""Any Zarr that xarray opens: what must not be read is refused before a value is decoded.
+"""Any Zarr that xarray opens, checked before a value is decoded.
 
-The reader is `xarray.open_zarr`. Before it, metadata are looked at once: codecs that run code are refused by
-name, and so are sizes that no memory holds. A group that is in its store's manifest must be as it was written
+The reader is `xarray.open_zarr`. Metadata are checked first: codecs that run code are refused by
+name, and sizes that exceed memory. A group in its store's manifest must be unchanged
 and have all its chunks; each carries a crc32c, which zarr checks as it reads.
 """
 
@@ -73,7 +73,9 @@ def list_groups(path: Any) -> list[str]:
     Raises
     ------
     StoreError
-        There is no Zarr store, or its metadata are more than any store has.
+        There is no Zarr store, or its metadata are too large.
+    MissingExtraError
+        The package for this kind of URL is not installed.
     """
     import zarr
 
@@ -114,7 +116,7 @@ def is_format_3(location: Location) -> bool:
 
 
 def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
-    """Return whether a group is in its store's manifest, and its metadata and chunk files are those written.
+    """Return whether a group is in its store's manifest, with unchanged metadata and all chunk files.
 
     No chunk is read: `hyperpaint.verify` does.
     """
@@ -140,10 +142,10 @@ def open_store(path: Any, group: None = None, **kwargs: Any) -> Any: ...
 def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     """Open a group lazily, like `xarray.open_zarr`, or all of a collect's store.
 
-    Any Zarr that xarray opens will do. Where the store has a manifest, it must hold the groups that it names:
-    none unfinished, deleted or exchanged; the group's metadata must be those written, and its chunks must be
-    there. zarr checks the crc32c of every chunk as it is read; `hyperpaint.verify` finds chunks that were
-    exchanged as a whole. Groups and variables that others added are opened as well.
+    Any Zarr that xarray opens is accepted. Where the store has a manifest, the groups in it must be finished
+    and unchanged, and the chunks of the opened group must exist. zarr checks the crc32c of every chunk as it
+    is read; `hyperpaint.verify` finds chunks that were exchanged as a whole. Groups and variables added by
+    other programs are opened as well.
 
     Parameters
     ----------
@@ -163,10 +165,12 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     Raises
     ------
     IncompleteStoreError
-        The store or the group is not what its manifest names.
+        The store or the group differs from its manifest.
     StoreError
         There is no such store or group (those that exist are listed); or it has codecs that run code, or
-        declares sizes that no memory holds.
+        declares sizes that exceed memory.
+    MissingExtraError
+        The package for this kind of URL is not installed.
 
     See Also
     --------
@@ -217,12 +221,12 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
 
 
 def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
-    """Open a finished group as `open_store` does, also while others of its store are still being written.
+    """Open a finished group like `open_store`, even while other groups of the store are being written.
 
     Raises
     ------
-    IncompleteStoreError, StoreError
-        As `open_store`, of this group.
+    IncompleteStoreError, StoreError, MissingExtraError
+        As `open_store`, for this group.
     """
     name, (location, _) = clean_group(group), place_of(path)
     if location is None:
@@ -248,9 +252,9 @@ def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
 
 
 def check_entry(location: Location, group: str, manifest: Manifest) -> None:
-    """Refuse a group whose metadata are not those of the manifest, or whose chunk files are not all there.
+    """Refuse a group whose metadata differ from the manifest, or whose chunk files are incomplete.
 
-    Warns `PaintWarning`: Another program replaced the group's attributes; its arrays are those written.
+    Warns `PaintWarning`: Another program replaced the group's attributes; its arrays are unchanged.
     """
     where, mend = f"group {'/' + group!r} of {location.url}", "write the group again"
     content, entry = content_of(location, group, manifest), manifest.groups.get(group)
@@ -285,12 +289,14 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
 
 
 def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Dataset:
-    """Open a group of any Zarr lazily, whether or not it is in a manifest.
+    """Open a group of any Zarr lazily, without regard to a manifest.
 
     Raises
     ------
     StoreError
         There is no such store or group, or it must not be read.
+    MissingExtraError
+        The package for this kind of URL is not installed.
     """
     import xarray as xr
     import zarr
@@ -345,13 +351,15 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
 
 
 def load_group(path: Any, group: str | None = None) -> xr.Dataset:
-    """Load a small group whole; one in a manifest must be as it was written.
+    """Load a small group completely; one in a manifest must be unchanged.
 
     Raises
     ------
     StoreError
         As `open_group`; a value cannot be read; or its arrays are larger than `MAX_LOADED_BYTES` together, or
         far larger than its files.
+    MissingExtraError
+        The package for this kind of URL is not installed.
     """
     opened, limit = open_group(path, group or "", chunks=None), MAX_LOADED_BYTES
     if isinstance(path, str | os.PathLike) and os.path.exists(path):
@@ -378,7 +386,7 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
 
 
 def place_of(path: Any) -> tuple[Location | None, Any]:
-    """Return the place of a folder, zip file or URL, and what zarr opens; a store object has no place."""
+    """Return the location of a folder, zip file or URL (else None), and the argument for zarr."""
     import zarr
 
     if isinstance(path, zarr.abc.store.Store | zarr.storage.StorePath):
@@ -396,7 +404,8 @@ def place_of(path: Any) -> tuple[Location | None, Any]:
 def is_zarr(path: Any) -> bool:
     """Return whether a place is to be opened as Zarr.
 
-    So is a URL, a store object, a name that ends in ``.zarr``, and a folder or zip file that is one.
+    True for a URL, a store object, a name that ends in ``.zarr``, and a folder or zip file with Zarr
+    metadata.
     """
     if not isinstance(path, str | os.PathLike):
         return not isinstance(path, Sequence) and place_of(path)[0] is None
@@ -412,7 +421,7 @@ def is_zarr(path: Any) -> bool:
 
 
 def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
-    """Return a store object of a group of ours that dask names by its content, not by its path and time."""
+    """Return a store object for a group of ours that dask names by content, not by path and time."""
     content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
     added = seal.partition(" ")[0] != str(len(arrays))  # arrays of others change without a word
     if content is None or added or not isinstance(source, str):
@@ -426,9 +435,9 @@ def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
 
 
 def check_metadata(location: Location | None, group: str) -> None:
-    """Refuse metadata documents of a group and its arrays that would fill the memory when they are parsed.
+    """Refuse metadata documents of a group and its arrays that would fill the memory when parsed.
 
-    Behind a URL only those of the group itself are looked at; of a store object none.
+    Behind a URL only those of the group itself are checked; of a store object none.
     """
     if location is None:
         return
@@ -447,7 +456,7 @@ def check_metadata(location: Location | None, group: str) -> None:
 
 
 def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
-    """Yield the keys and sizes of the metadata documents of a group and what is in it."""
+    """Yield key and size of the metadata documents of a group and of its members."""
     if location.local is not None:
         folder = location.key(group)
         names = itertools.chain([""], os.listdir(folder) if os.path.isdir(folder) else ())
@@ -476,11 +485,11 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
 
 
 def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
-    """Refuse arrays whose codecs run code, or that declare sizes no memory holds; all problems are listed.
+    """Refuse arrays whose codecs run code, or that declare sizes beyond any memory; all problems are listed.
 
     ``arrays``: of zarr, by name; no value of them is read.
 
-    Raises `StoreError`: Arrays must not be read.
+    Raises `StoreError`: arrays must not be read.
     """
     import numpy as np
 

@@ -1,8 +1,8 @@
-"""Compute maps in stages, so that the slabs that tiles share leave memory early.
+"""Compute maps in stages, so that slabs shared by tiles leave memory early.
 
 If one task makes several variables of a map, dask computes the variables one after another, and holds every
 slab of the flight line until the last. Here the tiles of one row (or column, of a map that is wider than
-high) are a stage. Results that a later stage needs are handed on, so that nothing is computed twice.
+high) are a stage. Results that a later stage needs are passed on, so that nothing is computed twice.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def in_stages(
 ) -> Iterator[tuple[Key, Any]]:
     """Yield wanted keys and their values, stage by stage.
 
-    ``get`` is a scheduler of dask; ``stage_of`` are the stages of the keys that are wanted.
+    ``get`` is a scheduler of dask; ``stage_of`` maps the wanted keys to their stages.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""`verify`: checks whether every chunk of a store is there, readable, and what was written."""
+"""`verify`: check that every chunk of a store is present, readable, and unchanged since it was written."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from .reader import (
 
 @dataclass(frozen=True)
 class StoreReport:
-    """What `verify` found.
+    """Result of `verify`.
 
     Attributes
     ----------
@@ -49,11 +49,11 @@ class StoreReport:
     groups
         Groups that hold arrays.
     chunks
-        Number of chunks that were read.
+        Number of chunks read.
     problems
-        One line each; empty where all is well.
+        One line each, ending in its code; empty where all is well.
     notes
-        What could not be checked, and what others added.
+        Parts that could not be checked, and additions by other programs.
     resume
         Command that finishes an unfinished store; empty if unknown.
     """
@@ -99,6 +99,8 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     ------
     StoreError
         There is no Zarr store; or it is a store object or a repository of icechunk, which icechunk checks.
+    MissingExtraError
+        The package for this kind of URL is not installed.
 
     Examples
     --------
@@ -199,7 +201,7 @@ def _stamp(location: Location) -> bytes | None:
 
 
 def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Manifest) -> Iterator[str]:
-    """Yield how the root's list of all metadata differs from the manifest."""
+    """Yield differences between the root's list of all metadata and the manifest."""
     try:
         root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
     except StoreError:
@@ -227,7 +229,7 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
 
 
 def _metadata_problems(location: Location, group: str, entry: GroupEntry | None) -> Iterator[str]:
-    """Yield whether the metadata of a group cannot be read, or are not those of the manifest."""
+    """Yield the problems of a group's metadata: unreadable, missing, or different from the manifest."""
     try:
         document = location.metadata(group)
         if entry is not None and document is None and not entry.content:  # of others the state tells
@@ -241,7 +243,7 @@ def _metadata_problems(location: Location, group: str, entry: GroupEntry | None)
 
 
 def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> tuple[int, list[str]]:
-    """Return how many chunks of an array were read, and how they differ from its entry in the manifest."""
+    """Return the number of chunks of an array, and how they differ from its manifest entry."""
     where = joined(group, name)
     document = location.metadata(where)
     if document is None or document_checksum(document) != array.metadata:
@@ -270,7 +272,7 @@ def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> t
 
 
 def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, list[str]]:
-    """Return how many chunks of an array that no manifest names were read, and which cannot be read."""
+    """Return the number of chunks of an array without a manifest entry, and the unreadable ones."""
     import numpy as np
     import zarr
 

@@ -1,7 +1,7 @@
 """`to_store` and `whole_run`: the one writer of Zarr stores.
 
-A group is built beside its store, flushed, and put in its place; the manifest comes last. `whole_run` writes
-the groups of a run, which is unfinished until all of them are there.
+A group is built beside its store, flushed, and moved to its place; the manifest is written last. `whole_run`
+writes the groups of a run, which is unfinished until all of them are in place.
 """
 
 from __future__ import annotations
@@ -145,7 +145,13 @@ def to_store(
     StoreError
         The group exists, is being written, feeds the data, or cannot be written; or names, dtypes or
         attributes cannot be stored; all problems of the call are listed. Or disk or memory would not suffice,
-        or ran out; the figure needed is given. The store is as it was.
+        or ran out; the figure needed is given. The store is unchanged.
+    IncompleteStoreError
+        The manifest of the store is damaged, or another process removed the group while it was written.
+    SchemaError
+        ``codec`` or ``layout`` is not one of the choices.
+    MissingExtraError
+        The package for this kind of URL is not installed.
 
     Examples
     --------
@@ -181,8 +187,6 @@ def to_store(
 
 @dataclass(frozen=True)
 class Job:
-    """One group to write."""
-
     group: str
     dataset: xr.Dataset  # As `layout.prepare` returns it
     token: str  # Names all that is stored: equal tokens, equal content
@@ -191,12 +195,12 @@ class Job:
 
     @property
     def content(self) -> str:
-        """What the manifest names: the group's path, its inputs or values, and the settings of its run."""
+        """Content in the manifest: the group's path, its inputs or values, and the run's settings."""
         return content_text(self.group, str(self.dataset.attrs.get(INPUTS) or self.token), self.settings)
 
     @property
     def build(self) -> str:
-        """Names what is built: by one version of the program, with one codec, in one layout."""
+        """Name of the build, which depends on the version of the program, codec and layout too."""
         from dask.base import tokenize
 
         layouts = sorted(set(layout.layouts_of(self.dataset).values()))
@@ -207,7 +211,7 @@ class Job:
 
 
 class _StoreWriter:
-    """Puts groups in their places one by one, then writes the manifest; made by `_writer`."""
+    """Publishes groups one by one, then writes the manifest; created by `_writer`."""
 
     def __init__(
         self,
@@ -226,10 +230,10 @@ class _StoreWriter:
         self._announced = False
 
     def begin(self, job: Job, *, progress: bool = False) -> Callable[[], None]:
-        """Write a group's arrays; return what puts it in its place.
+        """Write a group's arrays; return the function that publishes the group.
 
-        Another thread may do that while the next group begins, for one group at a time. Nothing is done where
-        the group is there.
+        Another thread may call that while the next group begins, for one group at a time. Nothing is done
+        where the group exists.
         """
         if job.group not in self._pending:
             return lambda: None
@@ -282,7 +286,7 @@ class _StoreWriter:
     def _note(
         self, job: Job, files: dict[str, bytes], sums: Mapping[str, Mapping[str, bytes]]
     ) -> dict[str, Any]:
-        """Keep a group's metadata and its entry of the manifest; return the group's own metadata."""
+        """Record a group's metadata and its manifest entry; return the group's own metadata."""
         documents = {
             key.removesuffix(METADATA).rstrip("/"): json.loads(raw)
             for key, raw in files.items()
@@ -306,7 +310,7 @@ class _StoreWriter:
         return dict(own)
 
     def announce(self, group: str) -> None:
-        """Make the groups above, and before the first group gets its place note all that is to be written."""
+        """Create the groups above; before the first group is published, record all that are to be written."""
         if not self._announced:
             replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
             self._announced = True
@@ -317,7 +321,7 @@ class _StoreWriter:
     def finish(self) -> None:
         """List all metadata in the root, and write the manifest.
 
-        Raises `IncompleteStoreError`: a group is lacking, of this run or of another that was begun.
+        Raises `IncompleteStoreError`: a group of this run, or of another unfinished one, is missing.
         """
         location, manifest = self._location, self._manifest
         listed = listed_documents(location)
@@ -419,7 +423,7 @@ def _writer(
 
 
 def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str, Any]) -> bool:
-    """Return whether a store holds groups whose files are all there, and nothing is left to do."""
+    """Return whether the manifest and the root list all these groups, with nothing left to do."""
     manifest = Manifest.read(location, ignore_damage=True)
     if manifest is None or any(set(write.contents) & set(contents) for write in manifest.writes):
         return False
@@ -438,7 +442,7 @@ def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str
 
 @contextlib.contextmanager
 def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
-    """Remove what was built where the same run would end with the same error."""
+    """Remove builds after an error that would recur in the same run."""
     try:
         yield
     except BaseException as error:
@@ -452,10 +456,10 @@ def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
 
 
 class WholeRun:
-    """Writes the groups of a run, each of which was named when it began; made by `whole_run`.
+    """Writes the groups of a run, all named at its start; created by `whole_run`.
 
-    A group gets its place while the next is written: in one thread, one at a time. Each goes the same way as
-    alone, and groups share no file: a killed run leaves at most two that are begun.
+    A group is published while the next is written, in one thread, one at a time. Groups share no file: a
+    killed run leaves at most two unfinished.
     """
 
     def __init__(
@@ -467,9 +471,9 @@ class WholeRun:
         self._placed: dict[str, xr.Dataset] = {}
 
     def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
-        """Write a group; it gets its place while the next is written, see `settle`.
+        """Write a group; it is published while the next is written, see `settle`.
 
-        Bars go to stderr, so that stdout holds results only.
+        Progress bars go to stderr, so that stdout holds results only.
         """
         assert self._writer is not None  # a run without pending groups writes none
         if self._placing is None or self._placing.done():  # an error is raised before this one takes its time
@@ -491,14 +495,14 @@ class WholeRun:
             self._placing = self._pool.submit(place)
 
     def settle(self) -> None:
-        """Wait until every group is in its place; what went wrong with one is raised."""
+        """Wait until every group is published; raise the error of one that failed."""
         with errors_of_the_system(self._location, self._placed):
             if self._placing is not None:
                 self._placing.result()
                 self._placing = None
 
     def close(self) -> None:
-        """Wait for the group that is being put in place, then stop the thread; also after Ctrl-C."""
+        """Wait for the group that is being published, then stop the thread; also after Ctrl-C."""
         ending, interruption = sys.exc_info()[1], None
         while self._placing is not None and not self._placing.done():
             try:
@@ -518,14 +522,14 @@ def whole_run(
     path: Path, contents: Mapping[str, str], pending: Mapping[str, xr.Dataset], attrs: Mapping[Any, Any], *,
     command: str, overwrite: bool, codec: layout.Codec = "compact", take_up: TakeUp | None = None,
 ) -> Iterator[WholeRun]:  # fmt: skip
-    """Hold a store for a run, and write its manifest when that ends well; nothing is done where all is there.
+    """Hold a store for a run, and write its manifest if the run succeeds; a complete store is left unchanged.
 
     ``contents``: of every group of the run, see `run_contents`; ``pending``: those that it will write;
     ``attrs``: of the root; ``command``: finishes an interrupted run, with ``{store}`` for the path;
     ``codec``: of `to_store`; ``take_up``: see `TakeUp`.
 
     Raises `StoreError`: another writer is at work, or the store cannot be written. `IncompleteStoreError`:
-    groups are lacking at the end, of this run or of another that was begun.
+    groups of this run, or of another unfinished one, are missing at the end.
     """
     location = Location.of(path)
     root = {"": dict(attrs)}
@@ -563,10 +567,10 @@ def run_contents(groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
 def _write_arrays(
     job: Job, place: Location, leftovers: list[Path], *, progress: bool
 ) -> tuple[dict[str, bytes], dict[str, dict[str, bytes]]]:
-    """Write the arrays of a group, but for chunks that a leftover has.
+    """Write the arrays of a group, except chunks that a leftover has.
 
-    Return the files that xarray made, of which the group's own metadata are not yet written, and of each
-    array the crc32c that ends each chunk, by key.
+    Return the files that xarray made, of which the group's own metadata are not yet written, and for each
+    array the crc32c of each chunk, by key.
     """
     import numpy as np
 
@@ -611,7 +615,7 @@ def _in_order(key: str) -> list[int]:
 
 
 def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, bytes]:
-    """Return the files of a group as zarr keeps them in memory: metadata, and values not streamed.
+    """Return the files of a group, as zarr makes them in memory: metadata, and values not streamed.
 
     On a disk each of some hundred small files would wait for zarr's threads.
     """
@@ -629,7 +633,6 @@ def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.C
 def _write_to_store_object(
     store: Any, jobs: list[Job], attrs: Mapping[str, Mapping[str, Any]], *, overwrite: bool
 ) -> None:
-    """Write groups through xarray into a store object of zarr."""
     import zarr
 
     try:
@@ -672,7 +675,7 @@ def _write_to_store_object(
 
 
 def real_folder(local: Path) -> Path:
-    """Return the folder itself, where a link leads to it: what is renamed must lie on one disk."""
+    """Return the folder with links resolved: renames must stay on one disk."""
     return Path(os.path.realpath(local))
 
 
@@ -705,13 +708,12 @@ def _plan(
 
 
 def check_codec(codec: str) -> None:
-    """Refuse a word that is no codec (`SchemaError`)."""
     if codec not in get_args(layout.Codec):
         raise SchemaError(f"codec={codec!r}", expected="'compact' or 'fast'", code="choice-unknown")
 
 
 def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr.Dataset:
-    """Return the dataset without an `INPUTS` attribute that it inherited from another group."""
+    """Return the dataset without an `INPUTS` attribute inherited from another group."""
     if INPUTS not in dataset.attrs or (source_token is not None and dataset.attrs[INPUTS] == source_token):
         return dataset
     unmarked = dataset.copy(deep=False)
@@ -735,7 +737,7 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 
 
 def _content(variable: xr.Variable) -> Any:
-    """Return what stands for a variable's values."""
+    """Return a stand-in for a variable's values that changes with them."""
     if layout.is_at_hand(variable) and is_named_by_content(variable):
         # dask names texts by what joins them
         is_text = variable.dtype.kind in "OT" and variable._in_memory
@@ -748,7 +750,7 @@ def _content(variable: xr.Variable) -> Any:
 
 
 def _refuse_own_source(jobs: list[Job], location: Location) -> None:
-    """Refuse groups that are read from what this call replaces: they would be read when it is gone."""
+    """Refuse groups that are read from groups which this call replaces."""
     problems = Problems(f"cannot write {location.url}", StoreError)
     for job in jobs:
         for other in jobs:
@@ -765,7 +767,7 @@ def _refuse_own_source(jobs: list[Job], location: Location) -> None:
 def pending_groups(
     contents: Mapping[str, str], location: Location, *, overwrite: bool, around: Iterable[str] = ()
 ) -> list[str]:
-    """Return the groups that are not there yet, of those ``contents``; refuse what would touch others.
+    """Return the groups of ``contents`` still to be written; refuse those that would damage others.
 
     ``around``: groups without arrays that are written too.
     """
@@ -822,9 +824,9 @@ def check_room(
     tokens: Mapping[str, str],
     codec: layout.Codec = "compact",
 ) -> None:
-    """Refuse groups (name to what `to_store` will be given) that together do not fit on a store's disk.
+    """Refuse groups (name to dataset for `to_store`) that together do not fit on a store's disk.
 
-    ``tokens`` are their source tokens; the error gives the figures.
+    ``tokens``: their source tokens.
     """
     jobs = [
         Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()
@@ -846,7 +848,7 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:
-    """Refuse what disk or memory will not hold; return how many threads it may take, None for any."""
+    """Refuse groups that exceed disk or memory; return the number of threads that fit, None for any."""
     _check_disk(jobs, location)
     if computing.client_in_force() is not None:
         return None  # the memory is that of the workers
