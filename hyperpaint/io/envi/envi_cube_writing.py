@@ -1,4 +1,4 @@
-"""ENVI cubes written: a flight line, or a map in its place.
+"""ENVI cubes written: a flight line, or a georeferenced map.
 
 The data file is filled block by block as dask computes them, so that a cube of any length needs the memory of
 a few blocks. Header and data appear together, the header last.
@@ -43,8 +43,8 @@ _CODES = {"uint8": 1, "int16": 2, "int32": 3, "float32": 4, "float64": 5, "uint1
 _AXES: Mapping[str, str] = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _SCALE = 10_000
 _IGNORE = 65_535
+# Size of the pieces in which an array in memory is written [byte].
 _BLOCK = 64 * 2**20
-"""Bytes of an array in memory that are written at a time."""
 
 
 @takes_quantities()
@@ -75,7 +75,7 @@ def write_envi(
     dtype
         ``"float32"``; or ``"uint16"``, for reflectance times 10,000 (0 to 6.5534, others end there), unknown
         samples 65535. By default floats are float32 (places such as ``east`` and ``glt_line`` float64), and
-        integers stay what they are.
+        integers keep their type.
     overwrite
         Replace files that exist.
     progress
@@ -92,7 +92,7 @@ def write_envi(
         There is no such variable, its dims or type are others, or ENVI cannot say where its grid is; all are
         listed.
     StoreError
-        A file exists, or cannot be written. What was there stays.
+        A file exists, or cannot be written. An existing file stays.
     MissingExtraError
         The map has a reference system, and pyproj is not installed.
 
@@ -132,7 +132,7 @@ def write_envi(
     return head
 
 
-# --- what is written ---------------------------------------------------------------------------------------
+# --- array and header --------------------------------------------------------------------------------------
 
 
 def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.DataArray:
@@ -170,7 +170,7 @@ def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid
     name = str(cube.name)
     scaled = name == "reflectance" and cube.dtype.kind == "u"
     title = _printable(str(dataset.attrs.get("title") or dataset.attrs.get("source") or "hyperpaint"))
-    # the last level that a description names is what readers take the values for
+    # readers take the last level in a description as the quantity
     level = f", {name.upper()}" if name in ("radiance", "reflectance") else f", {name}"
     rows = [
         "ENVI",
@@ -226,7 +226,7 @@ def _listed(values: NDArray[Any]) -> str:
 
 
 def _printable(text: str) -> str:
-    """Return text that cannot end a brace or a line of a header."""
+    """Return text without braces and line ends."""
     return "".join(mark if mark.isprintable() and mark not in "{}" else " " for mark in text)[:500]
 
 
@@ -244,9 +244,9 @@ def _paths(path: Path) -> tuple[Path, Path]:
 
 @dataclass(eq=False)
 class _Target:
-    """A file that takes blocks of an array at their places; any thread, any order.
+    """A file that takes blocks of an array at their positions; any thread, any order.
 
-    Blocks go through `os.pwrite`: a memory map would keep what was written in memory for as long as it likes.
+    Blocks go through `os.pwrite`: a memory map would hold written pages in memory.
     """
 
     path: str
@@ -257,14 +257,13 @@ class _Target:
     lock: Any = field(default_factory=threading.Lock)
 
     def __getstate__(self) -> dict[str, Any]:
-        # on another machine nobody sees the progress
+        # no progress on another machine
         return {**self.__dict__, "progress": None, "lock": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, lock=threading.Lock())
 
     def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
-        """Write one block."""
         block = np.ascontiguousarray(block, self.dtype.newbyteorder("<"))
         starts = [where.indices(size)[0] for where, size in zip(region, self.shape, strict=True)]
         _, rows, columns = self.shape
@@ -277,7 +276,7 @@ class _Target:
                 for row, piece in enumerate(pieces):
                     self._write(descriptor, piece, first + row * columns)
             if block.shape[1:] == self.shape[1:] and hasattr(os, "posix_fadvise"):
-                # Linux starts to write what will not be needed: little is left to be flushed at the end
+                # Linux starts to write these pages, so that little is left to flush at the end
                 begin, size = starts[0] * rows * columns * self.dtype.itemsize, block.nbytes
                 os.posix_fadvise(descriptor, begin, size, os.POSIX_FADV_DONTNEED)
         finally:
@@ -305,7 +304,7 @@ def _fill(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None]
             try:
                 os.posix_fallocate(file.fileno(), 0, size)
             except OSError as error:
-                # a full disk is told before anything is computed; not every file system can
+                # reports a full disk before anything is computed; some file systems cannot
                 if error.errno == errno.ENOSPC:
                     raise
     target = _Target(os.path.abspath(path), shape, stored.dtype, progress)

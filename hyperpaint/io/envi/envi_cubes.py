@@ -31,7 +31,7 @@ DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
 # axes of the file, slowest first
 _FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
-# Headwall's recorder names itself, and a level beside it in what its software made of the counts
+# Headwall's recorder writes its name; its software adds the level of processed cubes
 _RAW = re.compile(r"\[headwall\b|\braw\b|\bdigital (?:numbers?|counts?)\b|\bcounts\b|\bdn\b", re.IGNORECASE)
 _COUNT_UNITS = ("count", "counts", "dn", "digital number", "digital numbers", "digital counts", "adu")
 _QUANTITIES = ("counts", "radiance", "reflectance", "values")
@@ -111,23 +111,22 @@ def open_envi(
         there means that the header describes another cube. Not possible for ``bsq``: a short file lacks
         bands.
     quantity
-        ``counts``, ``radiance``, ``reflectance`` or ``values``: what the samples are, where the header does
-        not say it. A header that says otherwise is refused.
+        ``counts``, ``radiance``, ``reflectance`` or ``values``: quantity of the samples, where the header
+        does not state it. A header that contradicts it is refused.
     unsaid
-        As ``quantity``, of integers only, and of no account where the header says what they are: what a
-        reader of darks takes them for.
+        Quantity of integers, used where neither the header nor ``quantity`` states one; for readers of darks.
 
     Returns
     -------
     xarray.Dataset
         One variable: ``counts`` (integers), ``radiance`` or ``reflectance``, where the header or ``quantity``
         says so, else ``values``; dims (along_track, band, cross_track), or (y, x, band) with map info.
-        Radiance and reflectance are float32, a reflectance scale factor or band gains and offsets applied and
-        the ignore value, compared with what is stored, NaN. Integers without a scale keep their type, and
+        Radiance and reflectance are float32, with reflectance scale factor or band gains and offsets applied,
+        and NaN where the stored sample equals the ignore value. Integers without a scale keep their type, and
         the attribute ``data_ignore_value``. Coordinates ``wavelength`` [nm], ``fwhm`` [nm] and ``good`` on
-        ``band``, without an index; ``y`` and ``x`` [map units] at pixel centres where the grid is not
-        rotated (a rotated one has the attribute ``map_info`` alone).
-        Attributes ``envi_header`` and ``envi_comments`` hold all the header says, as JSON text.
+        ``band``, without an index; ``y`` and ``x`` [map units] at pixel centres where the grid is not rotated
+        (a rotated one has the attribute ``map_info`` alone). Attributes ``envi_header`` and ``envi_comments``
+        hold the whole header, as JSON text.
 
     Raises
     ------
@@ -147,7 +146,7 @@ def open_envi(
     ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance products.
     Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word raw,
     counts or DN in the description, by units of counts, or by a description of Headwall's recorder without
-    a level: a product of other software, scaled and without a word, is none.
+    a level; scaled products of other software without such a word are ``values``.
 
     Examples
     --------
@@ -237,7 +236,7 @@ def _has_gain(header: EnviHeader) -> bool:
 
 
 def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: bool) -> int:
-    """Return the number of lines; raise where the file is not as long as the header says."""
+    """Return the number of lines; FormatError where the file's size contradicts the header."""
     expected = header.header_offset + header.lines * header.line_bytes
     if size == expected:
         return header.lines
@@ -279,19 +278,19 @@ def _warn(header: EnviHeader, path: Path, lines: int) -> None:
 
 
 def _level(header: EnviHeader) -> str | None:
-    """Return the processing level that the description names."""
+    """Return the processing level in the description; None without one."""
     levels = _LEVEL.findall(header.description[:10_000])
     return str(levels[-1]).lower() if levels else None
 
 
 def _is_unscaled(header: EnviHeader) -> bool:
-    """Whether integers are called reflectance without the scale that would make them fractions."""
+    """Return whether integers are called reflectance without a scale to fractions."""
     unscaled = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
     return _level(header) == "reflectance" and header.dtype.kind in "iu" and unscaled
 
 
 def _comment_units(header: EnviHeader) -> str | None:
-    """Return Headwall's units comment, if it can be read as units."""
+    """Return the units in Headwall's comment; None if absent or unreadable."""
     for key, text in header.comments.items():
         if key.lower() == "units":
             plain = text.replace("^", "").strip()
@@ -303,7 +302,6 @@ def _comment_units(header: EnviHeader) -> str | None:
 
 
 def _quantity(header: EnviHeader, given: str | None, unsaid: str, path: Path) -> tuple[str, dict[str, Any]]:
-    """Return the name and the attributes of the variable."""
     name, units_said = _said(header)
     plain = header.dtype.kind in "iu" and not _has_gain(header)
     if name is None and given is None and plain and header.file_type in _CUBE_TYPES:
@@ -344,7 +342,7 @@ def _check_quantity(header: EnviHeader, declared: str | None, quantity: str, pat
 
 
 def _said(header: EnviHeader) -> tuple[str | None, str | None]:
-    """Return the quantity that the header names, and its units of radiance; None where it does not."""
+    """Return the quantity that the header declares, and its units of radiance; None where it does not."""
     if _is_unscaled(header):
         return "values", None
     level = _level(header)
@@ -366,7 +364,7 @@ def _said(header: EnviHeader) -> tuple[str | None, str | None]:
 
 
 def _is_raw(header: EnviHeader) -> bool:
-    """Whether words of the header say that integers are what the converter gave."""
+    """Return whether the header says that integers are raw counts of the converter."""
     said = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
     said = header.fields.get("data units", said)
     in_words = said.strip().lower() in _COUNT_UNITS or _RAW.search(header.description[:10_000])
@@ -392,7 +390,7 @@ def _scaling(header: EnviHeader, name: str) -> Scaling | None:
 
 
 def _coordinates(header: EnviHeader, lines: int) -> dict[str, Any]:
-    # else xarray imports dask, which takes longer than all else, to ask whether the values are its own
+    # fastpath: else xarray imports dask, which takes longer than the rest, to check the type of the values
     coords: dict[str, Any] = {
         name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
         for name, values in (

@@ -18,7 +18,7 @@ _MAX_SHOWN = 20
 
 
 class HeaderFindings(Problems):
-    """What makes a header unusable, and notes and warnings, the flood of a damaged file cut short."""
+    """Problems, notes and warnings of a header, limited in number."""
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{name} cannot be used", FormatError)
@@ -26,7 +26,7 @@ class HeaderFindings(Problems):
         self.warnings: list[str] = []
 
     def note(self, text: str, *, warn: bool = False) -> None:
-        """Add what was inferred or looks odd; `warn` where values may be wrong for it."""
+        """Add an inference or oddity; `warn` if it may make values wrong."""
         if len(self.warnings if warn else self.notes) < _MAX_SHOWN:
             self.notes.append(text)
             if warn:
@@ -42,7 +42,7 @@ class Scanned:
 
 
 def shown(text: str) -> str:
-    """Return text as messages quote it."""
+    """Return text shortened and quoted for messages."""
     return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
@@ -88,7 +88,7 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
 def _closed(
     value: str, number: int, key: str, lines: Iterator[tuple[int, str]], findings: HeaderFindings
 ) -> str:
-    """Return a braced value whole, taking more lines until its brace closes."""
+    """Return a braced value, reading more lines until its brace closes."""
     parts: list[str] = []
     part = value
     while "}" not in part:
@@ -118,7 +118,7 @@ def _store(into: dict[str, str], key: str, value: str, where: str, findings: Hea
 
 
 def _store_comment(into: dict[str, str], key: str, value: str, findings: HeaderFindings) -> None:
-    """Keep the first of two: a processing step repeats comments, and must not make the cube unreadable."""
+    """Keep the first of two: processing steps repeat comments, and the cube must stay readable."""
     if into.setdefault(key, value) != value:
         findings.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
 

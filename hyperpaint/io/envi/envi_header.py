@@ -1,6 +1,6 @@
-"""What the keys of an ENVI header mean: sizes, types, wavelengths, scale, place.
+"""Meaning of the keys of an ENVI header: sizes, types, wavelengths, scale, map position.
 
-Reading is bounded and linear in the length of the file, and every problem found is raised at once.
+Reading is bounded and linear in the length of the file, and all problems are raised together.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from hyperpaint.io.files.reading import decoded_text
 from .envi_grammar import HeaderFindings, Scanned, bare, scan, shown
 
 MAX_HEADER_BYTES = 4 * 2**20
+# A library's header names every spectrum: some 400,000 of them.
 MAX_LIBRARY_HEADER_BYTES = 16 * 2**20
-"""Of a spectral library, whose header names every spectrum: some 400,000 of them."""
 
 _DTYPES = {
     "1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "6": "c8", "9": "c16",
@@ -56,7 +56,7 @@ _NAMED_WAVELENGTH = re.compile(
 
 @dataclass(frozen=True)
 class MapInfo:
-    """Where pixels lie on a map."""
+    """Map position of the pixels, from ``map info``."""
 
     projection: str  # Name of the projection, as written
     # Column and row of the reference, counted from 1; (1, 1) is the outer upper-left corner of the first
@@ -71,7 +71,7 @@ class MapInfo:
 
 @dataclass(frozen=True, eq=False)
 class EnviHeader:
-    """What an ENVI header says."""
+    """Content of an ENVI header."""
 
     # lines, samples, bands: Size of the cube: along track, across track, spectral
     lines: int
@@ -98,7 +98,7 @@ class EnviHeader:
     # Every key (lower case) and its raw text, in the order of the file, braces included
     fields: dict[str, str] = field(default_factory=dict)
     comments: dict[str, str] = field(default_factory=dict)  # ``;key = value`` lines, in the order of the file
-    notes: tuple[str, ...] = ()  # What was inferred or looked odd
+    notes: tuple[str, ...] = ()  # Inferences and oddities
     warnings: tuple[str, ...] = ()  # Those of the notes that may make values or wavelengths wrong
 
     @property
@@ -120,7 +120,7 @@ class EnviHeader:
 def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> EnviHeader:
     """Read an ENVI header file.
 
-    ``path``: the ``.hdr`` file; ``limit``: most bytes that it may have.
+    ``path``: the ``.hdr`` file; ``limit``: its maximum size [byte].
 
     Raises `FormatError`: The file is not an ENVI header, is over the limit, or contradicts itself; all
     problems are listed. Raises `OSError`: The file cannot be read.
@@ -141,7 +141,7 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
 def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     """Read the text of an ENVI header.
 
-    ``text``: text from the line ``ENVI`` on; ``name``: what messages call it.
+    ``text``: text from the line ``ENVI`` on; ``name``: its name in messages.
 
     Raises `FormatError`: The text is not an ENVI header or contradicts itself; all problems are listed.
 
@@ -173,7 +173,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
 
 
 class _Reader:
-    """Turns raw values into checked ones; notes a problem and returns None where one is wrong."""
+    """Converts and checks raw values; notes a problem and returns None for a wrong one."""
 
     def __init__(self, fields: Mapping[str, str], findings: HeaderFindings) -> None:
         self.fields = fields
@@ -216,10 +216,10 @@ class _Reader:
         text = self.fields.get(key)
         if text is None or not bare(text):
             return None
-        if count < 1:  # the count itself is a problem already
+        if count < 1:  # noted already
             return None
         text = bare(text)
-        # counted before it is split: a list of millions never becomes objects unless the cube is as large
+        # counted before it is split: millions of values become objects only if the cube is as large
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
             self.findings.add(
@@ -243,7 +243,7 @@ class _Reader:
 
 
 def _to_float(text: str) -> float:
-    """Return the number; unlike float(), take neither underscores nor other scripts' digits."""
+    """Return a number; unlike float(), refuse underscores and other scripts' digits."""
     if len(text) <= 64 and text.isascii() and "_" not in text:
         try:
             return float(text)
@@ -328,7 +328,7 @@ def _refuse_unsupported(reader: _Reader) -> None:
 
 def _ignore_value(reader: _Reader) -> int | float | None:
     text = bare(reader.fields.get("data ignore value", ""))
-    # a whole number is kept as such: float64 cannot hold every 64-bit one
+    # whole numbers stay integers: float64 cannot hold all 64-bit ones
     if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
         return int(text)
     value = reader.number("data ignore value")
@@ -408,8 +408,8 @@ def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: HeaderF
     longest = float(wavelength.max())
     small = longest < _LARGEST_MICROMETRE
     if unit in _UNSAID:
-        said = "values below 100 taken as micrometres" if small else "values taken as nanometres"
-        findings.note(f"no wavelength units: {said}")
+        assumption = "values below 100 taken as micrometres" if small else "values taken as nanometres"
+        findings.note(f"no wavelength units: {assumption}")
         return 1e3 if small else 1.0
     factor = _NANOMETRES[unit]
     if (factor == 1.0 and small) or (factor == 1e3 and not small):
@@ -421,7 +421,7 @@ def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: HeaderF
 
 
 def _wavelength_of_names(names: tuple[str, ...], findings: HeaderFindings) -> Floats | None:
-    """Return the wavelengths that GDAL leaves in band names, such as ``399.356 nm``."""
+    """Return the wavelengths that GDAL writes into band names, such as ``399.356 nm``."""
     centres = []
     for name in names:
         match = _NAMED_WAVELENGTH.search(name[:200])

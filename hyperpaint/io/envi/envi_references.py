@@ -1,6 +1,6 @@
 """Raw ENVI cubes without copying: slabs of whole lines are runs of bytes of the data file.
 
-`slab_lines` and `slab_offsets` say which; `EnviParser` offers them to VirtualiZarr, as its parsers do.
+`slab_lines` and `slab_offsets` give the slabs; `EnviParser` is a parser of VirtualiZarr.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from .envi_header import parse_header
 if TYPE_CHECKING:
     from virtualizarr.manifests import ManifestStore
 
+# Dims in the order of the file, slowest first.
 FILE_DIMS = {
     "bil": (ALONG_TRACK, BAND, CROSS_TRACK),
     "bip": (ALONG_TRACK, CROSS_TRACK, BAND),
     "bsq": (BAND, ALONG_TRACK, CROSS_TRACK),
 }
-"""Dims in the order of the file, slowest first."""
 
+# Lines of a slab: with fewer, overhead dominates a task; more take much memory.
 MIN_SLAB_LINES, MAX_SLAB_LINES = 8, 64
-"""Lines of a slab: with fewer, overhead dominates a task; more take much memory."""
 
 
 def slab_lines(ends: Sequence[int]) -> int:
-    """Return the lines of a slab for cubes one after the other.
+    """Return the lines of a slab for successive cubes.
 
-    ``ends``: the line after the last of each cube. As few slabs as possible are short or lie in two cubes;
-    of those sizes the one nearest to that of stored chunks.
+    ``ends``: the line after the last of each cube. The size with the fewest slabs that are short or span two
+    cubes; among equals the one nearest to that of stored chunks.
 
     Examples
     --------
@@ -53,7 +53,7 @@ def slab_lines(ends: Sequence[int]) -> int:
 
 
 def slab_offsets(lines: int, first: int, count: int, header_offset: int, line_bytes: int) -> Ints:
-    """Return where slabs of ``lines`` lines begin in a file, ``count`` of them, the first at line ``first``.
+    """Return the byte offsets of ``count`` slabs of ``lines`` lines in a file, from line ``first`` on.
 
     Examples
     --------
@@ -66,13 +66,13 @@ def slab_offsets(lines: int, first: int, count: int, header_offset: int, line_by
 class EnviParser:
     """A parser of VirtualiZarr for ENVI cubes, such as those of Headwall's recorders.
 
-    Samples are referred to where they lie: slabs of whole lines of a ``bil`` or ``bip`` file, parts of the
+    Samples are referenced in place: slabs of whole lines of a ``bil`` or ``bip`` file, parts of the
     planes of a ``bsq`` file. Sizes, type, byte order and offset come from the header beside the data file.
 
     Parameters
     ----------
     variable
-        Name of the one array.
+        Name of the array.
     lines
         Lines of a chunk, which divide those of the cube, since grids of chunks are regular; by default the
         divisor that is nearest to 32.

@@ -1,8 +1,8 @@
-"""Products that appear whole or not at all: a file, a folder, or several files that belong together.
+"""Products that appear completely or not at all: a file, a folder, or several files that belong together.
 
-A product is built in the folder that a store is built in, ``.partial-<name>`` beside its place (see
+A product is built in a staging folder like a store's, ``.partial-<name>`` beside its place (see
 `hyperpaint.io.store.stage`), flushed to the disk, then moved to its place. One file is moved by one rename.
-One folder changes places with the old one, as a group of a store does.
+One folder is exchanged with the old one, like a group of a store.
 
 Several files are opened by the last of them, the key: the header of a cube, the map that an item describes.
 They cannot be moved in one step, so the key is absent while its companions change:
@@ -10,12 +10,12 @@ They cannot be moved in one step, so the key is absent while its companions chan
 1. Every old companion gets a second name in the build, by a link; it keeps its place.
 2. The build, with a journal of all places, is renamed to ``swap``. Until here all old files stand.
 3. The old key is moved into ``swap``. From here on there is no key to open.
-4. New companions replace the old ones, one by one. Where the disk knows no links, the old one is moved into
+4. New companions replace the old ones, one by one. Where the disk has no links, the old one is moved into
    ``swap`` first.
 5. The new key is moved to its place. From here on all new files stand; ``swap`` is removed.
 
 An error after step 2 undoes all steps at once. A process that is killed there leaves ``swap``: the next
-writer of the product, or `check_place`, undoes the steps where the new key is still in ``swap``, else removes
+writer of the product, or `check_place`, undoes the steps if the new key is still in ``swap``, else removes
 it. So a key in its place has its own companions. Two cases remain: while there is no key, a companion that is
 opened by itself may be the old or the new one; and a program that has opened the old key may read new
 companions.
@@ -52,10 +52,10 @@ def check_place(
     path: Path, product: str, *, example: str, kinds: Sequence[str] = (), store: Path | None = None,
     overwrite: bool = False, error: type[PaintError] = StoreError,
 ) -> None:  # fmt: skip
-    """Refuse a place for a file before anything is read or drawn; all reasons are listed.
+    """Check the place of a new file before anything is read or drawn; all problems are listed.
 
     Messages name the ``product``, such as "the table", and an ``example`` of a name. ``kinds`` are the
-    suffixes that it may have, any by default; it may not be in ``store``.
+    allowed suffixes, any by default; the file may not be inside ``store``.
     """
     problems = Problems(f"{product} cannot be written to {path}", error)
     if kinds and path.suffix.lower() not in kinds:
@@ -80,14 +80,14 @@ def check_place(
 
 
 def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
-    """Write a file whole or not at all, as `published_files`."""
+    """Write a file completely or not at all, like `published_files`."""
     with published_files([path], overwrite=overwrite) as (temporary,):
         temporary.write_bytes(content)
 
 
 @contextlib.contextmanager
 def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path], str]) -> Iterator[Path]:
-    """Yield a folder to fill, which gets its place when the block ends well; see `published_files`."""
+    """Yield a folder to fill, which is moved to its place if the block succeeds; see `published_files`."""
     with published_files([target], overwrite=overwrite, foreign=foreign) as (build,):
         build.mkdir()
         yield build
@@ -97,18 +97,17 @@ def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path],
 def published_files(
     targets: Sequence[Path], *, overwrite: bool, foreign: Callable[[Path], str] | None = None
 ) -> Iterator[list[Path]]:
-    """Yield a path to write for each part of a product; they get their places when the block ends well.
+    """Yield a path to write for each part of a product; they are moved to their places if the block succeeds.
 
-    ``targets``: their places, in one folder or several; the last is the one by which the product is opened;
-    ``overwrite``: whether an earlier product may be replaced; ``foreign``: given where the last is a folder,
-    which is new, empty, or an earlier product; returns what a folder that is not empty holds and this product
-    does not, such as "other files", and nothing for an earlier product. What holds anything else is never
-    replaced.
+    ``targets``: their places, in one folder or several; the last is the key, by which the product is opened;
+    ``overwrite``: whether an earlier product may be replaced; ``foreign``: given if the last is a folder,
+    which must be new, empty, or an earlier product; returns a description of foreign content, such as "other
+    files", empty for an earlier product. Foreign content is never replaced.
 
     Raises `StoreError`: A place holds something else, or a product that may not be replaced, or is being
-    written by another process; or the system refuses. What was there stays.
+    written by another process; or the system refuses. Existing files stay.
     """
-    if len({target.parent for target in targets}) > 1:  # a folder has one name
+    if len({target.parent for target in targets}) > 1:  # one spelling a folder
         targets = [Path(os.path.realpath(target.parent), target.name) for target in targets]
     key, anchors, builds = targets[-1], _anchors(targets), {}
     with _errors_of(key), contextlib.ExitStack() as stack:
@@ -138,9 +137,9 @@ def published_files(
 
 
 def unwritable(place: Path, error: Exception) -> StoreError:
-    """Return the error of a place that cannot be written; a full disk is named, with its free space.
+    """Return the error of a place that cannot be written; on a full disk with its free space.
 
-    GDAL keeps the number of the system's error to itself: whether the disk is full is tried out for it.
+    GDAL hides the error number of the system: a probe file shows whether the disk is full.
     """
     folder = next((each for each in place.absolute().parents if each.is_dir()), Path(place.anchor))
     reason: str = getattr(error, "strerror", None) or str(error)
@@ -218,19 +217,19 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
 
 
 def _anchors(targets: Sequence[Path]) -> list[Path]:
-    """Return the target of each folder that its staging folder is named by, that of the key last."""
+    """Return the target that names the staging folder of each folder, the key last."""
     key = targets[-1]
     return [*{each.parent: each for each in targets if each.parent != key.parent}.values(), key]
 
 
 def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
-    """Let new files and old ones change places: steps 1 to 5 of the module's docstring.
+    """Exchange new and old files: steps 1 to 5 of the module's docstring.
 
-    ``folders``: the build of each folder that targets lie in, that of the key last.
+    ``folders``: the build of each target folder, the key's last.
     """
     *companions, (last, key) = enumerate(targets)
     for number, target in companions:
-        with contextlib.suppress(OSError):  # there is none, or the disk knows no links
+        with contextlib.suppress(OSError):  # there is no old file, or the disk has no links
             os.link(target, _old(folders[target.parent], number))
     for folder, build in folders.items():
         real = os.path.realpath(folder)
@@ -239,7 +238,7 @@ def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
         sync(build / _JOURNAL)
         sync(build)
     try:
-        for folder, build in folders.items():  # that of the key begins the swap
+        for folder, build in folders.items():  # the key's folder comes last and begins the swap
             os.rename(build, build.with_name(_SWAP))
             sync(build.parent)
             folders[folder] = build.with_name(_SWAP)
@@ -256,7 +255,7 @@ def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
         os.rename(_new(folders[key.parent], last, key), key)
         sync(key.parent)
     except BaseException:
-        with contextlib.suppress(OSError):  # else the next writer does it
+        with contextlib.suppress(OSError):  # otherwise done by the next writer
             _settle(targets)
         raise
     _settle(targets)
@@ -271,7 +270,7 @@ def _new(build: Path, number: int, target: Path) -> Path:
 
 
 def _settle(targets: Sequence[Path]) -> None:
-    """Undo a swap whose key is not in its place yet, and remove what is left of it; the places are locked."""
+    """Undo a swap whose key is not in its place yet, and remove its remains; the places are locked."""
     swaps = {anchor.parent: Staging(anchor).folder / _SWAP for anchor in _anchors(targets)}
     *companions, (last, key) = enumerate(targets)
     folder = swaps[key.parent]
@@ -300,10 +299,10 @@ def _discard_if_there(build: Path) -> None:
 
 
 def _recover(target: Path) -> None:
-    """Undo or finish what a killed writer left at a place."""
+    """Undo or finish a swap that a killed writer left at a place."""
     if not os.path.lexists(Staging(target).folder):
         return
-    with staging(target):  # which removes what was only built
+    with staging(target):  # removes unfinished builds
         targets = _journal(target)
     with contextlib.ExitStack() as stack:
         for anchor in _anchors(targets) if targets else ():
@@ -314,7 +313,7 @@ def _recover(target: Path) -> None:
 
 
 def _journal(target: Path) -> list[Path]:
-    """Return the places of the files of a swap that was cut short; refuse what no writer left."""
+    """Return the places of the files of an interrupted swap; StoreError for a journal that no writer left."""
     path = Staging(target).folder / _SWAP / _JOURNAL
     if not os.path.lexists(path.parent):
         return []

@@ -1,4 +1,4 @@
-"""Tables in text files: one header line, cells that are still text, their lines known for messages."""
+"""Tables in text files: one header line, cells as text, line numbers kept for messages."""
 
 from __future__ import annotations
 
@@ -20,11 +20,9 @@ if TYPE_CHECKING:
 
 _MAX_SETTINGS = 16 << 20
 _MAX_TABLE = 1 << 28
+# Most rows of a record or index: 3 h 58 min of a camera at 140 Hz, 2 h 46 min of an inertial system at 200
+# Hz. A row takes 170 bytes of memory (frame index) to 240 (record of nine columns), half a gigabyte in all.
 MAX_TABLE_ROWS = 2_000_000
-"""Rows of a record or index: 3 h 58 min of a camera at 140 Hz, 2 h 46 min of an inertial system at 200 Hz.
-
-Reading takes 170 bytes a row of a frame index and 240 of a record of nine columns, half a gigabyte at most.
-"""
 
 
 _BLOCK = 4096
@@ -34,7 +32,7 @@ _INTEGER = re.compile(r"[+-]?[0-9]{1,16}(?:\.0*)?")
 
 
 def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINES) -> str:
-    """Return the text of a side file, its line ends made those of Unix.
+    """Return the text of a side file, with Unix line ends.
 
     Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, has more than ``lines``, or
     is binary.
@@ -55,7 +53,7 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINE
 
 @dataclass(frozen=True)
 class Table:
-    """A text table with one header line, its cells still text."""
+    """A text table with one header line, and cells as text."""
 
     name: str  # File name, for messages
     rows: NDArray[np.int64]  # Line number in the file of each row, the header being line 1
@@ -102,9 +100,9 @@ def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
 
 
 def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
-    """Return a table whose lines all have as many tabs as its header, none of them blank; None of another.
+    """Return a table whose lines all have as many tabs as its header; None for blank lines or other counts.
 
-    At a third of the time that line by line takes.
+    Takes a third of the time of reading line by line.
     """
     start, end = text.find("\n") + 1, len(text) - text.endswith("\n")
     columns, rows = PackedColumns(names), 0
@@ -130,7 +128,7 @@ def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
 def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]]) -> Table:
     """Return cells under the names of their columns.
 
-    ``rows``: line number and cells of each, taken one at a time.
+    ``rows``: line number and cells of each row.
 
     Raises `FormatError`: There are no rows, or some have another number of cells than there are names.
     """
@@ -159,7 +157,7 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
 
 
 def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:
-    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: what a row is."""
+    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: noun for a row."""
     shown = ", ".join(str(int(number)) for number in rows[:5])
     if len(rows) == 1:
         return f"{row} {shown}"

@@ -1,7 +1,6 @@
-"""Maps written as GeoTIFF: every band as it is, or a picture in true colours.
+"""Maps written as GeoTIFF: all bands, or a picture in true colours.
 
-Windows are written a row of tiles after another, one at a time; a cloud-optimised file is made of the plain
-one afterwards, by GDAL, in the same streaming way.
+Windows are written one row of tiles at a time; GDAL then streams the plain file into a cloud-optimised one.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _TILE = 256
+# Rows from which the brightness levels of a picture are computed.
 _SAMPLED = 64
-"""Rows that the levels of a picture are found in."""
 _BLOCK = 64 * 2**20
+# GDAL's default, 5 % of the machine's memory, would fill with bands that are written once.
 _CACHE_MB = 256
-"""GDAL's own would be a twentieth of the machine's memory, and fill up with bands that are written once."""
 
 
 @takes_quantities()
@@ -54,8 +53,8 @@ def write_geotiff(
     Parameters
     ----------
     map
-        With a variable on (y, x, band) or (y, x) in any order, and a place: ``spatial_ref`` with
-        ``GeoTransform`` (any affine, turned or not), or ``x`` and ``y``.
+        With a variable on (y, x, band) or (y, x) in any order, and a position: ``spatial_ref`` with
+        ``GeoTransform`` (any affine, rotated or not), or ``x`` and ``y``.
     path
         The file.
     variable
@@ -66,11 +65,11 @@ def write_geotiff(
     cog
         Write a cloud-optimised GeoTIFF: tiled, with overviews, deflated.
     stretch
-        Percentiles of brightness that become black and white, found in at most 64 rows.
+        Percentiles of brightness that become black and white, computed from at most 64 rows.
     overwrite
         Replace a file that exists.
     progress
-        Called with samples written and samples in all.
+        Called with the number of samples written, and in all.
 
     Returns
     -------
@@ -80,18 +79,15 @@ def write_geotiff(
     Raises
     ------
     SchemaError
-        There is no such variable or band, its dims are others, its place is not known, or ``"rgb"`` has no
+        There is no such variable or band, its dims are others, its position is unknown, or ``"rgb"`` has no
         bands near those wavelengths.
     StoreError
-        A file exists, or cannot be written. What was there stays.
+        A file exists, or cannot be written. An existing file stays.
     MissingExtraError
         rasterio is not installed.
 
-    Notes
-    -----
-    Floats are float32 (places such as ``east`` and ``glt_line`` float64), unknown samples NaN; integers stay
-    what they are. Bands are described by their
-    wavelength, which is a tag of the band too.
+    Notes ----- Floats are float32 (positions such as ``east`` and ``glt_line`` float64), unknown samples NaN;
+    integers keep their type. The wavelength is the description of a band, and a tag.
 
     Examples
     --------
@@ -116,7 +112,7 @@ def draw_geotiff(
     bands: Literal["all", "rgb"] | Sequence[int] = "all", cog: bool = True,
     stretch: tuple[float, float] = (2.0, 98.0), progress: Callable[[int, int], None] | None = None,
 ) -> None:  # fmt: skip
-    """Write a map as GeoTIFF to ``target``, which gets its ``place`` later; errors as of `write_geotiff`."""
+    """Write a map as GeoTIFF to ``target``, later moved to ``place``; errors as of `write_geotiff`."""
     rasterio = _rasterio()
     array = product_of(map, variable)
     if "y" not in array.dims:
@@ -151,7 +147,7 @@ def draw_geotiff(
 
 
 class GeotiffHeader(NamedTuple):
-    """What a GeoTIFF says of itself; ``overviews`` are the factors that it holds smaller copies by."""
+    """Metadata of a GeoTIFF; ``overviews`` are the reduction factors of its smaller copies."""
 
     shape: tuple[int, int]
     bands: int
@@ -162,7 +158,7 @@ class GeotiffHeader(NamedTuple):
 
 
 def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
-    """Return what a GeoTIFF says of itself; no cell is read.
+    """Return the metadata of a GeoTIFF; no cell is read.
 
     Raises `FormatError`: it is no TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
     """
@@ -237,7 +233,7 @@ def _plain(array: xr.DataArray) -> xr.DataArray:
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
-    """Return 8-bit sRGB (y, x, band); 0 stands for what is unknown."""
+    """Return 8-bit sRGB (y, x, band); 0 where a band is unknown."""
     import xarray as xr
 
     if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
@@ -249,7 +245,7 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     step = -(-array.sizes["y"] // _SAMPLED)
     sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
     complete = sample[np.isfinite(sample).all(axis=-1)]
-    # one range for the three keeps the colours
+    # one range for all bands keeps the colours
     low, high = np.percentile(complete, stretch) if complete.size else (0.0, 1.0)
     picture: xr.DataArray = xr.apply_ufunc(
         _encode,
@@ -274,7 +270,7 @@ def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
 
 
 def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[str], list[dict[str, str]]]:
-    """Return what each band is called, and its tags."""
+    """Return the description of each band, and its tags."""
     axis = map.variables.get("wavelength")
     if axis is None or axis.dims != (BAND,) or BAND not in map[name].dims:
         return ([name] if len(chosen) == 1 else [f"band {band + 1}" for band in chosen]), [{} for _ in chosen]
@@ -287,13 +283,12 @@ def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[s
 
 
 class _Target:
-    """A raster that takes blocks (y, x, band) at their places, one at a time."""
+    """A raster that takes blocks (y, x, band) at their positions, one at a time."""
 
     def __init__(self, raster: Any, total: int, progress: Callable[[int, int], None] | None) -> None:
         self.raster, self.total, self.progress, self.done = raster, total, progress, 0
 
     def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
-        """Write one block."""
         from rasterio.windows import Window
 
         raster = self.raster
@@ -345,12 +340,12 @@ def _write(
 
 
 def _write_in_stages(array: da.Array, target: _Target) -> None:
-    """Write the blocks of a lazy map (y, x, band), a row of tiles after another, in this process."""
+    """Write the blocks of a lazy map (y, x, band), one row of tiles after another, in this process."""
     import dask.threaded
 
     from hyperpaint.io.store.stages import in_stages
 
-    lock = threading.Lock()  # a raster is no friend of threads
+    lock = threading.Lock()  # rasterio datasets are not thread-safe
 
     def write(block: NDArray[Any], block_info: Any = None) -> NDArray[Any]:
         rows, columns, bands = (slice(*ends) for ends in block_info[0]["array-location"])
@@ -370,14 +365,13 @@ def _write_in_stages(array: da.Array, target: _Target) -> None:
 
 
 def _optimise(plain: Path, target: Path, picture: bool) -> None:
-    """Make a cloud-optimised file of a plain one."""
     from rasterio.shutil import copy
 
     options = {
         "compress": "deflate",
         "blocksize": _TILE,
         "bigtiff": "if_safer",
-        # spectra must not be mixed, a picture is better averaged
+        # nearest for spectra, which must not be mixed
         "overview_resampling": "average" if picture else "nearest",
         "predictor": "yes",
     }

@@ -1,4 +1,4 @@
-"""What of a line or map is exported, and where its pixels lie: an affine grid, from ``spatial_ref``."""
+"""Variable and affine grid of an exported line or map, from ``spatial_ref`` or coordinates."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import ArrayLike
 
+# Wavelengths of the bands shown as red, green and blue [nm].
 RGB_WAVELENGTHS = (640.0, 550.0, 460.0)
-"""Of the bands that are shown as red, green and blue [nm]."""
-_FARTHEST = 50.0
+MAX_BAND_DISTANCE_NM = 50.0
 _PRODUCTS = ("reflectance", "radiance", "counts", "values")
 _GEOMETRIES = ({ALONG_TRACK, CROSS_TRACK}, {"y", "x"})
 
 
 def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
-    """Return the variable to be written: the one named, else the first product there is.
+    """Return the variable to be written: the given one, else the first product present.
 
-    Raises `SchemaError`: There is none, or its dims are not those of a cube or of a plane.
+    Raises `SchemaError`: It is missing, or its dims are not those of a cube or of a plane.
     """
     name = variable or next((name for name in _PRODUCTS if name in dataset.data_vars), None)
     if name is None or name not in dataset.variables:
@@ -49,9 +49,9 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
 
 
 def stored_float(array: xr.DataArray) -> type[np.floating[Any]]:
-    """Return the type that a variable of floats is written in.
+    """Return the type in which a variable of floats is written.
 
-    That is float32, but for what needs more: map coordinates in float32 are off by decimetres.
+    float32, except for map coordinates, which float32 would round to decimetres.
     """
     row = VARIABLES.get(str(array.name))
     exact = row is not None and row.dtype == "float64" and array.dtype.itemsize >= 8
@@ -68,7 +68,7 @@ def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int]
     """
     nm = np.asarray(wavelength, np.float64)
     away = np.abs(nm[None, :] - np.array(wanted)[:, None])
-    if not nm.size or not np.isfinite(nm).all() or (away.min(axis=1) > _FARTHEST).any():
+    if not nm.size or not np.isfinite(nm).all() or (away.min(axis=1) > MAX_BAND_DISTANCE_NM).any():
         return None
     return [int(band) for band in away.argmin(axis=1)]
 
@@ -76,10 +76,10 @@ def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int]
 Transform = tuple[float, float, float, float, float, float]
 
 SPATIAL_REF = "spatial_ref"
+# Largest deviation from even spacing over the whole grid [pixel].
 _TOLERANCE = 1e-6
-"""Part of a pixel by which steps may differ over the whole grid."""
+# Rounding of map coordinates [map units].
 _ROUNDING = 1e-9
-"""Of map coordinates [map units]."""
 
 
 @dataclass(frozen=True)
@@ -91,25 +91,25 @@ class Grid:
 
     @property
     def mirrored(self) -> bool:
-        """Whether the grid is not seen from above as it lies: rows count towards what is up of columns."""
+        """Whether rows and columns form a mirror image of the ground as seen from above."""
         _, b, c, _, e, f = self.transform
         return b * f - c * e > 0.0
 
     def flipped(self, rows: int) -> Grid:
-        """Return the grid whose first row is the last of this."""
+        """Return the grid with the order of its rows reversed."""
         a, b, c, d, e, f = self.transform
         return replace(self, transform=(a + rows * c, b, -c, d + rows * f, e, -f))
 
 
 def grid_of(dataset: xr.Dataset) -> Grid | None:
-    """Return the grid of a map; None where nothing tells it.
+    """Return the grid of a map; None where its position is unknown.
 
-    ``x`` and ``y`` at pixel centres tell it, since they follow every selection of cells, and ``GeoTransform``
-    of ``spatial_ref`` does not: it counts where they are not there, and for what they do not tell (the step
-    of a single row or column). A grid along the flight has ``east`` and ``north`` (y, x) instead.
+    ``x`` and ``y`` at pixel centres take precedence, since they follow every selection of cells, whereas
+    ``GeoTransform`` of ``spatial_ref`` does not. ``GeoTransform`` is used where they are missing, and for the
+    step of a single row or column. A grid along the flight has ``east`` and ``north`` (y, x) instead.
 
     Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y``, or ``east`` and
-    ``north``, are not evenly spaced; or the grid is turned and ``x`` and ``y`` are not distances along it.
+    ``north``, are not evenly spaced; or the grid is rotated and ``x`` and ``y`` are not distances along it.
     """
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
     reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref")
@@ -141,18 +141,21 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
             )
     else:
         computed = _north_up(dataset, (b, f))
-    # numbers that agree keep their bits
+    # a transform that agrees keeps its bits
     return Grid(transform if _same(computed, transform, dataset) else computed, wkt)
 
 
 def _north_up(dataset: xr.Dataset, steps: tuple[float, float]) -> Transform:
-    """Return the grid of map coordinates; a single row or column has the step given."""
+    """Return the grid of map coordinates; ``steps`` are those of a single row or column."""
     (x, width), (y, height) = _windows(dataset, steps)
     return x, width, 0.0, y, 0.0, height
 
 
 def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
-    """Return the grid whose cells lie where the first row and column say; a single one has the step given."""
+    """Return the grid through ``east`` and ``north`` of the first row and column.
+
+    A single row or column has the step of ``transform``.
+    """
     _, b, c, _, e, f = transform
     size = max(math.hypot(b, e), math.hypot(c, f))
     numbers: list[float] = []
@@ -176,7 +179,7 @@ def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
 
 
 def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
-    """Return the grid whose cells lie at the distances ``x`` and ``y`` from its corner."""
+    """Return the grid whose cells lie at the distances ``x`` and ``y`` from the corner of ``transform``."""
     a, b, c, d, e, f = transform
     sizes = math.hypot(b, e), math.hypot(c, f)
     (x, width), (y, height) = _windows(dataset, sizes)
@@ -194,7 +197,7 @@ def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[floa
 
 
 def _same(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
-    """Return whether two grids agree over all of a map, but for rounding."""
+    """Return whether two grids agree over a whole map, but for rounding."""
     (a, b, c), (d, e, f) = (
         [one - other for one, other in zip(grid[k : k + 3], reference[k : k + 3], strict=True)]
         for k in (0, 3)
@@ -224,7 +227,7 @@ def _numbers(text: Any) -> Transform:
 
 
 def _even(name: str, values: Any, single: float, problems: Problems) -> tuple[float, float]:
-    """Return the outer edge of the first pixel, and the step, which is that given of a single one."""
+    """Return the outer edge of the first pixel, and the step; ``single`` for a single pixel."""
     centres = np.asarray(values, np.float64)
     step = (centres[-1] - centres[0]) / (centres.size - 1) if centres.size > 1 else np.float64(single)
     even = centres[0] + step * np.arange(centres.size)
@@ -241,12 +244,12 @@ def _even(name: str, values: Any, single: float, problems: Problems) -> tuple[fl
 
 
 def envi_map_info(grid: Grid) -> dict[str, str]:
-    """Return the header entries that say where a grid lies, without braces.
+    """Return the ENVI header entries for the position of a grid, without braces.
 
     ENVI writes an angle: a column steps along (cos r, sin r), a row along (sin r, -cos r), r = ``rotation``
     as GDAL reads it.
 
-    Raises `SchemaError`: The grid is sheared, mirrored, or turned with pixels that are not square. Raises
+    Raises `SchemaError`: The grid is sheared, mirrored, or rotated with pixels that are not square. Raises
     `MissingExtraError`: There is a reference system, and pyproj is not installed.
     """
     a, b, c, d, e, f = grid.transform
@@ -266,13 +269,13 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     place = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
     if turned or b < 0.0:
         angle = math.degrees(math.atan2(e, b))
-        # GDAL takes 180 itself for rows that count upwards, and the number next to it for a half turn
+        # GDAL reads 180 as rows that count upwards, and the next number above as a half turn
         place.append(f"rotation={math.nextafter(180.0, 360.0) if abs(angle) == 180.0 else angle!r}")
     return {"map info": ", ".join(place), **entries}
 
 
 def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, str]]:
-    """Return projection, what follows the pixel size, map units, and the reference system as text."""
+    """Return projection, entries after the pixel size, map units, and the reference system as text."""
     if wkt is None:
         return "Arbitrary", [], "Meters", {}
     try:

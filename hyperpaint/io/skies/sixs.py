@@ -1,4 +1,4 @@
-"""Text of 6S: one monochromatic run a wavelength."""
+"""Output of 6S: one monochromatic run a wavelength."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the readers of skies return, one labelled Dataset, checked; tables of radiance by direction as CSV."""
+"""Checked dataset of irradiance and sky radiance at the ground, and its CSV reader."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hyperpaint.io.files.reading import read_limited_text
 if TYPE_CHECKING:
     import xarray as xr
 
+# Largest file of a sky model [byte].
 MAX_SKY_BYTES = 64 << 20
-"""Bytes of a file of a sky."""
 
 _COLUMNS = {
     "wavelength": "nm",
@@ -48,7 +48,7 @@ def sky_dataset(
     Parameters
     ----------
     source
-        What it was read from.
+        Name of the file or model.
     wavelength : (wavelength,)
         [nm]
     direct_normal, diffuse : (wavelength,)
@@ -92,19 +92,19 @@ def sky_dataset(
         problems.add("directions of the sky have angles that are not finite", code="not-finite")
     problems.raise_if_any()
     units = {"units": "W m-2 nm-1"}
-    made = xr.Dataset(
+    light = xr.Dataset(
         {name: ("wavelength", arrays[name][order], units) for name in ("direct_normal", "diffuse")},
         {"wavelength": ("wavelength", wavelength[order], {"units": "nm"})},
         {"source": source},
     )
     if radiance is not None:
         dims = ("wavelength", "sky_zenith", "sky_azimuth")
-        made["sky_radiance"] = (dims, radiance[2][order], {"units": "W m-2 sr-1 nm-1"})
+        light["sky_radiance"] = (dims, radiance[2][order], {"units": "W m-2 sr-1 nm-1"})
         degree = {"units": "degree"}
-        made = made.assign_coords(
+        light = light.assign_coords(
             sky_zenith=("sky_zenith", radiance[0], degree), sky_azimuth=("sky_azimuth", radiance[1], degree)
         )
-    return made
+    return light
 
 
 def read_sky_csv(path: str | Path) -> xr.Dataset:
@@ -170,7 +170,7 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
             expected=f"rows of numbers below headings among {list(_COLUMNS)}",
             code="number-unreadable",
         ) from error
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # checked below
         table = table * factors
     if not np.isfinite(table).all():
         place = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
@@ -185,7 +185,7 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     zenith, azimuth = np.unique(columns["zenith"]), np.unique(columns["azimuth"])
     shape = wavelength.size, zenith.size, azimuth.size
     order = np.lexsort((columns["azimuth"], columns["zenith"], columns["wavelength"]))
-    is_grid = math.prod(shape) == order.size  # before a grid is made: that of scattered rows has no bounds
+    is_grid = math.prod(shape) == order.size  # checked first: the grid of scattered rows would be huge
     if is_grid:
         grid = np.stack(np.meshgrid(wavelength, zenith, azimuth, indexing="ij")).reshape(3, -1)
         rows_of_grid = np.stack([columns[name][order] for name in ("wavelength", "zenith", "azimuth")])

@@ -1,4 +1,4 @@
-"""Radiance of MODTRAN's ``tape7``: what a grey ground of known reflectance sends up says what it got."""
+"""Irradiance from MODTRAN's ``tape7``, by the radiance of a grey ground of known reflectance."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     import xarray as xr
 
 _NEEDED = ("FREQ", "TOT_TRANS", "GRND_RFLT", "DRCT_RFLT")
-#: Names of two words in MODTRAN 4 and 5, of one in 6.
+#: Column names of two words in MODTRAN 4 and 5, of one word in 6.
 _TWO_WORDS = (
     "TOT TRANS", "PTH THRML", "THRML SCT", "THRML EM", "SURF EMIS", "SOL SCAT", "SING SCAT", "SNGL SCAT",
     "MULT SCAT", "GRND RFLT", "DRCT RFLT", "TOTAL RAD", "REF SOL", "DIR EM", "TOA SUN",
 )  # fmt: skip
 
+# Mark below the last row.
 _END = -9999.0
-"""What stands alone below the last row."""
 
 
 @takes_quantities(sun_zenith="degree")
@@ -111,16 +111,18 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
     table = dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T, strict=True))
     lit = (table["FREQ"] > 0.0) & (table["TOT_TRANS"] > 1e-6)
     wavenumber, transmitted = table["FREQ"][lit], table["TOT_TRANS"][lit]
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # checked by sky_dataset
         scale = np.pi * 1e-3 * wavenumber**2 / (ground * transmitted)
         whole, direct = scale * table["GRND_RFLT"][lit], scale * table["DRCT_RFLT"][lit]
-        diffuse = np.where(np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct)  # digits of the file
+        diffuse = np.where(
+            np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct
+        )  # rounding of the file
         normal, wavelength = direct / np.cos(np.radians(sun_zenith)), 1e7 / wavenumber
     return sky_dataset(str(path), wavelength, normal, diffuse)
 
 
 def _names(line: str) -> list[str]:
-    """Return the names of the columns, each one word."""
+    """Return the column names, each as one word."""
     for name in _TWO_WORDS:
         line = line.replace(name, name.replace(" ", "_"))
     return line.split()

@@ -107,7 +107,7 @@ def read_uvspec(
             expected="the same at all wavelengths, some from -1 to 0",
             code="grid-mismatch",
         )
-    up = np.flatnonzero(cosine < 0.0)[::-1]  # from the zenith down
+    up = np.flatnonzero(cosine < 0.0)[::-1]  # from the zenith downwards
     up = up[np.argsort(-cosine[up])[::-1]]
     zenith = np.degrees(np.arccos(-cosine[up]))
     from_sun = (np.array(azimuths) - sun_azimuth) % 360.0

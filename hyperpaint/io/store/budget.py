@@ -29,47 +29,45 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, 
 if TYPE_CHECKING:
     import xarray as xr
 
+# Memory that kernels, codecs and the writer add to a process with an open collect [byte].
 RUNNING = 100 * 10**6
-"""Bytes that kernels, codecs and the writer add to the resident memory of an open collect."""
 
+# Memory of a fresh process after compiling the kernels, without any slab [byte].
 PROCESS = 330 * 10**6
-"""Bytes of a process that did nothing else before, kernels compiled in it, without any slab."""
 
+# Memory of a worker of dask.distributed, without any slab [byte].
 WORKER = 380 * 10**6
-"""Bytes of a worker of dask.distributed, without any slab."""
 
+# Slabs of a thread: one is computed while another waits for its last chunk to be stored.
 SLABS_IN_HAND = 2
-"""Slabs of a thread: one is made while another waits for its last chunk to be stored."""
 
+# Memory for encoding a chunk, over the chunk's size: worst case, and a copy of the result.
 ENCODED_COPIES = 1.5
-"""Sizes of a chunk that encoding it takes: room for the worst case, and a copy of the result."""
 
+# Memory of the dask graph of one slab [byte].
 TASK_BYTES = 16_000
-"""Graph of one slab."""
 
+# Planned memory over modelled memory.
 MARGIN = 1.1
-"""Needed memory over modelled memory."""
 
+# Memory of a process with all modules that read, calibrate and survey lines, without any slab [byte].
 LOADED = 390 * 10**6
-"""Bytes of a process with the modules loaded that read, calibrate and survey lines, without any slab."""
 
+# Share of the available memory that a run uses if the user sets no limit.
 USABLE = 0.8
-"""Share of the available memory that a run takes if the user gives no limit."""
 
+# Address space of each of zarr's file threads beyond its resident memory [byte]; zarr starts up to four more
+# than there are processors.
 HELPER_SPACE = 48 * 2**20
-"""Address space of each thread that zarr starts for its files, beyond its resident memory.
 
-zarr starts up to four more than there are processors.
-"""
-
+# Address space of a computing thread beyond its slabs: a stack of 8 MiB, an arena of 64 MiB [byte].
 THREAD_SPACE = 72 * 2**20
-"""Address space of a thread that computes, beyond its slabs: a stack of 8 MiB, an arena of 64 MiB."""
 
+# Parameter number of ``malloc.h``.
 _M_ARENA_MAX = -8
-"""Of ``malloc.h``."""
 
+# Spacing of the shifts at which matched irradiance is stored [nm].
 SMILE_STEP = 0.5
-"""Distance of the shifts at which matched irradiance is kept [nm]."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +94,7 @@ class Load:
         cube = next(line[name] for name in ("counts", "radiance", "reflectance") if name in line)
         samples = cube.sizes[BAND] * cube.sizes[CROSS_TRACK]
         single = np.dtype(np.float32).itemsize
-        # pieces that the smile is cut into; many where it is not at hand
+        # cells of the smile; many where the smile is not in memory
         cells, shift = 1, line.variables.get("wavelength_shift")
         if shift is not None and shift.chunks is not None:
             cells = 16
@@ -108,7 +106,7 @@ class Load:
             scan_line=samples * (cube.dtype.itemsize + single),
             light=4 * cubic,
             encoded=int(ENCODED_COPIES * min(CHUNK_LINES, cube.sizes[ALONG_TRACK]) * samples * single),
-            # once as it was read, once as the tasks take it
+            # as read, and as passed to the tasks
             shared=2 * (small + line.sizes.get(IRRADIANCE_TIME, 0) * cubic),
             lines=cube.sizes[ALONG_TRACK],
         )
@@ -216,7 +214,7 @@ def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0)
     """
     from dask.base import get_scheduler
 
-    # nobody who has not imported distributed has a client
+    # without distributed imported there is no client
     scheduler = get_scheduler() if "distributed" in sys.modules else None
     if hasattr(getattr(scheduler, "__self__", None), "scheduler_info"):
         yield
@@ -254,7 +252,7 @@ def parse_size(size: str | int) -> int:
     from dask.utils import parse_bytes
 
     try:
-        # without a number dask would take one
+        # dask would read text without a number as one
         number = int(parse_bytes(size)) if any(map(str.isdigit, str(size))) else 0
     except (ValueError, OverflowError, TypeError, AttributeError):
         number = 0
@@ -284,7 +282,7 @@ def _shared_memory(system: Path) -> int:
     """Return the memory left by the machine and its container, which other programs share."""
     import psutil
 
-    # with the cache of files, which gives way
+    # includes the file cache, which is freed on demand
     return min([int(psutil.virtual_memory().available), *_container_memory(system)])
 
 
@@ -322,7 +320,7 @@ def _address_space() -> int | None:
         return None
     import psutil
 
-    # zarr's threads are threads of asyncio; running ones have their space already
+    # zarr's threads are threads of asyncio; running ones have their space reserved
     running = sum(thread.name.startswith(("asyncio_", "zarr_io")) for thread in threading.enumerate())
     helpers = max(0, min(32, (os.cpu_count() or 1) + 4) + 1 - running)
     return limit - int(psutil.Process().memory_info().vms) - helpers * HELPER_SPACE
@@ -349,7 +347,7 @@ def _container_memory(system: Path) -> Iterator[int]:
         for folder in (inside, *(above for above in inside.parents if above.is_relative_to(base))):
             with contextlib.suppress(OSError, ValueError):  # no such group, or no limit ("max")
                 left = int((folder / limit).read_text()) - int((folder / used).read_text())
-                # cached files give way
+                # the file cache is freed on demand
                 with contextlib.suppress(OSError):
                     cached = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.M)
                     left += int(cached[1]) if cached else 0
@@ -440,7 +438,7 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
             "or raise the memory limit",
             code="memory-short",
         )
-    # a cube alone is taken to be made from one half as large: 16-bit counts of a float32 product
+    # a single cube is assumed to be computed from one half as large: 16-bit counts
     alone = sum(size > max(a_line) // 4 for size in a_line) == 1
     load = Load(sum(a_line) + alone * max(a_line) // 2, 0, encoded, 0, length)
     resident = resident_memory()

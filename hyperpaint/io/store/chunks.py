@@ -39,7 +39,7 @@ class Target:
     shape: tuple[int, ...]
     dtype: np.dtype[Any]  # On disk
     chunk: tuple[int, ...]  # Storage chunk
-    fill: Any  # Fills what an edge chunk lacks
+    fill: Any  # Pads edge chunks
     codec: Codec = "compact"
 
     @classmethod
@@ -86,7 +86,7 @@ class Target:
 
 
 def write_chunk(folder: Path, key: str, parts: Sequence[bytes]) -> None:
-    # step by step from the array's folder: a task that outlives its run must not make that again
+    # not parents=True: a task that outlives its run must not create the array's folder again
     for parent in reversed((folder / key).relative_to(folder).parents[:-1]):
         (folder / parent).mkdir(exist_ok=True)
     replace_file(folder / key, parts, durable=False)
@@ -140,7 +140,7 @@ def lazy_checksums(
     )
     if not finished:
         return sums
-    # values stand in the place of blocks whose chunks are finished; dask drops their tasks
+    # blocks with finished chunks become values; dask drops their tasks
     name = f"resumed-{uuid.uuid4().hex}"
     layer: dict[tuple[Any, ...], Any] = {}
     for index in np.ndindex(sums.numblocks):

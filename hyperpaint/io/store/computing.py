@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from .chunks import Target
 
+# Number of times a cluster repeats a task that raised an error.
 RETRIES = 3
-"""How often a cluster repeats a task that raised an error, before the error counts."""
 
 _SAME_FILES = "; every worker must see the same files, under the same paths"
 _CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
@@ -43,7 +43,7 @@ Found = Generator[tuple[Key, Any], None, None]
 class _Block:
     array: str
     sums: tuple[slice, ...]  # Its place among the checksums of the array
-    words: str  # Name its lines in messages
+    words: str  # Its lines, for messages
     stage: int  # Stages are computed one after the other
 
 
@@ -80,7 +80,7 @@ def compute(
             blocks[(array.name, *index)] = _Block(name, region, words, stage)
     arrays = list(lazy.values())
     merged = HighLevelGraph.merge(*(array.__dask_graph__() for array in arrays))
-    # together: apart, what two arrays share would be fused into both
+    # optimised together: else shared tasks would be fused into both arrays
     graph = dict(arrays[0].__dask_optimize__(merged, list(blocks)))
     sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
     client = client_in_force()
@@ -171,20 +171,19 @@ def _on_cluster(
     del futures
     try:
         for future, result in as_completed(wanted.values(), with_results=True, raise_errors=False):
-            # not the future's status: it may be lost again, with its worker, since the result was fetched
+            # the future's status may have changed since the result was fetched, if its worker died
             if isinstance(result, tuple | BaseException):
-                # a task's error comes with its type and traceback, a cancellation as it is
+                # a task's error comes as a tuple with type and traceback, a cancellation as an exception
                 error = result[1] if isinstance(result, tuple) else result
                 hint = _SAME_FILES if isinstance(error, FileNotFoundError | PermissionError) else ""
                 _raise_named(error, group, [blocks[future.key]], hint)
-            # the cluster forgets what is fetched: a worker that dies takes no finished block with it
+            # fetched results are released: a dying worker loses no finished block
             del wanted[future.key]
             if bar is not None:
                 bar.advance()
             yield future.key, result
     finally:
-        # the cluster would remember failed tasks for as long as a traceback holds their futures, and another
-        # run would fail with them
+        # a traceback holds the futures of failed tasks, and another run would fail with them
         if wanted:
             with contextlib.suppress(Exception):  # of a scheduler that is lost
                 client.cancel(list(wanted.values()), force=True)
@@ -221,7 +220,7 @@ def _raise_named(error: BaseException, group: str, blocks: Sequence[_Block], hin
 
 
 _WIDTH = 40
-_FEWEST = 0.02  # share that must be done before the rest is guessed
+_MIN_SHARE = 0.02  # share finished before the remaining time is estimated
 
 
 class BlockBar:
@@ -248,9 +247,9 @@ class BlockBar:
         share = self._done / max(self._total, 1)
         bar, percent = "#" * int(_WIDTH * share), int(100 * share)
         text = f"[{bar:<{_WIDTH}}] | {percent}% Completed | {format_time(elapsed)}"
-        if _FEWEST <= share < 1.0:
+        if _MIN_SHARE <= share < 1.0:
             text += f", {format_time(elapsed / share - elapsed).strip()} left"
-        # blanks first: the end of a longer text would stay
+        # blanks first, to erase the end of a longer text
         sys.stdout.write("\r" + " " * self._shown + "\r" + text)
         sys.stdout.flush()
         self._shown = len(text)

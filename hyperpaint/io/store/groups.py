@@ -17,8 +17,8 @@ from .manifest import OWN_ATTRS, Manifest, content_of, entry_of
 if TYPE_CHECKING:
     import xarray as xr
 
+# Attributes of the time of writing, which do not change the content.
 VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", *OWN_ATTRS)
-"""Attributes that say when, not what: they do not make another content."""
 
 LISTED = {"kind": "inline", "must_understand": False}
 
@@ -109,7 +109,7 @@ def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[s
     return {**root, "consolidated_metadata": {**LISTED, "metadata": listed}}
 
 
-# --- what writing a group would lose -----------------------------------------------------------------------
+# --- checks before a group is written ----------------------------------------------------------------------
 
 
 def check_above(groups: Iterable[str], location: Location, problems: Problems, *, overwrite: bool) -> None:
@@ -119,7 +119,7 @@ def check_above(groups: Iterable[str], location: Location, problems: Problems, *
     """
     entries = location.entries("")
     file = location.local is not None and location.local.is_file()
-    # without the root's metadata it is still a store where it has a manifest
+    # a store may lack the root's metadata but has a manifest
     if file or (entries and METADATA not in entries and MANIFEST_NODE not in entries):
         mend = "choose another path"
         problems.add("it exists and is not a Zarr v3 store", mend=mend, code="store-foreign")
@@ -131,7 +131,7 @@ def check_above(groups: Iterable[str], location: Location, problems: Problems, *
         return
     for group in groups:
         try:
-            # a writer that was killed at once leaves its manifest alone
+            # a writer killed at its start leaves only its manifest
             damaged = location.metadata(group) is None and not group and bool({*entries} - {MANIFEST_NODE})
         except IncompleteStoreError:
             damaged = True
@@ -145,7 +145,7 @@ def check_above(groups: Iterable[str], location: Location, problems: Problems, *
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
-    """Return the state of the place of a group; ``content`` names what will be written there.
+    """Return the state of the place of a group; ``content``: of the group to be written there.
 
     ``""``: empty. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
     ``"parent"``: holds other groups or foreign files. ``"array"``: it, or a group above, is an array. Any
@@ -169,7 +169,7 @@ def occupant(group: str, content: str, location: Location, manifest: Manifest | 
             return "same"
         except StoreError:
             lacks = True
-    # arrays, damaged ones too, are parts of the group; all else would be lost
+    # overwriting would lose everything but the group's arrays, damaged ones included
     children = {name: location.kind(joined(group, name)) for name in location.folders(group)}
     children.pop("" if group else MANIFEST_NODE, None)
     arrays = {
@@ -188,7 +188,7 @@ def occupant(group: str, content: str, location: Location, manifest: Manifest | 
     return "with other content" if stored else "was not written by this version of hyperpaint"
 
 
-#: Where arrays that wrap others keep them: xarray's adapters, its zarr wrapper, ours.
+#: Attributes in which xarray's adapters, its zarr wrapper and ours hold the wrapped array.
 _INNER = ("array", "_array", "variable", "_data")
 
 

@@ -24,29 +24,30 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
+# Cells along each side of a map tile: 18 MB of float32 at 272 bands.
 TILE = 128
-"""Cells along each side of a map tile: 18 MB of float32 at 272 bands."""
 
+# Largest array without lines that is stored in one chunk [byte].
 LARGEST_SINGLE_CHUNK = 64 * 2**20
-"""Bytes of an array without lines that is still stored in one piece."""
 
+# Size of the chunks of a larger one [byte].
 SPLIT_CHUNK = 16 * 2**20
-"""Bytes of the pieces of one that is not."""
 
-#: Sentinel of small integers: no 12- or 14-bit camera counts to it, and as quality it sets every flag.
+#: Fill value of small integers: above all 12- and 14-bit counts; as quality it sets every flag.
 _INTEGER_FILL = 65535
 
+# A chunk of a cube holds all bands ("cube"), so that one task computes on one chunk; an eighth of them
+# ("explore"), so that a picture of one band reads an eighth; or all bands of a few pixels ("web"), so that a
+# spectrum reads little.
 Layout = Literal["cube", "explore", "web"]
-"""Whether a chunk of a cube holds all bands, so that one task computes on one chunk; or an eighth of them, so
-that a picture of one band reads an eighth; or all bands of a few pixels, so that a spectrum reads little."""
 
 BAND_GROUPS = 8
 
+# Side of a tile of the web layout [pixel]: 280 kB of float32 at 272 bands; 130 kB of flags.
 WEB_CUBE, WEB_PLANE = 16, 256
-"""Pixels along each side of a tile of the web: 280 kB of float32 at 272 bands; 130 kB of flags."""
 
+# Samples are shuffled before lz4 by bits (smallest) or by bytes (in half the time).
 Codec = Literal["compact", "fast"]
-"""How samples are shuffled before lz4: by bits, which takes least room, or by bytes, in half the time."""
 
 _SHUFFLES: Mapping[Codec, tuple[str, int]] = {"compact": ("bitshuffle", 2), "fast": ("shuffle", 1)}
 _LZ4 = {"cname": "lz4", "clevel": 5}
@@ -69,7 +70,7 @@ def storage_chunks(
     (272, 640)
     """
     sizes = dict(zip(dims, shape, strict=True))
-    # the largest size along each dim; all of it along others
+    # largest size along some dims; other dims are not cut
     most: dict[Hashable, int] = {}
     if layout == "web" and ({ALONG_TRACK, CROSS_TRACK} <= sizes.keys() or {"y", "x"} <= sizes.keys()):
         side = WEB_CUBE if BAND in sizes else WEB_PLANE
@@ -198,7 +199,7 @@ def encoding_of(variable: xr.Variable, codec: Codec = "compact") -> dict[str, An
     if fill is not None:
         encoding["fill_value"] = fill
     if dtype.kind in "fc":
-        # NaN stands for itself: a `_FillValue` would only cost each reader one more pass
+        # NaN needs no `_FillValue`, which would cost each reader one more pass
         encoding["_FillValue"] = None
     elif dtype.kind == "M":
         encoding |= {"units": TIME_UNITS, "dtype": "int64"}
@@ -262,7 +263,7 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
         if name in layouts:
             variable.encoding = {_LAYOUT: layouts[name]}
         if variable.dtype.kind in "UT":
-            # fixed-length text has no place in the Zarr v3 specification
+            # the Zarr v3 specification has no fixed-length text
             replaced[name] = variable.astype(object)
         elif is_at_hand(variable) and isinstance(variable.data, da.Array) and variable.size:
             # dask chunks that begin at storage chunks

@@ -16,20 +16,20 @@ from hyperpaint.base.errors import IncompleteStoreError, MissingExtraError, Stor
 
 METADATA = "zarr.json"
 
+# Group of the root whose attributes are the manifest; see `manifest`.
 MANIFEST_NODE = "hyperpaint"
-"""Group of the root whose attributes are the manifest; see `manifest`."""
 
+# Largest metadata document [byte]: the root of a collect of 60 lines has 2 MB, one of 1000 lines 30.
 MAX_METADATA_BYTES = 32 * 2**20
-"""Largest metadata document: a collect of 60 lines has 2 MB of them in its root, one of 1000 lines 30."""
 
+# Most objects, lists and separators of a metadata document; each takes many times its size in memory.
 MAX_VALUES = 1_000_000
-"""Objects, lists and separators of a metadata document; each costs many times its size in memory."""
 
+# Deepest nesting of groups; `process` nests two.
 MAX_DEPTH = 16
-"""Groups within groups; `process` nests two."""
 
+# Largest number of groups and arrays of a store; a store of 1,600 flight lines has about as many.
 MAX_NODES = 50_000
-"""Largest number of groups and arrays of a store; a store of 1,600 flight lines has about as many."""
 
 
 def clean_group(group: str | None) -> str:
@@ -55,7 +55,7 @@ def joined(*parts: str) -> str:
 class Location:
     """Location of a store; metadata and chunks are read and written by their keys."""
 
-    url: str  # What zarr and xarray open
+    url: str  # Argument for zarr and xarray
     root: str  # Path inside the file system ``fs``
     fs: Any
     local: Path | None  # The folder, where the store is on a local disk
@@ -79,7 +79,7 @@ class Location:
                 code="type-wrong",
             ) from None
         if "::" in text or "\0" in text:
-            # dask:: would start a cluster, and others copy or unpack what they are given
+            # dask:: would start a cluster, others copy or unpack files
             kind = "a chained URL" if "::" in text else "a name with a NUL character"
             raise StoreError(
                 f"{text!r:.200}: {kind}",
@@ -264,7 +264,7 @@ class Location:
             raise StoreError(
                 f"{self.key(group):.200} cannot be listed: {error.strerror or error}", code="file-unreadable"
             ) from error
-        # hidden and half-written files do not count
+        # without hidden and half-written files
         return {
             name: folder
             for name, folder in listed.items()
@@ -317,10 +317,10 @@ def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
             if durable:
                 os.fsync(file.fileno())
             elif hasattr(os, "posix_fadvise"):
-                # Linux starts to write what will not be needed; what is on its way stays in memory
+                # Linux starts to write these pages; pages being written stay in memory
                 os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         os.replace(temporary, path)
-    except OSError:  # on a full disk its room is needed
+    except OSError:  # frees its space on a full disk
         temporary.unlink(missing_ok=True)
         raise
     if durable:

@@ -34,33 +34,33 @@ from hyperpaint.base.schema import FORMAT_VERSION
 from .budget import counted
 from .location import MANIFEST_NODE, METADATA, Location, clean_group, joined
 
+# Attribute of a group: its path, inputs and settings.
 CONTENT = "hyperpaint_content"
-"""Attribute of a group: its path and what it is made from."""
 
+# Attribute of a group: a digest over the entries of its arrays, valid before the manifest is written.
 SEAL = "hyperpaint_seal"
-"""Attribute of a group: a digest over the entries of its arrays, until and beside the manifest."""
 
+# Attribute of groups of `process`: digest of inputs and parameters. Datasets derived by a user have other
+# inputs and are stored without it.
 INPUTS = "inputs_digest"
-"""Attribute of what `process` writes: names the inputs and parameters. What a user makes of that has other
-inputs, and is stored without it."""
 
+# Attribute of a dataset that a run is about to store: the settings of the run.
 SETTINGS = "hyperpaint_settings"
-"""Attribute of a dataset that a run is about to store: names the settings of the run."""
 
+# Attributes of a stored group that do not apply to datasets derived from it.
 OWN_ATTRS = (
     CONTENT, SEAL, SETTINGS,
     "hyperpaint_complete", "hyperpaint_attributes", "hyperpaint_set", "hyperpaint_group",  # format 2 and 1
 )  # fmt: skip
-"""Attributes of a stored group that say nothing of a dataset made from it."""
 
+# File of checksums in an array's folder in formats 1 and 2.
 OLD_RECORD = "hyperpaint-chunks.json"
-"""File in an array's folder that formats 1 and 2 kept checksums in."""
 
+# Most unfinished writes, each of a killed writer.
 MAX_WRITES = 100
-"""Writes that have not ended: each is of a writer that was killed."""
 
+# Most chunks of an array: 32 million lines.
 MAX_CHUNKS = 1_000_000
-"""Chunks of an array: 32 million lines."""
 
 MAX_MESSAGES = 20
 MAX_MESSAGE_CHARS = 2000
@@ -134,7 +134,7 @@ class Manifest:
                 Write({name: str(each) for name, each in names.items()}, str(command))
                 for names, command in content["writes"]
             )
-            # names lead to no place outside the store
+            # refuse names that lead out of the store
             named = {*groups, *(name for write in writes for name in write.contents)}
             arrays = {name for entry in groups.values() for name in entry.arrays}
             wrong = [name for name in named if clean_group(name) != name]
@@ -197,7 +197,7 @@ class Manifest:
                 continue
             for name, content in write.contents.items():
                 if contents(name) == content:
-                    with contextlib.suppress(IncompleteStoreError):  # it is written again
+                    with contextlib.suppress(IncompleteStoreError):  # it will be written again
                         groups[name] = entry_of(location, name)
         return replace(self, groups=groups, writes=tuple(writes))
 
@@ -241,7 +241,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         named = ", ".join(f"/{name}" for name in lacking[:5]) + (" ..." if len(lacking) > 5 else "")
         mend = f"to finish it: {resume}" if resume else "write it again as it was begun"
         faults.append(Problem(f"unfinished: {there}, not yet: {named}", mend=mend, code="store-unfinished"))
-    # groups that are not what was written
+    # groups that differ from the manifest
     mend = "write it again" + (", or run its command with --overwrite" if manifest.command else "")
     for name, entry in manifest.groups.items():
         if (
@@ -285,7 +285,7 @@ def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> 
     else:
         note = "not written by hyperpaint"
     return StoreState(
-        (), (f"{note}: whether groups or chunks are missing or exchanged is unknown; what is there was read",)
+        (), (f"{note}: whether groups or chunks are missing or exchanged is unknown; all chunks were read",)
     )
 
 
@@ -311,7 +311,7 @@ def _bounded(faults: list[Problem]) -> tuple[Problem, ...]:
     return (*shown, *([Problem(counted(more, "more problem"))] if more > 0 else []))
 
 
-# --- what lies on the disk ---------------------------------------------------------------------------------
+# --- state of the disk -------------------------------------------------------------------------------------
 
 
 def content_text(group: str, identity: str, settings: str = "") -> str:

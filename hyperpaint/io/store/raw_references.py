@@ -49,15 +49,15 @@ from .manifest import INPUTS
 if TYPE_CHECKING:
     import xarray as xr
 
+# Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs.
 RAW_FILES = "raw_files"
-"""Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs."""
 
 _FILL = 65535
 _MAX_JSON_BYTES = 2**26
-_MAX_READS = 64
-"""Chunks that are looked at at a time."""
+# Number of chunks checked at a time.
+MAX_PARALLEL_READS = 64
 _ZARR_2 = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")
-# a host without user and port (icechunk leaves ports out), a path that all programs read alike
+# a host without user and port (icechunk ignores ports), a path that all programs read alike
 _REMOTE = re.compile(r"(s3|https?)://[A-Za-z0-9_.-]+(/(?!.*::)[^%?#\\]*)?")
 _AGAIN = "write it again: hyperpaint virtual COLLECT.toml --out STORE --overwrite"
 
@@ -189,7 +189,7 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
             if raw.changed_ns is not None:  # icechunk compares whole seconds
                 changed = datetime.datetime.fromtimestamp(-(-raw.changed_ns // 10**9), datetime.UTC)
             slabs.append(icechunk.VirtualChunkSpec([number, 0, 0], url, offset, size, raw.etag, changed))
-        # references that it does not take would be read as missing
+        # rejected references would be read as missing chunks
         if session.store.set_virtual_refs(f"/{name}/{cube.name}", slabs):
             raise StoreError(
                 f"icechunk does not reach {cube.files[0].url}",
@@ -205,7 +205,7 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
 def _icechunk() -> Any:
     with needs_extra("icechunk", "virtual", "a virtual store"):
         import icechunk
-    # a repository is written once here: its warning of two writers on a local disk says nothing
+    # icechunk warns of two writers on a local disk; here a repository is written once
     icechunk.set_logs_filter("error")
     return icechunk
 
@@ -284,10 +284,10 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
     elif head_of(file, 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         try:
             keys = set(json.loads(read_limited(file, _MAX_JSON_BYTES, "references")))
-        except FormatError:  # longer
+        except FormatError:  # larger than the limit
             keys = {"refs"}
         except (ValueError, RecursionError):
-            pass  # another text
+            pass  # not JSON
     of_zarr_2 = not place.is_dir() and any(key.endswith(_ZARR_2) for key in keys)
     if of_zarr_2 or keys & {"refs", "gen", "templates", "record_size"}:
         parts = "".join(
@@ -398,7 +398,7 @@ def outside(
     Files may be read below the folder that holds the repository and below ``allow``, links resolved.
     """
     home = os.path.dirname(os.path.realpath(path))
-    prefixes = [] if home == os.path.dirname(home) else [f"file://{home}/"]  # a root holds everything
+    prefixes = [] if home == os.path.dirname(home) else [f"file://{home}/"]  # not the root of the file system
     for each in [allow] if isinstance(allow, str | os.PathLike) else allow:
         text = os.fspath(each)
         if "://" not in text or text.startswith("file://"):
@@ -417,7 +417,7 @@ def outside(
         common = posixpath.commonpath(folders)
         if root != "file://":
             needed.append(f"{root}{common}".rstrip("/"))
-        else:  # one folder for all, but never the root of the machine
+        else:  # the common folder, but not the root of the file system
             needed += sorted(folders) if common == "/" else [common]
     return refused, needed
 
@@ -436,8 +436,7 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
             f"{place}: /{name} {fault}", expected=expected, mend=_AGAIN, code="reference-wrong"
         )
 
-    # icechunk lists the references of all groups: those of this one are left when the others are deleted,
-    # which happens in memory and is never committed
+    # icechunk lists the references of all groups: delete the others in memory, without a commit
     own, above = repository.writable_session("main"), ""
     for part in name.split("/"):
         for other in [each async for each in own.store.list_dir(above)]:
@@ -447,7 +446,7 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
     foreign = {unquote(url) for url in own.all_virtual_chunk_locations()} - set(urls)
     if foreign:
         raise error(f"refers to {min(foreign)!r:.200}", "a raw file that the root names")
-    limit = asyncio.Semaphore(_MAX_READS)
+    limit = asyncio.Semaphore(MAX_PARALLEL_READS)
 
     async def check(key: str, size: int | None) -> None:
         async with limit:
@@ -457,7 +456,7 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
             some = min(2, length)
             for part in (RangeByteRequest(0, some), SuffixByteRequest(some)) if some else ():
                 content = await session.store.get(key, default_buffer_prototype(), part)
-                if content is None or len(content) != some:  # an offset near 2**64 wraps around
+                if content is None or len(content) != some:  # offsets near 2**64 wrap around
                     raise error(f"lacks bytes in {key}")
 
     group = await zarr.api.asynchronous.open_group(session.store, path=name, mode="r")
@@ -553,7 +552,7 @@ def open_virtual(
             option=f"pass {options} if these are your raw files",
             code="raw-file-not-allowed",
         )
-    problems = Problems(f"{os.fspath(path)} refers to raw files that are not what they were", StoreError)
+    problems = Problems(f"{os.fspath(path)} refers to raw files that have changed", StoreError)
     for raw in groups[name][RAW_FILES]:
         if difference := raw.difference():
             problems.add(difference, mend=_AGAIN, code="raw-file-changed")

@@ -49,15 +49,15 @@ from .manifest import (
 if TYPE_CHECKING:
     import xarray as xr
 
-# Bytes of all arrays of a group that is loaded at once.
+# Largest group that is loaded at once [byte].
 MAX_LOADED_BYTES = 2**30
-# Decoded bytes of a chunk; `layout` makes none above a tenth of it for any camera there is.
+# Largest decoded chunk [byte]; `layout` stays below a tenth of it for any camera.
 MAX_CHUNK_BYTES = 2**30
-# Bytes of an array with one dim, or of a chunk of texts or times: xarray loads them when it opens a group.
+# Largest array with one dim, or chunk of texts or times, which xarray loads on opening [byte].
 MAX_INDEX_BYTES = 64 * 2**20
-# Bytes that a text takes in memory.
+# Memory of a text [byte].
 TEXT_BYTES = 32
-# A group that is loaded, and declares more bytes, must have at least a thousandth of them on its disk.
+# A loaded group that declares more than SMALL_BYTES must have a thousandth of them on disk.
 SMALL_BYTES, MAX_RATIO = 64 * 2**20, 1000
 # Parts of the names of codecs that run code from a file.
 CODE_CODECS = ("pickle",)
@@ -211,7 +211,7 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         return xr.DataTree.from_dict(opened)
     name = clean_group(group)
     if location is not None and (manifest := Manifest.read(location)) is not None:
-        # a run that is under way, or was cut short, has not written all its groups
+        # a running or interrupted run has not written all its groups
         writes = [write for write in manifest.writes if name in write.contents]
         if any(
             manifest.lacking(write, lambda each: content_of(location, each, manifest)) for write in writes
@@ -245,7 +245,7 @@ def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
                 opened.attrs = kept | opened.attrs
             return opened
         except (StoreError, OSError):
-            # where the group was replaced meanwhile, the new one is opened
+            # if the group was replaced meanwhile, open the new one
             if attempt or content_of(location, name) == content:
                 raise
     raise AssertionError
@@ -259,10 +259,10 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
     where, mend = f"group {'/' + group!r} of {location.url}", "write the group again"
     content, entry = content_of(location, group, manifest), manifest.groups.get(group)
     if content not in manifest.allowed(group):
-        state = "is not what the manifest names" if location.has(group, METADATA) else "was deleted"
+        state = "differs from the manifest" if location.has(group, METADATA) else "was deleted"
         raise IncompleteStoreError(f"{where} {state}", mend=mend, code="group-changed")
     if entry is None or content != entry.content:
-        entry_of(location, group)  # of a writer who has not come to its entry: its chunks are there
+        entry_of(location, group)  # published but not yet recorded: all chunks must exist
         return
     problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
     if attributes_replaced(location, group, entry):
@@ -280,7 +280,7 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
             )
             continue
         missing = [key for key in chunk_keys(document, name) if joined(name, key) not in files]
-        if missing and METADATA in files:  # not all servers list what they have
+        if missing and METADATA in files:  # not all servers list their files
             problems.add(
                 f"{name}: {len(missing)} of {array.chunks} chunks are missing, first {missing[0]}",
                 code="chunk-missing",
@@ -303,9 +303,9 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
 
     (location, source), name = place_of(path), clean_group(group)
     check_metadata(location, name)
-    # a local list of all metadata may be older than a group whose writer was killed at its very end
+    # a local list of all metadata may be outdated after a kill at the very end
     is_remote = isinstance(source, str) and "://" in source
-    # files of others between the arrays are noted by verify
+    # verify notes files of other programs
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Object at .* is not recognized")
         try:
@@ -325,7 +325,7 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
                 options["chunks"] = {BAND: -1, CROSS_TRACK: -1}
             source = _named(source, node, arrays)
             opened: xr.Dataset = xr.open_zarr(source, group=name or None, **options)
-            if COARSE in cut:  # of which a picture of one band reads its group alone
+            if COARSE in cut:  # so that a picture of one band reads one group of bands
                 options |= {"chunks": {}, "drop_variables": [key for key in arrays if key != COARSE]}
                 opened[COARSE] = xr.open_zarr(source, group=name or None, **options)[COARSE].variable
         except StoreError:
@@ -345,7 +345,7 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
         stamp_means(opened[COARSE], opened)
     if isinstance(path, str | os.PathLike):
         opened.encoding["source"] = os.fspath(path)
-    for key in OWN_ATTRS:  # of the place, not of what is made from it
+    for key in OWN_ATTRS:  # they do not apply to derived datasets
         opened.attrs.pop(key, None)
     return opened
 
@@ -382,7 +382,7 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
     return opened
 
 
-# --- what zarr is given, and what it must not read ---------------------------------------------------------
+# --- location and checks -----------------------------------------------------------------------------------
 
 
 def place_of(path: Any) -> tuple[Location | None, Any]:
@@ -423,7 +423,7 @@ def is_zarr(path: Any) -> bool:
 def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
     """Return a store object for a group of ours that dask names by content, not by path and time."""
     content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
-    added = seal.partition(" ")[0] != str(len(arrays))  # arrays of others change without a word
+    added = seal.partition(" ")[0] != str(len(arrays))  # arrays of other programs may change unnoticed
     if content is None or added or not isinstance(source, str):
         return source
     from .named_stores import NamedFsspecStore, NamedLocalStore

@@ -37,10 +37,10 @@ from .groups import groups_above
 from .location import MANIFEST_NODE, clean_group, sync, temporaries
 
 _ROOT = "%root"
+# Time to wait for a lock without a process record [s]; filelock takes it over after 2 s.
 _PATIENCE_S = 3.0
-"""Time to watch a lock without a record [s]; filelock takes it over after 2 s without a change."""
+# An older empty lock was left by a power failure [s]: a writer fills its lock at once.
 _EMPTY_AGE_S = 30.0
-"""Age of an empty lock that only a power failure explains [s]: a writer fills its lock at once."""
 _MAX_LOCK_BYTES = 1024
 _TRIES = 20
 _MARK = "hyperpaint"
@@ -99,8 +99,7 @@ class Staging:
         if not target.exists():
             os.rename(build, target)
         else:
-            # in one step, from a name that the next writer removes: if we are killed right after, the old
-            # group has that name
+            # in one step, from a name that the next writer removes: after a kill the old group has that name
             old, exchanged = _to_discard(self.folder), False
             inode = os.stat(build).st_ino
             os.rename(build, old)
@@ -232,7 +231,7 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
     """
     import filelock
 
-    # not shared with another call in this process: two writers in two threads exclude each other as well
+    # not a singleton, so that two threads of this process exclude each other
     holder = filelock.SoftFileLock(lock, poll_interval=0.05, thread_local=False, is_singleton=False)
     for _ in range(_TRIES):
         _check_folder(lock, store)
@@ -258,7 +257,7 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
     mark = lock.with_name(_MARK)
     try:
         mark.write_bytes(_MARK_TEXT)
-        # a power failure would leave both empty: nobody could tell then whose they are, or that we have died
+        # a power failure would otherwise leave both empty, without owner and process
         for path in (lock, mark, lock.parent):
             sync(path)
         yield

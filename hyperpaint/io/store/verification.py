@@ -136,7 +136,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     try:
         manifest = Manifest.read(location) or Manifest()
     except StoreError:
-        manifest = Manifest()  # its state says so
+        manifest = Manifest()  # reported by the state
     problems += [
         f"/{name}: its metadata cannot be read [metadata-damaged]"
         for name in nodes
@@ -152,11 +152,11 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     chunks = 0
     for group in dict.fromkeys((*manifest.groups, *groups)):
         entry = manifest.groups.get(group)
-        # of a group that another write put there the state tells
+        # the state reports groups that another write published
         replaced = entry is not None and attributes_replaced(location, group, entry)
         content = content_of(location, group, manifest)
         current = entry is not None and entry.content == content
-        if not current and content in manifest.allowed(group):  # in place, its writer has not come to an end
+        if not current and content in manifest.allowed(group):  # published, but its writer has not finished
             try:
                 entry, current = entry_of(location, group), True
             except StoreError as error:
@@ -193,7 +193,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
 
 
 def _stamp(location: Location) -> bytes | None:
-    """Return what changes whenever a writer begins or ends."""
+    """Return the bytes of the manifest, which change whenever a writer begins or ends."""
     try:
         return location.read(MANIFEST_NODE, METADATA)
     except StoreError:
@@ -205,7 +205,7 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
     try:
         root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
     except StoreError:
-        return  # that the root's metadata are damaged has been said
+        return  # reported already
     head = root.get("consolidated_metadata")
     if not isinstance(head, dict) or not head.items() >= LISTED.items():
         yield "/: the root has no list of all metadata; run the writer again [listing-missing]"
@@ -215,7 +215,7 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
         yield f"/{name[:200]}: listed in the root's metadata but missing [listing-wrong]"
     wanted = {}
     for group, entry in manifest.groups.items():
-        # a writer that was killed has put another group in the place of this entry's
+        # a killed writer may have published another group under this name
         if not entry.content or content_of(location, group, manifest) == entry.content:
             if group and not attributes_replaced(location, group, entry):
                 wanted[group] = entry.metadata
@@ -232,7 +232,7 @@ def _metadata_problems(location: Location, group: str, entry: GroupEntry | None)
     """Yield the problems of a group's metadata: unreadable, missing, or different from the manifest."""
     try:
         document = location.metadata(group)
-        if entry is not None and document is None and not entry.content:  # of others the state tells
+        if entry is not None and document is None and not entry.content:  # others are reported by the state
             yield f"/{group}: its metadata are missing [metadata-missing]"
         changed = [] if entry is None or document is None else changed_attributes(location, group, entry)
         if changed:
@@ -278,7 +278,7 @@ def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, lis
 
     try:
         array: Any = zarr.open_array(source, path=where, mode="r")
-    except Exception as error:  # zarr's own checks have classes of their own
+    except Exception as error:  # zarr raises many classes of errors
         return 0, [f"/{where}: {type(error).__name__}: {error!s:.200} [array-unreadable]"]
     check_arrays(location.url, {where: array})
 

@@ -66,8 +66,8 @@ from .stage import Staging, clear_up, discard, flight_content, staging
 if TYPE_CHECKING:
     import xarray as xr
 
+# Called before a group is written, to move blocks written elsewhere to its build.
 TakeUp = Callable[[Staging, "Job"], None]
-"""Called before a group is written: hands over blocks of it that were written elsewhere."""
 
 
 @takes_quantities()
@@ -84,25 +84,25 @@ def to_store(
 ) -> Any:
     """Write a dataset, or a tree of them, into a Zarr v3 store.
 
-    Cubes are stored in chunks of 32 whole lines, everything with a checksum (blosc lz4 + shuffle, then
-    crc32c). `xarray.open_zarr(path, group=...)` opens the result as it went in: counts as uint16, reflectance
+    Cubes are stored in chunks of 32 whole lines, every chunk with a checksum (blosc lz4 + shuffle, then
+    crc32c). `xarray.open_zarr(path, group=...)` opens the result unchanged: counts as uint16, reflectance
     as float32, times to the nanosecond.
 
-    A group is built beside the store, in ``.partial-<store>``, and put in its place when it is whole; it
-    changes places with the one it replaces in one step where the system has such a step (Linux, most local
-    disks), else by two renames. Other groups are never touched. The store's manifest, which names every group
+    A group is built beside the store, in ``.partial-<store>``, and moved to its place when complete. It is
+    exchanged with the group it replaces in one step where the system can (Linux, most local
+    disks), else by two renames. Other groups are never touched. The store's manifest, which lists every group
     with checksums of its metadata and chunks, is written last. A run that is killed, or ends on a full disk,
-    leaves the store as it was. The next run with the same content takes up its finished blocks whose
-    checksums are right, and computes only the others. Every file and folder is flushed to the disk before the
-    group gets its place: after a power cut a group in its place is whole, as far as the disk keeps what it
-    has confirmed.
+    leaves the store unchanged. The next run with the same content keeps finished blocks with right
+    checksums, and computes only the others. Every file and folder is flushed to the disk before the
+    group is moved to its place: a group in its place survives a power cut, if the disk keeps the data it has
+    confirmed.
 
     Free disk and memory are checked before anything is written, without reading a value.
 
-    Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: there the group is written
-    in place and always from the start, its metadata and the manifest still come last, and the caller sees to
-    it that there is one writer. A store object of zarr, such as that of an icechunk session, gets the group
-    through xarray, in the same encoding but without a manifest: such stores have transactions of their own.
+    Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: the group is written in
+    place and always from the start, with its metadata and the manifest last, and the caller must ensure a
+    single writer. Into a store object of zarr, such as that of an icechunk session, xarray writes the group
+    in the same encoding but without a manifest: such stores have their own transactions.
 
     Parameters
     ----------
@@ -114,26 +114,26 @@ def to_store(
     group
         Group inside the store, such as ``"flightlines/raw_0"``; by default its root.
     overwrite
-        Replace groups that exist. Without it, a finished group of the same content is left alone (made again
-        where a chunk of it is missing), any other is refused. Damaged metadata of the groups above are
-        written anew too; whole groups stay.
+        Replace groups that exist. Without it, a finished group of the same content is kept (rewritten if
+        one of its chunks is missing), any other is refused. Damaged metadata of the groups above are
+        rewritten too; complete groups stay.
     progress
         Show a progress bar.
     source_token
-        Names the content: equal tokens, equal content. By default derived from the arrays: dask's names for
-        lazy ones, the values for others. What reads files lazily without dask, or a Zarr store other than by
-        `open_store`, has no name that follows its content: it is always written anew. Give a token there, or
-        where names do not follow the data, such as a digest of the files read and of the parameters.
+        Identifies the content: equal tokens, equal content. By default derived from the arrays: dask's names
+        of lazy ones, the values of others. Arrays read lazily without dask, or from a Zarr store not opened
+        by `open_store`, have no name that follows their content and are always rewritten. Pass a token for
+        them, or where names do not follow the data, such as a digest of the files and parameters.
     codec
         ``"compact"`` shuffles bits before lz4; ``"fast"`` shuffles bytes, which takes half the processor time
-        for a seventh (counts) to two fifths (rounded reflectance) more room. Values are the same, and so is
-        the content: what is there whole is not written again for another codec.
+        for a seventh (counts) to two fifths (rounded reflectance) more space. Values and content are equal:
+        a complete group is not rewritten for another codec.
     layout
         ``"cube"``: a chunk of a cube holds all bands, one task computes on one chunk. ``"explore"``: an
         eighth of the bands, so that a picture of one band reads an eighth of the cube; it has eight times the
         files, and plain `xarray.open_zarr` eight times the tasks (`open_store` one a slab). ``"web"``: all
         bands of 16 x 16 pixels, so that a spectrum reads some 100 kB, see `hyperpaint.report.write_site`.
-        What is there whole is not written again for another layout.
+        A complete group is not rewritten for another layout.
 
     Returns
     -------
@@ -224,7 +224,7 @@ class _StoreWriter:
     ) -> None:
         self._location, self.stage, self._manifest, self._write = location, stage, manifest, write
         self._attrs, self._pending = attrs, pending
-        self._documents: dict[str, Any] = {}  # Metadata of what was written, by path
+        self._documents: dict[str, Any] = {}  # Metadata of written nodes, by path
         self._entries: dict[str, GroupEntry] = {}
         self._ensured: set[str] = set()
         self._announced = False
@@ -260,14 +260,14 @@ class _StoreWriter:
 
         def put_in_place() -> None:
             with _discarded_unless_mendable(folder):
-                # from here on a task that a cluster repeats finds no folder to write to
+                # tasks that a cluster repeats from now on find no folder to write to
                 closed = stage.close(folder, job.group, job.build)
             with _discarded_unless_mendable(closed):
-                for hidden in closed.rglob(".*"):  # of tasks that died while they wrote
+                for hidden in closed.rglob(".*"):  # left by tasks that died while writing
                     hidden.unlink(missing_ok=True)
                 root = self._note(job, files, sums)
                 place = Location.of(closed)
-                if not job.group:  # with its manifest, so that it is whole in one step
+                if not job.group:  # published with its manifest in one step
                     own = {name: doc for name, doc in self._documents.items() if name}
                     root = with_listed(root, own)
                     writes = (self._write,) if len(self._write.contents) > 1 else ()
@@ -333,7 +333,7 @@ class _StoreWriter:
         ensure_groups(around, location)
         for group, wanted in self._attrs.items():
             set_attributes(group, wanted, location)
-        # entries: of what was written, of what was there, and of groups around others
+        # entries of written groups, of existing ones, and of groups around others
         entries = dict(self._entries)
         for name in there:
             old = manifest.groups.get(name)
@@ -346,7 +346,7 @@ class _StoreWriter:
             if name not in entries:
                 document = self._documents[name] = location.metadata(name) or {}
                 kept = manifest.groups.get(name, GroupEntry("", 0, {}))
-                # a root with arrays stays what was written, whatever others added to its attributes
+                # attributes added to a root with arrays do not change its entry
                 entries[name] = kept if kept.arrays else kept._replace(metadata=document_checksum(document))
         groups = {**manifest.groups, **entries}
         # the list of all metadata: of other groups as they were listed, where these are still there
@@ -397,7 +397,7 @@ def _writer(
         if location.local is not None:
             location.local.parent.mkdir(parents=True, exist_ok=True)
             stage = stack.enter_context(staging(real_folder(location.local), pending))
-        # what another writer finished while we waited counts
+        # another writer may have finished groups while we waited
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
         manifest = Manifest.read(location, ignore_damage=overwrite)
         # a new store, or a lost manifest: groups whose content names their own path are kept
@@ -476,7 +476,9 @@ class WholeRun:
         Progress bars go to stderr, so that stdout holds results only.
         """
         assert self._writer is not None  # a run without pending groups writes none
-        if self._placing is None or self._placing.done():  # an error is raised before this one takes its time
+        if (
+            self._placing is None or self._placing.done()
+        ):  # raise an earlier error before computing this group
             self.settle()
         settings = str(dataset.attrs.get(SETTINGS, ""))
         token = _token(dataset, str(dataset.attrs.get(INPUTS)))
@@ -488,7 +490,7 @@ class WholeRun:
             place = self._writer.begin(job, progress=progress)
         self.settle()
         self._placed = {group: dataset}
-        if thread_space():  # a thread would take the room of one that computes
+        if thread_space():  # a thread would take the memory of a computing one
             with errors_of_the_system(self._location, self._placed):
                 place()
         else:
@@ -507,7 +509,7 @@ class WholeRun:
         while self._placing is not None and not self._placing.done():
             try:
                 wait([self._placing])
-            except BaseException as error:  # Ctrl-C: the lock must not be released under it
+            except BaseException as error:  # Ctrl-C: keep the lock until the group is published
                 interruption = error
         self._pool.shutdown()
         failure = None if self._placing is None else self._placing.exception()
@@ -542,7 +544,7 @@ def whole_run(
                 writer = stack.enter_context(
                     _writer(location, contents, list(pending), root, command=command, overwrite=overwrite)
                 )
-                if len(pending) > 1 and not location.has(METADATA):  # verify then says how to go on
+                if len(pending) > 1 and not location.has(METADATA):  # so that verify tells how to resume
                     writer.announce(next(iter(contents)))
         run = WholeRun(writer, location, codec, take_up)
         with contextlib.closing(run):
@@ -671,7 +673,7 @@ def _write_to_store_object(
         ) from error
 
 
-# --- what is to be written ---------------------------------------------------------------------------------
+# --- groups to be written ----------------------------------------------------------------------------------
 
 
 def real_folder(local: Path) -> Path:
@@ -697,7 +699,7 @@ def _plan(
     jobs, attrs = [], {}
     for name, node in nodes.items():
         if "coarse_reflectance" in node.variables and not has_own_means(node):
-            node = node.drop_vars("coarse_reflectance")  # of reflectance as it was before
+            node = node.drop_vars("coarse_reflectance")  # computed from earlier reflectance
         dataset = layout.with_layout(_without_foreign_inputs(node, source_token), form[1])
         prepared = layout.prepare(dataset, clean_group(name))
         if is_tree and not dataset.variables:
@@ -739,13 +741,13 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 def _content(variable: xr.Variable) -> Any:
     """Return a stand-in for a variable's values that changes with them."""
     if layout.is_at_hand(variable) and is_named_by_content(variable):
-        # dask names texts by what joins them
+        # dask's names of text arrays are ambiguous
         is_text = variable.dtype.kind in "OT" and variable._in_memory
         return json.dumps(variable.values.tolist(), default=str) if is_text else variable.data
     if variable.size == 1:
         return variable.values
-    # a lazy array does not say what its file holds, and would be read whole to find out; what dask calls it
-    # stays the same when a Zarr store is rewritten
+    # the content of a lazy file-backed array is unknown without reading it, and its dask name stays the same
+    # when a Zarr store is rewritten
     return uuid.uuid4().hex
 
 
