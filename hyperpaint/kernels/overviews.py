@@ -45,19 +45,19 @@ def mix_bands(values: Array, weights: Array, out: Array) -> None:
     1; a pixel without valid bands is black.
     """
     lines, bands, columns = values.shape
-    filled, seen = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    filled, fallback = np.empty(columns, np.float32), np.empty(columns, np.float32)
     sums = np.empty((3, columns), np.float32)
     for line in range(lines):
-        seen[:] = _ZERO
+        fallback[:] = _ZERO
         for band in range(bands):
             for x in range(columns):
                 value = values[line, band, x]
-                seen[x] = _ONE if value == value else seen[x]
+                fallback[x] = _ONE if value == value else fallback[x]
         sums[:] = _ZERO
         for band in range(bands):
             for x in range(columns):
                 value = values[line, band, x]
-                filled[x] = value if value == value else seen[x]
+                filled[x] = value if value == value else fallback[x]
             for colour in range(3):
                 for x in range(columns):
                     sums[colour, x] += filled[x] * weights[colour, band, x]

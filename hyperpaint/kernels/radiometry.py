@@ -58,14 +58,14 @@ def dark_of_line(
 
     The other arguments are members of `Calibration` and its `DetectorModel`.
     """
-    own: Array = dark[0]
+    line_dark: Array = dark[0]
     if index is not None and weight is not None:
         blend(dark[index[line]], dark[index[line] + 1], weight[line], mixed)
-        own = mixed
+        line_dark = mixed
     if masked is not None:
-        raise_dark(pedestal_of(counts, own, masked), own, mixed)
-        own = mixed
-    return own
+        raise_dark(pedestal_of(counts, line_dark, masked), line_dark, mixed)
+        line_dark = mixed
+    return line_dark
 
 
 # --- values, row by row
@@ -96,17 +96,17 @@ def value_row(
             value = value if raw < samples.saturation_limit else _NAN
             out[line, band, x] = rounded(value, samples.rounding)
     else:
-        own = band if shift.shape[0] > 1 else 0
+        smile_band = band if shift.shape[0] > 1 else 0
         for run in range(light.cells.shape[1]):
-            first, last = light.edges[own, run], light.edges[own, run + 1]
+            first, last = light.edges[smile_band, run], light.edges[smile_band, run + 1]
             above_dark = dark[band, first:last] if signal is None else signal[first:last]
             divide_run(
                 counts[line, band, first:last],
                 above_dark,
                 signal,
                 gain[band, first:last],
-                shift[own, first:last],
-                light.coefficients[line, band, light.cells[own, run]],
+                shift[smile_band, first:last],
+                light.coefficients[line, band, light.cells[smile_band, run]],
                 samples,
                 out[line, band, first:last],
             )

@@ -54,11 +54,11 @@ def light_row(
         for x in range(inverse.size):
             irradiance[x] = _ONE_F32 / scale
     else:
-        own = band if shift.shape[0] > 1 else 0
+        smile_band = band if shift.shape[0] > 1 else 0
         for run in range(light.cells.shape[1]):
-            first, last = light.edges[own, run], light.edges[own, run + 1]
-            cubic = light.coefficients[line, band, light.cells[own, run]]
-            light_run(cubic, shift[own, first:last], irradiance[first:last])
+            first, last = light.edges[smile_band, run], light.edges[smile_band, run + 1]
+            cubic = light.coefficients[line, band, light.cells[smile_band, run]]
+            light_run(cubic, shift[smile_band, first:last], irradiance[first:last])
         for x in range(inverse.size):
             inverse[x] = _ONE_F32 / irradiance[x]
 

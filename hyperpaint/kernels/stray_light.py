@@ -89,10 +89,10 @@ def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Ar
         for term in range(stray.take.shape[0]):
             sum_rows(block, stray.take[term], sums[term])
         for band in range(bands):
-            own = block[band]
-            sum_rows(sums, stray.give[band], own)
+            row = block[band]
+            sum_rows(sums, stray.give[band], row)
             for x in range(width):
-                out[band, first + x] = own[x] / stray.level[band, first + x] + total[first + x]
+                out[band, first + x] = row[x] / stray.level[band, first + x] + total[first + x]
 
 
 @borrowing_kernel

@@ -185,7 +185,7 @@ def _normal_equations(
     """Write the normal equations; return the number of valid channels, and the cost of zero amounts."""
     gram[:] = 0.0
     right[:] = 0.0
-    valid, whole = 0, 0.0
+    valid, zero_cost = 0, 0.0
     for k in range(seen.size):
         value = np.float64(seen[k])
         if not np.isfinite(value):
@@ -193,7 +193,7 @@ def _normal_equations(
         valid += 1
         sigma = errors.noise[k] * abs(value) + errors.floor
         weight = 1.0 / (sigma * sigma)
-        whole += weight * value * value
+        zero_cost += weight * value * value
         for i in range(used):
             scaled = weight * parts[i, k]
             right[i] += scaled * value
@@ -202,7 +202,7 @@ def _normal_equations(
     for i in range(used):
         for j in range(i):
             gram[j, i] = gram[i, j]
-    return valid, whole
+    return valid, zero_cost
 
 
 @kernel
@@ -219,18 +219,18 @@ def _neighbour_lowers_residual(gram: Array, right: Array, used: Any, amount: Arr
 
 @kernel
 def _minimise_with_neighbours(
-    equations: Equations, whole: Any, most: Array, evidence: Any, held: Array, amount: Array
+    equations: Equations, zero_cost: Any, most: Array, evidence: Any, held: Array, amount: Array
 ) -> Any:
     """Write the amounts of least cost, with neighbours only where they gain enough; return the cost."""
     gram, right, used = equations.gram, equations.right, equations.used
     held[_OWN:] = True
     minimise(gram, right, most, held, amount)
-    cost = whole + _cost(gram, right, amount)
+    cost = zero_cost + _cost(gram, right, amount)
     if used > _OWN and cost > evidence and _neighbour_lowers_residual(gram, right, used, amount):
         held[_OWN:used] = False
         trial = amount.copy()
         minimise(gram, right, most, held, trial)
-        less = whole + _cost(gram, right, trial)
+        less = zero_cost + _cost(gram, right, trial)
         if cost - less > evidence * max(1.0, less / (_INDEPENDENT * equations.valid)):
             amount[:] = trial
             cost = less
@@ -240,7 +240,7 @@ def _minimise_with_neighbours(
 @kernel
 def _solve(
     equations: Equations,
-    whole: Any,
+    zero_cost: Any,
     prior: AmountPrior,
     evidence: Any,
     more: Glinting,
@@ -249,10 +249,10 @@ def _solve(
 ) -> None:
     """Write the amounts, starting from the prior.
 
-    ``equations`` and ``whole`` (the cost of zero amounts) include the prior; ``tie`` is the prior weight of
-    the direct light. Neighbours and glint are kept only where omitting them raises the cost by ``evidence``,
-    in units of the reduced residual where that exceeds noise. With glint, ``more`` is added to the prior
-    mean, and the direct light must be at least `_SUNLIT`.
+    ``equations`` and ``zero_cost`` (the cost of zero amounts) include the prior; ``tie`` is the prior weight
+    of the direct light. Neighbours and glint are kept only where omitting them raises the cost by
+    ``evidence``, in units of the reduced residual where that exceeds noise. With glint, ``more`` is added to
+    the prior mean, and the direct light must be at least `_SUNLIT`.
     """
     right, most = equations.right, prior.most
     held = np.zeros(PARTS, np.bool_)
@@ -260,7 +260,7 @@ def _solve(
     around = 1.0 / prior.spread[_SUNWARD] ** 2
     right[0] += tie * more.direct
     right[_SUNWARD] += around * more.sunward
-    glinting = whole + tie * more.direct * (2.0 * prior.expected[0] + more.direct)
+    glinting = zero_cost + tie * more.direct * (2.0 * prior.expected[0] + more.direct)
     glinting += around * more.sunward * (2.0 * prior.expected[_SUNWARD] + more.sunward)
     cost = _minimise_with_neighbours(equations, glinting, most, evidence, held, amount)
     right[0] -= tie * more.direct
@@ -270,7 +270,7 @@ def _solve(
     trial = start
     trial[_GLINT] = 0.0
     held[_GLINT] = True
-    plain = _minimise_with_neighbours(equations, whole, most, evidence, held, trial)
+    plain = _minimise_with_neighbours(equations, zero_cost, most, evidence, held, trial)
     weak = plain - cost <= evidence * max(1.0, cost / (_INDEPENDENT * equations.valid))
     if weak or amount[_GLINT] <= 0.0 or amount[0] < _SUNLIT:
         amount[:] = trial
@@ -311,7 +311,7 @@ def unmix_lines(
                 one = nothing if first < 0 else reflectance[first]
                 other = nothing if second < 0 else reflectance[second]
                 _fill_parts(reflectance[number], light, one, other, parts)
-                valid, whole = _normal_equations(seen[line, x], parts, used, errors, gram, right)
+                valid, zero_cost = _normal_equations(seen[line, x], parts, used, errors, gram, right)
             if 2 * valid < channels or number < 0:
                 out.amount[line, x] = np.nan
                 out.added[line, x] = np.nan
@@ -322,12 +322,12 @@ def unmix_lines(
                 tie = 1.0 / spread[part] ** 2 if part else 1.0 / tilt[number] ** 2
                 gram[part, part] += tie
                 right[part] += tie * expected[part]
-                whole += tie * expected[part] ** 2
+                zero_cost += tie * expected[part] ** 2
                 amount[part] = expected[part] if part < used else 0.0
             equations = Equations(gram, right, valid, used)
             tie = 1.0 / tilt[number] ** 2
             more = Glinting(min(glinting.direct, tilt[number]), glinting.sunward)
-            _solve(equations, whole, prior, evidence, more, tie, amount)
+            _solve(equations, zero_cost, prior, evidence, more, tie, amount)
             out.amount[line, x] = amount
             out.misfit[line, x] = _misfit(seen[line, x], parts, amount, errors)
             most_first, most_second, most_both = 0.0, 0.0, 0.0

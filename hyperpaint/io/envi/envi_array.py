@@ -105,8 +105,13 @@ class EnviArray(BackendArray):
         along = [positions[axis] for axis in np.argsort(self.axes)]
         with open(self.path, "rb", buffering=0) as file:
             self._refuse_changed(file)
-            if self.axes == (0, 1, 2) and _is_slab(along, self.file_shape):
-                first = int(along[0][0]) * self.file_shape[1] * self.file_shape[2]
+            # whole planes of the file, one after another, are read in one piece
+            planes, rows, columns = along
+            _, height, width = self.file_shape
+            is_slab = self.axes == (0, 1, 2) and bool((np.diff(planes) == 1).all())
+            is_slab = is_slab and np.array_equal(rows, np.arange(height))
+            if is_slab and np.array_equal(columns, np.arange(width)):
+                first = int(planes[0]) * height * width
                 self._fill(file, first, samples.reshape(-1))
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
@@ -120,8 +125,8 @@ class EnviArray(BackendArray):
         if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
             raise FormatError(
                 f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} bytes "
-                f"of {_moment(status.st_mtime_ns)}",
-                expected=f"{self.file_size} bytes of {_moment(self.modified_ns)}",
+                f"of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
+                expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
                 mend="open it again",
                 code="file-changed",
             )
@@ -165,10 +170,6 @@ class EnviArray(BackendArray):
             done += count
 
 
-def _moment(nanoseconds: int) -> str:
-    return f"{np.datetime64(nanoseconds, 'ns')} UTC"
-
-
 def _is_integer(index: object) -> bool:
     return isinstance(index, int | np.integer)
 
@@ -179,16 +180,6 @@ def _positions(index: Any, size: int) -> Ints:
     if isinstance(index, slice):
         return np.arange(*index.indices(size), dtype=np.int64)
     return np.asarray(index, dtype=np.int64)
-
-
-def _is_slab(along: list[Ints], file_shape: tuple[int, int, int]) -> bool:
-    """Return whether the samples are one run of whole planes of the file."""
-    planes, rows, columns = along
-    return (
-        np.array_equal(rows, np.arange(file_shape[1]))
-        and np.array_equal(columns, np.arange(file_shape[2]))
-        and bool((np.diff(planes) == 1).all())
-    )
 
 
 def _selector(positions: Ints) -> slice | Ints:

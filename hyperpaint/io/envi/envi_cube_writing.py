@@ -12,9 +12,11 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
@@ -31,10 +33,6 @@ from hyperpaint.io.maps.map_grids import (
 )
 
 from .envi_grammar import braced
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
 
 Interleave = Literal["bil", "bip", "bsq"]
 
@@ -125,7 +123,14 @@ def write_envi(
     order = [dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]]
     stored = cube.transpose(*order)
     header = _header(dataset, cube, chosen, grid)
-    data, head = _paths(Path(path))
+    # names of data file and header
+    data = head = Path(path)
+    if data.suffix.lower() == ".hdr":
+        data = head.with_suffix(".img")
+    elif data.suffix.lower() in _DATA_SUFFIXES:
+        head = data.with_suffix(".hdr")
+    else:
+        data, head = (data.with_name(data.name + suffix) for suffix in (".img", ".hdr"))
     with published_files([data, head], overwrite=overwrite) as (data_file, header_file):
         _fill(data_file, stored, progress)
         header_file.write_bytes(header.encode())
@@ -208,7 +213,7 @@ def _spectral(dataset: xr.Dataset) -> list[str]:
         return rows
     nm = axis.values.astype(np.float64)
     if np.isfinite(nm).all():
-        rows += ["wavelength units = Nanometers", f"wavelength = {_listed(nm)}"]
+        rows += ["wavelength units = Nanometers", f"wavelength = {braced(list(map(repr, nm.tolist())))}"]
         if (chosen := nearest_bands(nm, RGB_WAVELENGTHS)) is not None:
             rows.append(f"default bands = {{{', '.join(str(band + 1) for band in chosen)}}}")
     for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
@@ -216,27 +221,14 @@ def _spectral(dataset: xr.Dataset) -> list[str]:
         if variable is None or variable.dims != (BAND,):
             continue
         if np.isfinite(variable.values.astype(np.float64)).all():
-            flags = [str(int(value)) for value in variable.values]
-            rows.append(f"{key} = {braced(flags) if key == 'bbl' else _listed(variable.values)}")
+            numbers = variable.values.astype(int if key == "bbl" else np.float64).tolist()
+            rows.append(f"{key} = {braced(list(map(repr, numbers)))}")
     return rows
-
-
-def _listed(values: NDArray[Any]) -> str:
-    return braced([repr(float(value)) for value in values])
 
 
 def _printable(text: str) -> str:
     """Return text without braces and line ends."""
     return "".join(mark if mark.isprintable() and mark not in "{}" else " " for mark in text)[:500]
-
-
-def _paths(path: Path) -> tuple[Path, Path]:
-    """Return the data file and its header."""
-    if path.suffix.lower() == ".hdr":
-        return path.with_suffix(".img"), path
-    if path.suffix.lower() in _DATA_SUFFIXES:
-        return path, path.with_suffix(".hdr")
-    return path.with_name(path.name + ".img"), path.with_name(path.name + ".hdr")
 
 
 # --- the data file -----------------------------------------------------------------------------------------

@@ -3,8 +3,8 @@
 The file is read in slabs, when values are asked for and no sooner. Sensor geometry is shown as
 ``(along_track, band, cross_track)`` whatever the interleave, map geometry as ``(y, x, band)``.
 
-A data file may be a link to another folder, as raw cubes on a large disk often are: whoever laid it beside
-the header chose that file. No path that is written inside a header is followed.
+A data file may be a link to another folder, as raw cubes on a large disk often are: the user placed it beside
+the header. Paths written inside a header are never followed.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ import xarray as xr
 from xarray.core import indexing
 
 from hyperpaint.base import schema, units
-from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, UnitsError
+from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems
 from hyperpaint.base.input_files import input_path, is_plain_file
 
 from .envi_array import EnviArray, Scaling
-from .envi_header import EnviHeader, MapInfo, read_header
+from .envi_header import EnviHeader, read_header
 
 DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
 # axes of the file, slowest first
@@ -95,9 +95,12 @@ def _existing(candidates: list[Path]) -> list[Path]:
 
 
 def open_envi(
-    path: str | os.PathLike[str], *, keep_whole_lines: bool = False, quantity: str | None = None,
+    path: str | os.PathLike[str],
+    *,
+    keep_whole_lines: bool = False,
+    quantity: str | None = None,
     unsaid: str = "values",
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Open an ENVI cube lazily.
 
     Parameters
@@ -176,8 +179,19 @@ def open_envi(
     _refuse_contradictions(header, header_path)
     status = os.stat(data_path)
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
-    _warn(header, data_path, lines)
-
+    # anything that may make values wrong
+    messages = list(header.warnings)
+    if _is_unscaled(header):
+        messages.append(
+            "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
+            "'values'; add for example 'reflectance scale factor = 10000' to the header"
+        )
+    if lines != header.lines:
+        messages.append(f"{lines} whole lines are kept where the header says {header.lines}")
+    if messages:
+        text = f"{data_path.name}: {'; '.join(messages)}"
+        warnings.warn(PaintWarning(text, code="header-doubtful"), stacklevel=2)
+    # axes of the file, and of the array
     name, attrs = _quantity(header, quantity, unsaid, data_path)
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
     file_axes = _FILE_AXES[header.interleave]
@@ -262,21 +276,6 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
     )
 
 
-def _warn(header: EnviHeader, path: Path, lines: int) -> None:
-    messages = list(header.warnings)
-    if _is_unscaled(header):
-        messages.append(
-            "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
-            "'values'; add for example 'reflectance scale factor = 10000' to the header"
-        )
-    if lines != header.lines:
-        messages.append(f"{lines} whole lines are kept where the header says {header.lines}")
-    if messages:
-        warnings.warn(
-            PaintWarning(f"{path.name}: {'; '.join(messages)}", code="header-doubtful"), stacklevel=3
-        )
-
-
 def _level(header: EnviHeader) -> str | None:
     """Return the processing level in the description; None without one."""
     levels = _LEVEL.findall(header.description[:10_000])
@@ -289,86 +288,63 @@ def _is_unscaled(header: EnviHeader) -> bool:
     return _level(header) == "reflectance" and header.dtype.kind in "iu" and unscaled
 
 
-def _comment_units(header: EnviHeader) -> str | None:
-    """Return the units in Headwall's comment; None if absent or unreadable."""
-    for key, text in header.comments.items():
-        if key.lower() == "units":
-            plain = text.replace("^", "").strip()
-            try:
-                return units.canonical(plain)
-            except UnitsError:
-                return None
-    return None
-
-
-def _quantity(header: EnviHeader, given: str | None, unsaid: str, path: Path) -> tuple[str, dict[str, Any]]:
-    name, units_said = _said(header)
-    plain = header.dtype.kind in "iu" and not _has_gain(header)
-    if name is None and given is None and plain and header.file_type in _CUBE_TYPES:
-        given = unsaid
-    elif given is not None:
-        _check_quantity(header, name, given, path)
-    name = name or given or "values"
-    if name == "values":
-        return name, {}
-    attrs = schema.VARIABLES[name].attrs
-    if name == "radiance":
-        attrs = {key: value for key, value in attrs.items() if key != "units"}
-        return name, attrs | ({"units": units_said} if units_said else {})
-    return name, attrs
-
-
 _CUBE_TYPES = ("", "envi", "envi standard")
 
 
-def _check_quantity(header: EnviHeader, declared: str | None, quantity: str, path: Path) -> None:
-    """Refuse a ``quantity`` that the header's declared quantity or the samples contradict."""
-    if quantity not in _QUANTITIES:
+def _quantity(
+    header: EnviHeader, quantity: str | None, unsaid: str, path: Path
+) -> tuple[str, dict[str, Any]]:
+    """Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``."""
+    declared, radiance_units = _declared_quantity(header)
+    is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
+    if quantity not in (None, *_QUANTITIES):
         raise FormatError(
             f"quantity={quantity!r}", expected=f"one of {', '.join(_QUANTITIES)}", code="choice-unknown"
         )
     reason = mend = ""
-    if declared not in (None, quantity):
+    if quantity is not None and declared not in (None, quantity):
         reason, mend = f"its header says {declared}", "correct the header, or leave quantity= out"
-    elif quantity == "counts" and (header.dtype.kind not in "iu" or _has_gain(header)):
-        reason = f"samples are {header.dtype.name}{', with gains' if _has_gain(header) else ''}, no counts"
-    elif quantity == "reflectance" and header.dtype.kind in "iu" and not (declared or _has_gain(header)):
+    elif quantity == "counts" and (not is_integer or has_gain):
+        reason = f"samples are {header.dtype.name}{', with gains' if has_gain else ''}, no counts"
+    elif quantity == "reflectance" and is_integer and not (declared or has_gain):
         reason = "integers are stored without a scale"
         mend = "add for example 'reflectance scale factor = 10000' to its header"
     if reason:
         raise FormatError(
             f"{path.name}: quantity={quantity!r}, but {reason}", mend=mend, code="quantity-conflict"
         )
+    if quantity is None and is_integer and not has_gain and header.file_type in _CUBE_TYPES:
+        quantity = unsaid
+    name = declared or quantity or "values"
+    attrs = {} if name == "values" else dict(schema.VARIABLES[name].attrs)
+    if name == "radiance":
+        del attrs["units"]
+        attrs |= {"units": radiance_units} if radiance_units else {}
+    return name, attrs
 
 
-def _said(header: EnviHeader) -> tuple[str | None, str | None]:
+def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     """Return the quantity that the header declares, and its units of radiance; None where it does not."""
     if _is_unscaled(header):
         return "values", None
-    level = _level(header)
-    units_said = _comment_units(header)
-    is_radiance = units_said is not None and units.same_dimension(
-        units_said, schema.VARIABLES["radiance"].units
-    )
-    integer = header.dtype.kind in "iu"
-    scale = header.reflectance_scale_factor
-    if level is None and scale is not None and (scale != 1.0 or not integer):
+    # Headwall's comment on units, if it can be read as units
+    comment = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
+    plain = comment.replace("^", "").strip()
+    is_radiance = plain and units.same_dimension(plain, schema.VARIABLES["radiance"].units)
+    radiance_units = plain if is_radiance else None
+    level, scale, is_integer = _level(header), header.reflectance_scale_factor, header.dtype.kind in "iu"
+    if level is None and scale is not None and (scale != 1.0 or not is_integer):
         level = "reflectance"
-    if level is None and is_radiance:
+    if level is None and radiance_units is not None:
         level = "radiance"
     if level in ("reflectance", "radiance"):
-        return level, units_said if is_radiance else None
-    if integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and _is_raw(header):
+        return level, radiance_units
+    # raw counts, by units, description or level
+    count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
+    is_raw = count_units or _RAW.search(header.description[:10_000]) or level == "counts"
+    if is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and is_raw:
         return "counts", None
     return None, None
-
-
-def _is_raw(header: EnviHeader) -> bool:
-    """Return whether the header says that integers are raw counts of the converter."""
-    said = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
-    said = header.fields.get("data units", said)
-    in_words = said.strip().lower() in _COUNT_UNITS or _RAW.search(header.description[:10_000])
-    return bool(in_words) or _level(header) == "counts"
 
 
 def _scaling(header: EnviHeader, name: str) -> Scaling | None:
@@ -394,28 +370,28 @@ def _coordinates(header: EnviHeader, lines: int) -> dict[str, Any]:
     coords: dict[str, Any] = {
         name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
         for name, values in (
-            ("wavelength", header.wavelength), ("fwhm", header.fwhm), ("good", header.good),
+            ("wavelength", header.wavelength),
+            ("fwhm", header.fwhm),
+            ("good", header.good),
         )
         if values is not None
-    }  # fmt: skip
+    }
     if header.map_info is not None and header.map_info.rotation == 0:
-        coords.update(_map_coordinates(header.map_info, lines, header.samples))
+        # pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner
+        info = header.map_info
+        column, row = info.reference_pixel
+        x = info.reference[0] + (np.arange(header.samples) + 1.5 - column) * info.pixel_size[0]
+        y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
+        if info.projection.lower().startswith("geographic"):
+            x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
+            y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
+        else:
+            unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
+            x_attrs, y_attrs = ({"standard_name": f"projection_{axis}_coordinate"} for axis in "xy")
+            for axis_attrs in (x_attrs, y_attrs):
+                axis_attrs.update({"units": unit} if unit else {})
+        coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
     return coords
-
-
-def _map_coordinates(info: MapInfo, lines: int, samples: int) -> dict[str, Any]:
-    """Return pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner."""
-    column, row = info.reference_pixel
-    x = info.reference[0] + (np.arange(samples) + 1.5 - column) * info.pixel_size[0]
-    y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
-    if info.projection.lower().startswith("geographic"):
-        x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
-        y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
-    else:
-        unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
-        unit_attrs = {"units": unit} if unit else {}
-        x_attrs, y_attrs = ({"standard_name": f"projection_{name}_coordinate", **unit_attrs} for name in "xy")
-    return {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
 
 
 def _attributes(header: EnviHeader, path: Path, lines: int) -> dict[str, Any]:

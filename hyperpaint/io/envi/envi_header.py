@@ -27,9 +27,18 @@ MAX_HEADER_BYTES = 4 * 2**20
 MAX_LIBRARY_HEADER_BYTES = 16 * 2**20
 
 _DTYPES = {
-    "1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "6": "c8", "9": "c16",
-    "12": "u2", "13": "u4", "14": "i8", "15": "u8",
-}  # fmt: skip
+    "1": "u1",
+    "2": "i2",
+    "3": "i4",
+    "4": "f4",
+    "5": "f8",
+    "6": "c8",
+    "9": "c16",
+    "12": "u2",
+    "13": "u4",
+    "14": "i8",
+    "15": "u8",
+}
 _BYTE_ORDERS = {"0": "<", "1": ">"}
 _INTERLEAVES = ("bil", "bip", "bsq")
 
@@ -256,9 +265,29 @@ def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
     reader = _Reader(scanned.fields, findings)
     lines, samples, bands = (reader.integer(key, least=1) for key in ("lines", "samples", "bands"))
     offset = reader.integer("header offset", least=0, default=0)
-    dtype = _dtype(reader)
+    # type and order of the samples
+    code, order = reader.choice("data type", _DTYPES) or "u1", "<"
+    if "byte order" in reader.fields:
+        order = reader.choice("byte order", _BYTE_ORDERS) or "<"
+    elif np.dtype(code).itemsize > 1:
+        findings.note(
+            "no byte order: assumed little-endian; add 'byte order = 0' (big-endian: 1) to the header",
+            warn=True,
+        )
     interleave = reader.choice("interleave", {name: name for name in _INTERLEAVES})
-    _refuse_unsupported(reader)
+    for key in ("major frame offsets", "minor frame offsets"):
+        text = reader.fields.get(key, "")
+        if set(bare(text)) - set("0, \t\n"):
+            findings.add(
+                f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported"
+            )
+    if reader.fields.get("file compression", "0") != "0":
+        findings.add(
+            "'file compression' is set",
+            mend="unpack the data file and set it to 0",
+            code="layout-unsupported",
+        )
+    # bands
     library = "spectral library" in scanned.fields.get("file type", "").lower()
     count, per = (samples, "samples of a spectral library") if library else (bands, "bands")
     names = _band_names(reader, bands)
@@ -273,18 +302,27 @@ def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
         findings.add(
             f"'reflectance scale factor' is {scale}", expected="a number above 0", code="value-out-of-range"
         )
+    # whole numbers stay integers: float64 cannot hold all 64-bit ones
+    text = bare(reader.fields.get("data ignore value", ""))
+    ignore: int | float | None
+    if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
+        ignore = int(text)
+    else:
+        ignore = reader.number("data ignore value")
+        if ignore is not None and ignore.is_integer() and abs(ignore) < 2**53:
+            ignore = int(ignore)
     return EnviHeader(
         lines=lines,
         samples=samples,
         bands=bands,
         header_offset=offset,
-        dtype=dtype,
+        dtype=np.dtype(order + code),
         interleave=interleave or "",
         wavelength=wavelength,
         fwhm=fwhm,
         good=None if good is None else good == 1.0,
         band_names=names,
-        data_ignore_value=_ignore_value(reader),
+        data_ignore_value=ignore,
         reflectance_scale_factor=scale,
         data_gain_values=reader.numbers("data gain values", bands, "bands"),
         data_offset_values=reader.numbers("data offset values", bands, "bands"),
@@ -295,44 +333,6 @@ def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
         notes=tuple(findings.notes),
         warnings=tuple(findings.warnings),
     )
-
-
-def _dtype(reader: _Reader) -> np.dtype[Any]:
-    code = reader.choice("data type", _DTYPES) or "u1"
-    if "byte order" in reader.fields:
-        order = reader.choice("byte order", _BYTE_ORDERS) or "<"
-    else:
-        order = "<"
-        if np.dtype(code).itemsize > 1:
-            reader.findings.note(
-                "no byte order: assumed little-endian; add 'byte order = 0' (big-endian: 1) to the header",
-                warn=True,
-            )
-    return np.dtype(order + code)
-
-
-def _refuse_unsupported(reader: _Reader) -> None:
-    for key in ("major frame offsets", "minor frame offsets"):
-        text = reader.fields.get(key, "")
-        if set(bare(text)) - set("0, \t\n"):
-            reader.findings.add(
-                f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported"
-            )
-    if reader.fields.get("file compression", "0") != "0":
-        reader.findings.add(
-            "'file compression' is set",
-            mend="unpack the data file and set it to 0",
-            code="layout-unsupported",
-        )
-
-
-def _ignore_value(reader: _Reader) -> int | float | None:
-    text = bare(reader.fields.get("data ignore value", ""))
-    # whole numbers stay integers: float64 cannot hold all 64-bit ones
-    if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
-        return int(text)
-    value = reader.number("data ignore value")
-    return int(value) if value is not None and value.is_integer() and abs(value) < 2**53 else value
 
 
 def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:

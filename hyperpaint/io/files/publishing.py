@@ -49,9 +49,15 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def check_place(
-    path: Path, product: str, *, example: str, kinds: Sequence[str] = (), store: Path | None = None,
-    overwrite: bool = False, error: type[PaintError] = StoreError,
-) -> None:  # fmt: skip
+    path: Path,
+    product: str,
+    *,
+    example: str,
+    kinds: Sequence[str] = (),
+    store: Path | None = None,
+    overwrite: bool = False,
+    error: type[PaintError] = StoreError,
+) -> None:
     """Check the place of a new file before anything is read or drawn; all problems are listed.
 
     Messages name the ``product``, such as "the table", and an ``example`` of a name. ``kinds`` are the
@@ -118,7 +124,7 @@ def published_files(
             anchor.parent.mkdir(parents=True, exist_ok=True)
             stage = stack.enter_context(staging(anchor))
             builds[anchor.parent] = build = stage.build("", "product")
-            stack.callback(_discard_if_there, build)
+            stack.callback(discard, build)
             build.mkdir()
         news = [builds[target.parent] / str(number) / target.name for number, target in enumerate(targets)]
         for new in news:
@@ -290,12 +296,7 @@ def _settle(targets: Sequence[Path]) -> None:
             os.rename(_old(folder, last), key)
         sync(key.parent)
     for swap in reversed(swaps.values()):
-        _discard_if_there(swap)
-
-
-def _discard_if_there(build: Path) -> None:
-    if build.exists():
-        discard(build)
+        discard(swap)
 
 
 def _recover(target: Path) -> None:

@@ -12,13 +12,11 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import input_path, is_plain_file, read_limited
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # Longest text line [byte]: tables of spectra have some 12 bytes a cell.
 MAX_LINE_BYTES = 2**20
@@ -140,9 +138,12 @@ def numbers(cells: Iterable[str]) -> list[float] | None:
 
 
 def unique_names(
-    names: Iterable[str], taken: Collection[str] = (), *, suffix: str = " ({})",
+    names: Iterable[str],
+    taken: Collection[str] = (),
+    *,
+    suffix: str = " ({})",
     fold: Callable[[str], str] = str,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Return the names, repeated ones with a number from 2 on.
 
     taken: names already in use; suffix: format of the number; fold: maps equivalent names to the same text.
@@ -171,8 +172,6 @@ def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
     Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is no plain file. A damaged file raises
     the engine's error.
     """
-    import xarray as xr
-
     if not is_plain_file(input_path(path, "a netCDF file")):
         raise FormatError(
             f"{path}: no plain file", expected="a netCDF file", mend="check the path", code="file-not-plain"

@@ -7,16 +7,13 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError
 
 from .reading import MAX_TEXT_LINES, PackedColumns, numbered_lines, read_limited_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 _MAX_SETTINGS = 16 << 20
 _MAX_TABLE = 1 << 28

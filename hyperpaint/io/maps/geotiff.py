@@ -13,20 +13,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
-from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError
+from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
 
-from .map_grids import RGB_WAVELENGTHS, Grid, grid_of, nearest_bands, product_of, stored_float
+from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, stored_float
 from .rasters import TIFF, open_raster
 
 if TYPE_CHECKING:
     import dask.array as da
-    import xarray as xr
-    from numpy.typing import NDArray
 
 _TILE = 256
 # Rows from which the brightness levels of a picture are computed.
@@ -108,12 +108,19 @@ def write_geotiff(
 
 
 def draw_geotiff(
-    map: xr.Dataset, target: Path, place: Path, variable: str | None = None,
-    bands: Literal["all", "rgb"] | Sequence[int] = "all", cog: bool = True,
-    stretch: tuple[float, float] = (2.0, 98.0), progress: Callable[[int, int], None] | None = None,
-) -> None:  # fmt: skip
+    map: xr.Dataset,
+    target: Path,
+    place: Path,
+    variable: str | None = None,
+    bands: Literal["all", "rgb"] | Sequence[int] = "all",
+    cog: bool = True,
+    stretch: tuple[float, float] = (2.0, 98.0),
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
     """Write a map as GeoTIFF to ``target``, later moved to ``place``; errors as of `write_geotiff`."""
-    rasterio = _rasterio()
+    with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
+        import rasterio
+        from rasterio.shutil import copy
     array = product_of(map, variable)
     if "y" not in array.dims:
         raise SchemaError(
@@ -122,13 +129,7 @@ def draw_geotiff(
             mend="orthorectify the line first",
             code="dim-missing",
         )
-    grid = grid_of(map)
-    if grid is None:
-        raise SchemaError(
-            "the place of this map is unknown",
-            expected="spatial_ref with a GeoTransform, or x and y",
-            code="place-unknown",
-        )
+    grid = required_grid(map)
     array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
     array = array.transpose("y", "x", BAND)
     chosen = _chosen(map, array, bands)
@@ -141,7 +142,17 @@ def draw_geotiff(
         with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
             _write(plain, stored, grid, picture, names, tags, progress)
             if cog:
-                _optimise(plain, target, picture)
+                # nearest for spectra, which must not be mixed
+                resampling = "average" if picture else "nearest"
+                options = {"blocksize": _TILE, "bigtiff": "if_safer", "predictor": "yes"}
+                copy(
+                    plain,
+                    target,
+                    driver="COG",
+                    compress="deflate",
+                    overview_resampling=resampling,
+                    **options,
+                )
     except rasterio.errors.RasterioError as error:
         raise unwritable(place, error) from error
 
@@ -176,15 +187,6 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
         texts = tuple(text or "" for text in raster.descriptions)
         factors = tuple(raster.overviews(1))
         return GeotiffHeader(raster.shape, raster.count, raster.dtypes[0], grid, texts, factors)
-
-
-def _rasterio() -> Any:
-    try:
-        import rasterio
-    except ImportError as error:
-        needed = MissingExtraError.of("rasterio", "geo", "writing a GeoTIFF")
-        raise needed from error
-    return rasterio
 
 
 # --- values ------------------------------------------------------------------------------------------------
@@ -234,8 +236,6 @@ def _plain(array: xr.DataArray) -> xr.DataArray:
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     """Return 8-bit sRGB (y, x, band); 0 where a band is unknown."""
-    import xarray as xr
-
     if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
         raise SchemaError(
             f"stretch {stretch}",
@@ -313,18 +313,26 @@ def _write(
     tags: list[dict[str, str]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    rasterio = _rasterio()
+    import rasterio
+
     height, width, count = stored.shape
     a, b, c, d, e, f = grid.transform
     profile = {
-        "driver": "GTiff", "height": height, "width": width, "count": count, "dtype": stored.dtype.name,
+        "driver": "GTiff",
+        "height": height,
+        "width": width,
+        "count": count,
+        "dtype": stored.dtype.name,
         "transform": rasterio.Affine(b, c, a, e, f, d),
         "crs": None if grid.wkt is None else rasterio.crs.CRS.from_wkt(grid.wkt),
-        "tiled": True, "blockxsize": _TILE, "blockysize": _TILE, "bigtiff": "if_safer",
+        "tiled": True,
+        "blockxsize": _TILE,
+        "blockysize": _TILE,
+        "bigtiff": "if_safer",
         "interleave": "pixel" if picture else "band",
         "nodata": 0 if picture else np.nan if stored.dtype.kind == "f" else None,
         **({"photometric": "rgb"} if picture else {}),
-    }  # fmt: skip
+    }
     with rasterio.open(path, "w", **profile) as raster:
         for place, (name, about) in enumerate(zip(names, tags, strict=True), start=1):
             raster.set_band_description(place, name)
@@ -354,26 +362,14 @@ def _write_in_stages(array: da.Array, target: _Target) -> None:
         return np.zeros((1,) * block.ndim, np.uint8)
 
     places = array.map_blocks(
-        write, dtype=np.uint8, chunks=tuple((1,) * count for count in array.numblocks),
-        meta=np.empty((0,) * array.ndim, np.uint8), name=f"write-{uuid.uuid4().hex}",
-    )  # fmt: skip
+        write,
+        dtype=np.uint8,
+        chunks=tuple((1,) * count for count in array.numblocks),
+        meta=np.empty((0,) * array.ndim, np.uint8),
+        name=f"write-{uuid.uuid4().hex}",
+    )
     axis = 0 if array.numblocks[0] >= array.numblocks[1] else 1
     stages = {(places.name, *index): index[axis] for index in np.ndindex(places.numblocks)}
     graph = dict(places.__dask_optimize__(places.__dask_graph__(), list(stages)))
     for _ in in_stages(dask.threaded.get, graph, stages):
         pass
-
-
-def _optimise(plain: Path, target: Path, picture: bool) -> None:
-    from rasterio.shutil import copy
-
-    options = {
-        "compress": "deflate",
-        "blocksize": _TILE,
-        "bigtiff": "if_safer",
-        # nearest for spectra, which must not be mixed
-        "overview_resampling": "average" if picture else "nearest",
-        "predictor": "yes",
-    }
-    copy(plain, target, driver="COG", **options)
-    plain.unlink()

@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
 
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
-
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import ArrayLike
 
 # Wavelengths of the bands shown as red, green and blue [nm].
 RGB_WAVELENGTHS = (640.0, 550.0, 460.0)
@@ -30,10 +28,10 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
     """
     name = variable or next((name for name in _PRODUCTS if name in dataset.data_vars), None)
     if name is None or name not in dataset.variables:
-        held = ", ".join(map(str, dataset.data_vars)) or "nothing"
+        names = ", ".join(map(str, dataset.data_vars)) or "nothing"
         wanted = "one of " + ", ".join(_PRODUCTS) if name is None else repr(name)
         raise SchemaError(
-            f"there is no {wanted} to write; the dataset holds {held}",
+            f"there is no {wanted} to write; the dataset holds {names}",
             mend="name one with variable=",
             code="variable-missing",
         )
@@ -127,8 +125,8 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
     if transform is None:
         if any(dataset.sizes[name] < 2 for name in ("x", "y")):
             return None
-        transform = _north_up(dataset, (math.nan, math.nan))
-        return Grid(transform, wkt)
+        (x, width), (y, height) = _windows(dataset, (math.nan, math.nan))
+        return Grid((x, width, 0.0, y, 0.0, height), wkt)
     _, b, c, _, e, f = transform
     if c != 0.0 or e != 0.0:
         computed = _along(dataset, transform)
@@ -140,15 +138,22 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
                 code="place-ambiguous",
             )
     else:
-        computed = _north_up(dataset, (b, f))
+        (x, width), (y, height) = _windows(dataset, (b, f))
+        computed = x, width, 0.0, y, 0.0, height
     # a transform that agrees keeps its bits
     return Grid(transform if _same(computed, transform, dataset) else computed, wkt)
 
 
-def _north_up(dataset: xr.Dataset, steps: tuple[float, float]) -> Transform:
-    """Return the grid of map coordinates; ``steps`` are those of a single row or column."""
-    (x, width), (y, height) = _windows(dataset, steps)
-    return x, width, 0.0, y, 0.0, height
+def required_grid(dataset: xr.Dataset) -> Grid:
+    """Return the grid of a map; SchemaError where its position is unknown."""
+    grid = grid_of(dataset)
+    if grid is None:
+        raise SchemaError(
+            "the place of this map is unknown",
+            expected="spatial_ref with a GeoTransform, or x and y",
+            code="place-unknown",
+        )
+    return grid
 
 
 def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
@@ -188,10 +193,18 @@ def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
 
 
 def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:
-    """Return the outer edge of the first pixel, and the step, of x and of y."""
-    problems = Problems("the place of this map is not known", SchemaError)
-    axes = zip("xy", steps, strict=True)
-    edges_and_steps = [_even(name, dataset[name].values, step, problems) for name, step in axes]
+    """Return the outer edge of the first pixel, and the step, of x and y; ``steps`` for single pixels."""
+    problems = Problems("the place of this map is unknown", SchemaError)
+    edges_and_steps = []
+    for name, single in zip("xy", steps, strict=True):
+        centres = np.asarray(dataset[name].values, np.float64)
+        step = (centres[-1] - centres[0]) / (centres.size - 1) if centres.size > 1 else np.float64(single)
+        even = centres[0] + step * np.arange(centres.size)
+        if step == 0.0 or not np.abs(centres - even).max() <= _TOLERANCE * abs(step) + _ROUNDING:
+            problems.add(
+                f"{name!r} is not evenly spaced", mend="choose cells at even steps", code="spacing-uneven"
+            )
+        edges_and_steps.append((float(centres[0] - step / 2.0), float(step)))
     problems.raise_if_any()
     return edges_and_steps
 
@@ -226,20 +239,6 @@ def _numbers(text: Any) -> Transform:
     return a, b, c, d, e, f
 
 
-def _even(name: str, values: Any, single: float, problems: Problems) -> tuple[float, float]:
-    """Return the outer edge of the first pixel, and the step; ``single`` for a single pixel."""
-    centres = np.asarray(values, np.float64)
-    step = (centres[-1] - centres[0]) / (centres.size - 1) if centres.size > 1 else np.float64(single)
-    even = centres[0] + step * np.arange(centres.size)
-    fits = np.abs(centres - even).max() <= _TOLERANCE * abs(step) + _ROUNDING
-    if step == 0.0 or not fits:
-        problems.add(
-            f"{name!r} is not evenly spaced", mend="choose cells at even steps", code="spacing-uneven"
-        )
-        return 0.0, 1.0
-    return float(centres[0] - step / 2.0), float(step)
-
-
 # --- in ENVI's words ---------------------------------------------------------------------------------------
 
 
@@ -254,7 +253,7 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     """
     a, b, c, d, e, f = grid.transform
     width, height = math.hypot(b, e), math.hypot(c, f)
-    problems = Problems("ENVI cannot say where this grid lies", SchemaError)
+    problems = Problems("ENVI cannot describe this grid", SchemaError)
     turned = e != 0.0 or c != 0.0
     if grid.mirrored:
         problems.add("it is mirrored", mend="reverse its rows", code="grid-mirrored")
@@ -278,11 +277,8 @@ def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, s
     """Return projection, entries after the pixel size, map units, and the reference system as text."""
     if wkt is None:
         return "Arbitrary", [], "Meters", {}
-    try:
+    with needs_extra("pyproj", "geo", "a map with its reference system"):
         import pyproj
-    except ImportError as error:
-        needed = MissingExtraError.of("pyproj", "geo", "a map with its reference system")
-        raise needed from error
     try:
         crs = pyproj.CRS.from_user_input(wkt).to_2d()
     except pyproj.exceptions.CRSError as error:

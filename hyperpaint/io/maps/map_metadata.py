@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import SchemaError, needs_extra
 from hyperpaint.base.schema import BAND
 
-from .map_grids import SPATIAL_REF, Grid, grid_of
-
-if TYPE_CHECKING:
-    import xarray as xr
+from .map_grids import SPATIAL_REF, Grid, grid_of, required_grid
 
 # Name, repository, identifier and description of the conventions of GeoZarr that maps follow.
 _CONVENTIONS = (
@@ -47,7 +45,7 @@ def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
 
     Raises `SchemaError`: its position is unknown; `MissingExtraError`: pyproj is not installed.
     """
-    grid = _grid(dataset)
+    grid = required_grid(dataset)
     at = "https://{}github{}.com/zarr-conventions/{}"
     conventions = [
         {
@@ -80,11 +78,11 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     Raises `SchemaError`: position or time of the map is unknown; `MissingExtraError`: pyproj is not
     installed.
     """
-    grid = _grid(dataset)
+    grid = required_grid(dataset)
     if grid.wkt is None or "line_time" not in dataset.variables:
         missing = "reference system" if grid.wkt is None else "line_time"
         raise SchemaError(
-            f"a STAC item says where and when, and this map has no {missing}",
+            f"a STAC item needs position and time, and this map has no {missing}",
             mend="orthorectify a line that has both, with line_time among the variables",
             code="variable-missing",
         )
@@ -131,17 +129,6 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
             }
         },
     }
-
-
-def _grid(dataset: xr.Dataset) -> Grid:
-    grid = grid_of(dataset)
-    if grid is None:
-        raise SchemaError(
-            "the place of this map is unknown",
-            expected="spatial_ref with a GeoTransform, or x and y",
-            code="place-unknown",
-        )
-    return grid
 
 
 def _reference_system(grid: Grid) -> dict[str, Any]:

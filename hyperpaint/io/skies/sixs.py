@@ -5,18 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.reading import number, numbers
 
 from .sky_table import sky_dataset, sky_lines
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _WAVELENGTH = re.compile(r"monochromatic calculation at wl\s*[:=]\s*([0-9.]+)\s*micron")
 
@@ -41,7 +38,7 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
     Raises
     ------
     FormatError
-        A file has none of these: runs over a filter are refused, their figures are sums.
+        A file lacks these lines: runs over a filter are refused, because they print sums.
     SchemaError
         The sun is not above the horizon.
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.reading import read_limited_text
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # Largest file of a sky model [byte].
 MAX_SKY_BYTES = 64 << 20
@@ -68,8 +65,6 @@ def sky_dataset(
     >>> sky_dataset("by hand", nm, np.array([0.8, 1.2]), np.array([0.05, 0.3])).diffuse.values
     array([0.3 , 0.05])
     """
-    import xarray as xr
-
     problems = Problems(f"{source}: no light at the ground", FormatError)
     order = np.argsort(wavelength, kind="stable")
     if wavelength.size < 2 or not (np.diff(wavelength[order]) > 0.0).all():

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.reading import numbers
 
 from .sky_table import sky_dataset, sky_lines
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _NEEDED = ("FREQ", "TOT_TRANS", "GRND_RFLT", "DRCT_RFLT")
 #: Column names of two words in MODTRAN 4 and 5, of one word in 6.

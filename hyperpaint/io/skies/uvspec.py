@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.base.units import conversion_factor, takes_quantities
 from hyperpaint.io.files.reading import numbers
 
 from .sky_table import sky_dataset, sky_lines
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _COLUMNS = 7  # lambda edir edn eup uavgdir uavgdn uavgup
 
@@ -34,7 +31,7 @@ def read_uvspec(
     sun_zenith, sun_azimuth
         ``sza`` and ``phi0`` of its input [degree].
     units
-        Of its irradiance, which are those of the source, such as "mW m-2 nm-1": the file does not say.
+        Units of its irradiance, which are those of the source, such as "mW m-2 nm-1"; not stated in the file.
     directions
         Number of ``umu`` in its input, 0 for none. Of these those with umu < 0 look up, at the sky; a ``phi``
         of ``phi0`` looks towards the sun.

@@ -21,13 +21,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, IRRADIANCE_TIME
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # Memory that kernels, codecs and the writer add to a process with an open collect [byte].
 RUNNING = 100 * 10**6
@@ -89,8 +88,6 @@ class Load:
 
     @classmethod
     def of(cls, line: xr.Dataset) -> Load:
-        import numpy as np
-
         cube = next(line[name] for name in ("counts", "radiance", "reflectance") if name in line)
         samples = cube.sizes[BAND] * cube.sizes[CROSS_TRACK]
         single = np.dtype(np.float32).itemsize

@@ -17,6 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import xarray as xr
+
 from hyperpaint.base.errors import PaintError
 
 from .disk import at_once
@@ -25,8 +28,6 @@ from .location import Location, replace_file
 
 if TYPE_CHECKING:
     import dask.array as da
-    import numpy as np
-    import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -44,13 +45,17 @@ class Target:
 
     @classmethod
     def of(cls, name: str, variable: xr.Variable, place: Location, codec: Codec) -> Target:
-        import numpy as np
-
         dtype = np.dtype("<i8") if variable.dtype.kind in "mM" else variable.dtype.newbyteorder("<")
         return cls(
-            place, name, tuple(map(str, variable.dims)), variable.shape, dtype, chunks_of(variable),
-            fill_value(variable.dtype), codec,
-        )  # fmt: skip
+            place,
+            name,
+            tuple(map(str, variable.dims)),
+            variable.shape,
+            dtype,
+            chunks_of(variable),
+            fill_value(variable.dtype),
+            codec,
+        )
 
     def key(self, position: tuple[int, ...]) -> str:
         return "/".join(("c", *map(str, position)))
@@ -61,8 +66,6 @@ class Target:
         At the far edges of the array chunks may be cut. Return the crc32c of the encoded chunks (uint32), in
         the shape of the block's grid.
         """
-        import numpy as np
-
         # times are stored as int64 nanoseconds
         if block.dtype.kind in "mM":
             block = block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
@@ -118,7 +121,6 @@ def lazy_checksums(
     """
     import dask
     import dask.array as da
-    import numpy as np
     from dask.highlevelgraph import HighLevelGraph
 
     if dask.is_dask_collection(variable):
@@ -146,10 +148,12 @@ def lazy_checksums(
     for index in np.ndindex(sums.numblocks):
         first = tuple(starts[i] for starts, i in zip(offsets, index, strict=True))
         shape = tuple(pieces[i] for pieces, i in zip(sums.chunks, index, strict=True))
-        found = [finished.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(shape)]
+        checksums = [
+            finished.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(shape)
+        ]
         layer[(name, *index)] = (sums.name, *index)
-        if None not in found:
-            layer[(name, *index)] = np.array(found, dtype=np.uint32).reshape(shape)
+        if None not in checksums:
+            layer[(name, *index)] = np.array(checksums, dtype=np.uint32).reshape(shape)
     graph = HighLevelGraph.from_collections(name, layer, dependencies=[sums])
     return da.Array(graph, name, chunks=sums.chunks, meta=sums._meta)
 
@@ -169,8 +173,6 @@ def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) 
 
     ``leftover`` need not exist. A chunk is added, by its position in the grid, if its checksum is right.
     """
-    import numpy as np
-
     if target.place.local is None or leftover.is_symlink() or not leftover.is_dir():
         return
     folder = target.place.local / target.name

@@ -17,14 +17,16 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import numpy as np
+
 from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
 
 from .disk import RUN_AGAIN
+from .stages import in_stages
 
 if TYPE_CHECKING:
     import dask.array as da
-    import numpy as np
     from distributed import Client
 
     from .chunks import Target
@@ -58,7 +60,6 @@ def compute(
         A block could not be read, computed or written, or the cluster was lost; the message names group and
         block. Other errors of a task are raised unchanged, with a note that names it.
     """
-    import numpy as np
     from dask.array.core import slices_from_chunks
     from dask.highlevelgraph import HighLevelGraph
 
@@ -136,8 +137,6 @@ def _on_threads(
     from dask.callbacks import Callback
     from dask.core import get_deps
     from dask.local import execute_task
-
-    from .stages import in_stages
 
     def count(key: Any, *_: Any) -> None:
         if bar is not None and key in blocks:

@@ -17,16 +17,15 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
+
+import xarray as xr
 
 from hyperpaint.base.errors import PaintError, StoreError
 
 from .budget import MARGIN, size_text, thread_space
 from .layout import Codec, chunks_of
 from .location import Location, sync
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # Disk space of a cube beyond the bits that can differ, over its size in memory: headers, and bits that do not
 # compress. White noise of 12 bits in uint16 took 0.76, of 16 bits 1.00.
@@ -123,8 +122,12 @@ def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -
         if error.errno in _FULL:
             mend = f"make room, then {RUN_AGAIN}"
             raise StoreError(f"{found}; {needs()}", mend=mend, code="disk-full") from error
-        if file and location.local is not None and not _is_beside(file, location.local):
-            found += f": {file}, an input"
+        if isinstance(file, str | bytes) and location.local is not None:
+            # a file outside of the store and its staging folder is an input
+            store, name = os.path.abspath(location.local.parent), location.local.name
+            inside = os.path.relpath(os.path.abspath(os.fsdecode(file)), store).split(os.sep)[0]
+            is_input = inside not in (name, f".partial-{name}")
+            found += f": {os.fsdecode(file)}, an input" if is_input else f" ({os.fsdecode(file)})"
         elif file:
             found += f" ({file})"
         raise StoreError(found, mend=f"mend this, then {RUN_AGAIN}", code="file-unusable") from error
@@ -138,14 +141,6 @@ def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -
             + RUN_AGAIN,
             code="memory-short",
         ) from error
-
-
-def _is_beside(file: object, store: Path) -> bool:
-    """Return whether a file is in a store or in its staging folder."""
-    if not isinstance(file, str | bytes):
-        return False
-    inside = os.path.relpath(os.path.abspath(os.fsdecode(file)), os.path.abspath(store.parent))
-    return inside.split(os.sep)[0] in (store.name, f".partial-{store.name}")
 
 
 _Item = TypeVar("_Item")

@@ -6,16 +6,16 @@ import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import xarray as xr
 
 from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
 from .location import MANIFEST_NODE, METADATA, Location, joined
 from .manifest import OWN_ATTRS, Manifest, content_of, entry_of
-
-if TYPE_CHECKING:
-    import xarray as xr
+from .reader import check_entry
 
 # Attributes of the time of writing, which do not change the content.
 VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", *OWN_ATTRS)
@@ -151,8 +151,6 @@ def occupant(group: str, content: str, location: Location, manifest: Manifest | 
     ``"parent"``: holds other groups or foreign files. ``"array"``: it, or a group above, is an array. Any
     other text describes a group that only ``overwrite`` replaces.
     """
-    from .reader import check_entry
-
     kinds = [location.kind(each) for each in (*groups_above(group)[1:], group)]
     if "array" in kinds:
         return "array"
@@ -210,66 +208,56 @@ def is_named_by_content(variable: xr.Variable) -> bool:
 
 
 def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:
+    """Yield the Zarr arrays that a lazy variable reads."""
     import dask
     import zarr
-
-    if variable._in_memory:
-        return
-    seen: set[int] = set()
-    pending: list[Any] = list(_graph_values(variable)) if dask.is_dask_collection(variable) else [variable]
-    while pending:
-        thing = pending.pop()
-        if id(thing) in seen:
-            continue
-        seen.add(id(thing))
-        if isinstance(thing, zarr.Array):
-            yield thing
-        else:
-            pending.extend(_parts(thing))
-
-
-def _graph_values(variable: xr.Variable) -> Iterator[Any]:
-    """Yield the values in the layers of a graph, without creating their tasks."""
     from dask.blockwise import Blockwise
 
-    for layer in variable.__dask_graph__().layers.values():  # type: ignore[union-attr]
-        if isinstance(layer, Blockwise):
-            yield layer.task
-            yield from (argument for argument, index in layer.indices if index is None)
-        elif hasattr(layer, "mapping"):
-            yield from layer.mapping.values()
+    pending: list[Any] = [] if variable._in_memory else [variable]
+    # a graph: the values in its layers, without creating their tasks
+    if pending and dask.is_dask_collection(variable):
+        pending = []
+        for layer in variable.__dask_graph__().layers.values():  # type: ignore[union-attr]
+            if isinstance(layer, Blockwise):
+                pending += [layer.task, *(value for value, index in layer.indices if index is None)]
+            else:
+                pending += getattr(layer, "mapping", {}).values()
+    # descend into wrappers
+    visited: set[int] = set()
+    while pending:
+        value = pending.pop()
+        if id(value) not in visited:
+            visited.add(id(value))
+            if isinstance(value, zarr.Array):
+                yield value
+            else:
+                pending.extend(_parts(value))
 
 
-def _parts(thing: Any) -> Iterable[Any]:
-    if isinstance(thing, Mapping):
-        return thing.values()
-    if isinstance(thing, list | tuple | set):
-        return thing
-    module = type(thing).__module__.partition(".")[0]
+def _parts(value: Any) -> Iterable[Any]:
+    if isinstance(value, Mapping):
+        return value.values()
+    if isinstance(value, list | tuple | set):
+        return value
+    module = type(value).__module__.partition(".")[0]
     if module == "dask":  # Task, DataNode, Alias
-        return (getattr(thing, name) for name in ("args", "kwargs", "value") if hasattr(thing, name))
+        return (getattr(value, name) for name in ("args", "kwargs", "value") if hasattr(value, name))
     if module in ("xarray", "hyperpaint"):
-        return (getattr(thing, name) for name in _INNER if name in _names(thing))
+        names = {slot for kind in type(value).__mro__ for slot in getattr(kind, "__slots__", ())}
+        names |= set(getattr(value, "__dict__", ()))
+        return (getattr(value, name) for name in _INNER if name in names)
     return ()
-
-
-def _names(thing: Any) -> set[str]:
-    slots = {slot for kind in type(thing).__mro__ for slot in getattr(kind, "__slots__", ())}
-    return slots | set(getattr(thing, "__dict__", ()))
 
 
 def _lies_in(array: Any, location: Any, group: str) -> bool:
     place = array.store_path
     if not isinstance(location, Location):
         return bool(place.store == location) and f"{place.path}/".startswith(f"{group}/" if group else "")
-    root = getattr(place.store, "root", None)  # local stores
-    if location.local is not None:
-        if root is None:
-            return False
+    root, base = getattr(place.store, "root", None), getattr(place.store, "path", None)
+    if location.local is not None:  # local stores
         target = (location.local / group).resolve()
-        return bool((Path(root) / place.path).resolve().is_relative_to(target))
-    base = getattr(place.store, "path", None)  # fsspec stores
-    if base is None or root is not None:
+        return root is not None and (Path(root) / place.path).resolve().is_relative_to(target)
+    if base is None or root is not None:  # fsspec stores
         return False
     source = "/".join(part.strip("/") for part in (str(base), place.path) if part)
     return (source + "/").startswith(location.key(group).strip("/") + "/")

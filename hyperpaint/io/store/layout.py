@@ -15,14 +15,13 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, TIME_UNITS
-
-if TYPE_CHECKING:
-    import numpy as np
-    import xarray as xr
 
 # Cells along each side of a map tile: 18 MB of float32 at 272 bands.
 TILE = 128
@@ -142,8 +141,6 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
     NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers; booleans
     and strings have no such value, and only `hyperpaint.verify` detects their loss.
     """
-    import numpy as np
-
     if dtype.kind in "fc":
         return dtype.type(np.nan)
     if dtype.kind in "mM":
@@ -214,8 +211,6 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
     StoreError where names, dtypes or attributes cannot be stored; all are listed.
     """
     import dask.array as da
-    import numpy as np
-    import xarray as xr
 
     problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
     owners = {f"{name!r}": variable.attrs for name, variable in dataset.variables.items()}
@@ -244,9 +239,9 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
         elif variable.dtype.kind == "O" and variable._in_memory:
             wrong = {type(each).__name__ for each in np.ravel(variable.values) if not isinstance(each, str)}
             if wrong:
-                found = ", ".join(sorted(wrong))
+                kinds = ", ".join(sorted(wrong))
                 problems.add(
-                    f"{name!r} holds Python objects ({found})",
+                    f"{name!r} holds Python objects ({kinds})",
                     expected="text, or a numeric dtype",
                     code="type-wrong",
                 )
@@ -294,8 +289,6 @@ def is_at_hand(variable: xr.Variable) -> bool:
 
 
 def _is_plain(value: Any, depth: int = 0) -> bool:
-    import numpy as np
-
     if isinstance(value, np.ndarray):
         return value.dtype.kind in "biufU"
     if isinstance(value, Mapping):
@@ -340,7 +333,6 @@ def encode_chunk(
     the far edge of an array, where it is smaller than ``chunk``, ``fill`` completes it.
     """
     import google_crc32c
-    import numpy as np
 
     if block.shape != chunk:
         padded = np.full(chunk, fill, dtype=block.dtype)

@@ -142,6 +142,20 @@ class Location:
                 f"{key:.200} cannot be read: {error.strerror or error}", code="file-unreadable"
             ) from error
 
+    def end_of(self, *parts: str) -> bytes:
+        """Return the last 4 bytes of a chunk, its crc32c; IncompleteStoreError without such a chunk."""
+        key = self.key(*parts)
+        try:
+            if self.local is None:
+                return bytes(self.fs.tail(key, 4))
+            with open(key, "rb") as file:
+                file.seek(-4, os.SEEK_END)
+                return file.read()
+        except OSError as error:
+            raise IncompleteStoreError(
+                f"the chunk {key} is missing or empty", mend="write the group again", code="chunk-missing"
+            ) from error
+
     def read_json(self, *parts: str) -> dict[str, Any] | None:
         """Return a JSON object; None without such a file, IncompleteStoreError where it is damaged."""
         raw = self.read(*parts)
@@ -254,9 +268,10 @@ class Location:
                 with os.scandir(self.key(group)) as entries:
                     listed = {entry.name: entry.is_dir() for entry in entries}
             else:
-                found = self.fs.ls(self.key(group), detail=True)
+                details = self.fs.ls(self.key(group), detail=True)
                 listed = {
-                    each["name"].rstrip("/").rpartition("/")[2]: each["type"] == "directory" for each in found
+                    each["name"].rstrip("/").rpartition("/")[2]: each["type"] == "directory"
+                    for each in details
                 }
         except (FileNotFoundError, NotADirectoryError):
             return {}

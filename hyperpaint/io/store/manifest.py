@@ -49,9 +49,14 @@ SETTINGS = "hyperpaint_settings"
 
 # Attributes of a stored group that do not apply to datasets derived from it.
 OWN_ATTRS = (
-    CONTENT, SEAL, SETTINGS,
-    "hyperpaint_complete", "hyperpaint_attributes", "hyperpaint_set", "hyperpaint_group",  # format 2 and 1
-)  # fmt: skip
+    CONTENT,
+    SEAL,
+    SETTINGS,
+    "hyperpaint_complete",
+    "hyperpaint_attributes",
+    "hyperpaint_set",
+    "hyperpaint_group",  # format 2 and 1
+)
 
 # File of checksums in an array's folder in formats 1 and 2.
 OLD_RECORD = "hyperpaint-chunks.json"
@@ -112,8 +117,10 @@ class Manifest:
             json.dumps({"groups": self.groups, "writes": self.writes, "command": self.command})
         )
         attributes = {
-            "hyperpaint_format": FORMAT_VERSION, "crc32c": document_checksum(content), "manifest": content
-        }  # fmt: skip
+            "hyperpaint_format": FORMAT_VERSION,
+            "crc32c": document_checksum(content),
+            "manifest": content,
+        }
         return {"zarr_format": 3, "node_type": "group", "attributes": attributes}
 
     @classmethod
@@ -149,7 +156,7 @@ class Manifest:
             raise IncompleteStoreError(
                 f"the manifest {where} is damaged ({error!s:.100})",
                 mend="write all groups of the store with overwrite=True",
-                option="run its command again with --overwrite; groups that are whole stay",
+                option="run its command again with --overwrite; complete groups stay",
                 code="manifest-damaged",
             ) from None
 
@@ -267,7 +274,17 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         f"made by numerics {version}, this is {NUMERICS_VERSION}: --overwrite computes it again"
         for version in sorted(filter(None, versions))
     ]
-    return StoreState(_bounded(faults), tuple(notes), resume)
+    # limited and printable: group names may hold any character
+    shown = [
+        replace(
+            fault,
+            found="".join(c if c.isprintable() else "\ufffd" for c in fault.found[:MAX_MESSAGE_CHARS]),
+        )
+        for fault in faults[:MAX_MESSAGES]
+    ]
+    if len(faults) > MAX_MESSAGES:
+        shown.append(Problem(counted(len(faults) - MAX_MESSAGES, "more problem")))
+    return StoreState(tuple(shown), tuple(notes), resume)
 
 
 def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> StoreState:
@@ -293,22 +310,9 @@ def check_state(location: Location) -> None:
     """Raise IncompleteStoreError if a store is unfinished, or its groups differ from its manifest."""
     if faults := store_state(location).faults:
         raise IncompleteStoreError(
-            f"{location.url} is not whole; hyperpaint.io.store.open_group(path, group) opens finished groups",
+            f"{location.url} is incomplete; hyperpaint.io.store.open_group(path, group) opens the others",
             problems=faults,
         )
-
-
-def _bounded(faults: list[Problem]) -> tuple[Problem, ...]:
-    """Return at most `MAX_MESSAGES` faults in printable characters: group names may hold any character."""
-    shown = [
-        replace(
-            fault,
-            found="".join(c if c.isprintable() else "\ufffd" for c in fault.found[:MAX_MESSAGE_CHARS]),
-        )
-        for fault in faults[:MAX_MESSAGES]
-    ]
-    more = len(faults) - MAX_MESSAGES
-    return (*shown, *([Problem(counted(more, "more problem"))] if more > 0 else []))
 
 
 # --- state of the disk -------------------------------------------------------------------------------------
@@ -414,30 +418,14 @@ def entry_of(location: Location, group: str) -> GroupEntry:
         # arrays of other programs have no crc32c at the end of each chunk
         if document.get("node_type") == "array" and "crc32c" in str(document.get("codecs"))[-40:]:
             keys = chunk_keys(document, joined(group, name))
-            ends = [(key, _last_bytes(location, group, name, key)) for key in keys]
-            digest = chunk_digest(group, name, ends)
+            digest = chunk_digest(group, name, [(key, location.end_of(group, name, key)) for key in keys])
             entries[name] = ArrayEntry(document_checksum(document), len(keys), digest)
-    own = location.metadata(group) or {}
-    attributes = own.get("attributes", {}) if entries else {}
+    metadata = location.metadata(group) or {}
+    attributes = metadata.get("attributes", {}) if entries else {}
     if attributes.get(SEAL, seal_of(entries)) != seal_of(entries):
         raise IncompleteStoreError(
             f"the arrays of {location.group_url(group)} are not those that were written",
             mend="write the group again",
             code="group-changed",
         )
-    return GroupEntry(content_of(location, group), document_checksum(own), entries, attributes)
-
-
-def _last_bytes(location: Location, *parts: str) -> bytes:
-    """Return the crc32c at the end of a chunk."""
-    key = location.key(*parts)
-    try:
-        if location.local is None:
-            return bytes(location.fs.tail(key, 4))
-        with open(key, "rb") as file:
-            file.seek(-4, 2)
-            return file.read()
-    except OSError as error:
-        raise IncompleteStoreError(
-            f"the chunk {key} is missing or empty", mend="write the group again", code="chunk-missing"
-        ) from error
+    return GroupEntry(content_of(location, group), document_checksum(metadata), entries, attributes)

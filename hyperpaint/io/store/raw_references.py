@@ -26,10 +26,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote, unquote
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import (
@@ -45,9 +46,6 @@ from hyperpaint.base.input_files import head_of, read_limited
 from .layout import encoding, prepare
 from .location import clean_group
 from .manifest import INPUTS
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs.
 RAW_FILES = "raw_files"
@@ -177,10 +175,16 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
         rest = prepare(dataset, name)
         rest.to_zarr(session.store, group=name, encoding=encoding(rest), consolidated=False, mode="a")
         array = zarr.open_group(session.store, path=name).create_array(
-            cube.name, shape=cube.shape, chunks=cube.chunk, dtype=cube.dtype, compressors=None,
+            cube.name,
+            shape=cube.shape,
+            chunks=cube.chunk,
+            dtype=cube.dtype,
+            compressors=None,
             serializer=BytesCodec(endian="big" if cube.dtype.str.startswith(">") else "little"),
-            fill_value=_FILL, dimension_names=cube.dims, attributes=dict(cube.attrs),
-        )  # fmt: skip
+            fill_value=_FILL,
+            dimension_names=cube.dims,
+            attributes=dict(cube.attrs),
+        )
         slabs, size = [], math.prod(cube.chunk) * cube.dtype.itemsize
         for number, file, offset in cube.slabs:
             raw, changed = cube.files[file], None
@@ -528,8 +532,6 @@ def open_virtual(
     Traceback (most recent call last):
     hyperpaint.base.errors.StoreError: ...lot.json: kerchunk references, with `gen`, which programs run, ...
     """
-    import xarray as xr
-
     groups = virtual_groups(path)
     name = (group or "").strip("/")
     if not name and len(groups) == 1:

@@ -15,7 +15,10 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, stamp_means
@@ -30,7 +33,7 @@ from .location import (
     Location,
     clean_group,
     joined,
-)  # fmt: skip
+)
 from .manifest import (
     CONTENT,
     MAX_CHUNKS,
@@ -45,9 +48,6 @@ from .manifest import (
     document_checksum,
     entry_of,
 )
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # Largest group that is loaded at once [byte].
 MAX_LOADED_BYTES = 2**30
@@ -84,7 +84,7 @@ def list_groups(path: Any) -> list[str]:
     if location is not None and is_format_3(location):
         return location.groups()
     # format 2, or a store object of zarr: level by level
-    found: list[str] = []
+    with_arrays: list[str] = []
     pending, nodes = [""], 0
     while pending:
         name = pending.pop()
@@ -98,7 +98,7 @@ def list_groups(path: Any) -> list[str]:
                 code="store-unreadable",
             ) from error
         groups = [joined(name, key) for key, node in members.items() if isinstance(node, zarr.Group)]
-        found += [name] if len(groups) < len(members) else []
+        with_arrays += [name] if len(groups) < len(members) else []
         pending += groups
         nodes += len(members)
         if nodes > MAX_NODES or name.count("/") >= MAX_DEPTH:
@@ -107,7 +107,7 @@ def list_groups(path: Any) -> list[str]:
                 mend="open a group by its own path",
                 code="nodes-too-many",
             )
-    return sorted(found)
+    return sorted(with_arrays)
 
 
 def is_format_3(location: Location) -> bool:
@@ -187,8 +187,6 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     >>> sorted(open_store(path)["flightlines"].children)
     ['raw_0']
     """
-    import xarray as xr
-
     location, _ = place_of(path)
     groups = list_groups(path) if group is None else [""]
     if "" not in groups and location is not None:
@@ -198,7 +196,7 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         groups = sorted({*groups, *(name for name, entry in recorded if entry.arrays)})
     if groups and "" not in groups:
         problems = Problems(
-            f"{path} cannot be opened whole; open_store(path, group) opens the other groups",
+            f"{path} has unusable groups; open_store(path, group) opens the others",
             IncompleteStoreError,
         )
         opened = {}
@@ -241,8 +239,8 @@ def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
             opened = open_unverified(path, name, **kwargs)
             entry = manifest.groups.get(name) if manifest is not None else None
             if entry is not None and attributes_replaced(location, name, entry):
-                kept = {key: value for key, value in entry.attributes.items() if key not in OWN_ATTRS}
-                opened.attrs = kept | opened.attrs
+                recorded = {key: value for key, value in entry.attributes.items() if key not in OWN_ATTRS}
+                opened.attrs = recorded | opened.attrs
             return opened
         except (StoreError, OSError):
             # if the group was replaced meanwhile, open the new one
@@ -266,7 +264,7 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
         return
     problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
     if attributes_replaced(location, group, entry):
-        text = f"{where}: another program replaced its attributes; those of the manifest are taken"
+        text = f"{where}: another program replaced its attributes; the manifest's are used"
         warnings.warn(PaintWarning(text, code="attributes-replaced"), stacklevel=4)
     elif others := changed_attributes(location, group, entry):
         problems.add(f"attributes differ from the manifest: {', '.join(others)}", code="attributes-changed")
@@ -298,7 +296,6 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
     MissingExtraError
         The package for this kind of URL is not installed.
     """
-    import xarray as xr
     import zarr
 
     (location, source), name = place_of(path), clean_group(group)
@@ -319,9 +316,8 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
                 if getattr(array.metadata, "dimension_names", None) == (ALONG_TRACK, BAND, CROSS_TRACK)
                 and array.chunks[1:] != array.shape[1:]
             }
-            if (
-                cut and "chunks" not in options
-            ):  # one task a slab, also of cubes that are cut into bands or tiles
+            # one task a slab, also for cubes that are cut into bands or tiles
+            if cut and "chunks" not in options:
                 options["chunks"] = {BAND: -1, CROSS_TRACK: -1}
             source = _named(source, node, arrays)
             opened: xr.Dataset = xr.open_zarr(source, group=name or None, **options)
@@ -437,7 +433,7 @@ def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
 def check_metadata(location: Location | None, group: str) -> None:
     """Refuse metadata documents of a group and its arrays that would fill the memory when parsed.
 
-    Behind a URL only those of the group itself are checked; of a store object none.
+    Behind a URL only the group's own document is checked; for a store object none.
     """
     if location is None:
         return
@@ -491,8 +487,6 @@ def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
 
     Raises `StoreError`: arrays must not be read.
     """
-    import numpy as np
-
     problems = Problems(f"{where} will not be read", StoreError)
     chunks = index_bytes = 0
     for name, array in arrays.items():
@@ -512,7 +506,7 @@ def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
                 expected="numbers, times or text",
                 code="type-wrong",
             )
-        # sizes; of shards those of the inner chunks, which are read one by one
+        # sizes; for shards of the inner chunks, which are read one by one
         item = TEXT_BYTES if is_text else dtype.itemsize
         limit = MAX_INDEX_BYTES if is_text or "since" in str(array.attrs.get("units")) else MAX_CHUNK_BYTES
         if math.prod(array.chunks) * item > limit:

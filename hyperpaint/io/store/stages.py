@@ -49,13 +49,15 @@ def in_stages(
     by_stage: dict[int, list[Key]] = {}
     for key, stage in first.items():
         by_stage.setdefault(stage, []).append(key)
-    held: dict[Key, Any] = {}
+    carried: dict[Key, Any] = {}
     for stage in sorted(by_stage):
         tasks = by_stage[stage]
         wanted = [key for key in tasks if key in stage_of]
         later = [key for key in tasks if last[key] > stage]
-        values = get({key: graph[key] for key in tasks} | held, [*wanted, *later])
+        values = get({key: graph[key] for key in tasks} | carried, [*wanted, *later])
         yield from zip(wanted, values, strict=False)
-        held = {key: node for key, node in held.items() if last[key] > stage}
-        held |= {key: DataNode(key, value) for key, value in zip(later, values[len(wanted) :], strict=True)}
+        carried = {key: node for key, node in carried.items() if last[key] > stage}
+        carried |= {
+            key: DataNode(key, value) for key, value in zip(later, values[len(wanted) :], strict=True)
+        }
         del values

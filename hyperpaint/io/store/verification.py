@@ -8,6 +8,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from hyperpaint.base.errors import StoreError
 
 from .budget import counted
@@ -35,7 +37,7 @@ from .reader import (
     is_format_3,
     list_groups,
     place_of,
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,8 @@ class StoreReport:
 
     def __str__(self) -> str:
         state = counted(len(self.problems), "problem") if self.problems else "whole"
-        held = f"{counted(len(self.groups), 'group')}, {counted(self.chunks, 'chunk')}"
-        head = f"{self.path}: {held}, {state}"
+        counts = f"{counted(len(self.groups), 'group')}, {counted(self.chunks, 'chunk')}"
+        head = f"{self.path}: {counts}, {state}"
         return "\n  ".join([head, *self.problems, *(f"note: {note}" for note in self.notes)])
 
 
@@ -210,8 +212,8 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
     if not isinstance(head, dict) or not head.items() >= LISTED.items():
         yield "/: the root has no list of all metadata; run the writer again [listing-missing]"
         return
-    gone = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
-    for name in gone[:MAX_MESSAGES]:
+    missing = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
+    for name in missing[:MAX_MESSAGES]:
         yield f"/{name[:200]}: listed in the root's metadata but missing [listing-wrong]"
     wanted = {}
     for group, entry in manifest.groups.items():
@@ -273,7 +275,6 @@ def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> t
 
 def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, list[str]]:
     """Return the number of chunks of an array without a manifest entry, and the unreadable ones."""
-    import numpy as np
     import zarr
 
     try:

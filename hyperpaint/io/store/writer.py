@@ -7,6 +7,7 @@ writes the groups of a run, which is unfinished until all of them are in place.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import sys
@@ -15,7 +16,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
@@ -62,9 +66,6 @@ from .manifest import (
     store_state,
 )
 from .stage import Staging, clear_up, discard, flight_content, staging
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # Called before a group is written, to move blocks written elsewhere to its build.
 TakeUp = Callable[[Staging, "Job"], None]
@@ -171,7 +172,17 @@ def to_store(
     contents = {job.group: job.content for job in jobs}
     datasets = {job.group: job.dataset for job in jobs}
     with errors_of_the_system(location, datasets):
-        _refuse_own_source(jobs, location)
+        # groups that are read must not be replaced
+        problems = Problems(f"cannot write {location.url}", StoreError)
+        for job, other in itertools.product(jobs, jobs):
+            if names := reads_from(job.dataset, location, other.group):
+                problems.add(
+                    f"group {'/' + other.group!r} would be overwritten while {', '.join(names)} "
+                    f"{'is' if len(names) == 1 else 'are'} read from it",
+                    mend="write to another group or path, or .load() the dataset first",
+                    code="source-overwritten",
+                )
+        problems.raise_if_any()
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
         if not pending and _is_done(location, contents, attrs):
             if location.local is not None:
@@ -268,8 +279,8 @@ class _StoreWriter:
                 root = self._note(job, files, sums)
                 place = Location.of(closed)
                 if not job.group:  # published with its manifest in one step
-                    own = {name: doc for name, doc in self._documents.items() if name}
-                    root = with_listed(root, own)
+                    documents = {name: doc for name, doc in self._documents.items() if name}
+                    root = with_listed(root, documents)
                     writes = (self._write,) if len(self._write.contents) > 1 else ()
                     replace(self._manifest, groups={"": self._entries[""]}, writes=writes).write(place)
                 place.write_files({METADATA: json.dumps(root).encode()})
@@ -286,13 +297,13 @@ class _StoreWriter:
     def _note(
         self, job: Job, files: dict[str, bytes], sums: Mapping[str, Mapping[str, bytes]]
     ) -> dict[str, Any]:
-        """Record a group's metadata and its manifest entry; return the group's own metadata."""
+        """Record a group's metadata and its manifest entry; return the group's root metadata."""
         documents = {
             key.removesuffix(METADATA).rstrip("/"): json.loads(raw)
             for key, raw in files.items()
             if key.rpartition("/")[2] == METADATA
         }
-        own = documents.pop("")
+        root = documents.pop("")
         arrays = {
             name: ArrayEntry(
                 document_checksum(document),
@@ -301,13 +312,13 @@ class _StoreWriter:
             )
             for name, document in documents.items()
         }
-        own["attributes"][SEAL] = seal_of(arrays)
+        root["attributes"][SEAL] = seal_of(arrays)
         self._entries[job.group] = GroupEntry(
-            job.content, document_checksum(own), arrays, own["attributes"] if arrays else {}
+            job.content, document_checksum(root), arrays, root["attributes"] if arrays else {}
         )
         self._documents |= {joined(job.group, name): document for name, document in documents.items()}
-        self._documents[job.group] = own
-        return dict(own)
+        self._documents[job.group] = root
+        return dict(root)
 
     def announce(self, group: str) -> None:
         """Create the groups above; before the first group is published, record all that are to be written."""
@@ -345,9 +356,11 @@ class _StoreWriter:
         for name in dict.fromkeys((*around, *self._attrs)):
             if name not in entries:
                 document = self._documents[name] = location.metadata(name) or {}
-                kept = manifest.groups.get(name, GroupEntry("", 0, {}))
+                previous = manifest.groups.get(name, GroupEntry("", 0, {}))
                 # attributes added to a root with arrays do not change its entry
-                entries[name] = kept if kept.arrays else kept._replace(metadata=document_checksum(document))
+                entries[name] = (
+                    previous if previous.arrays else previous._replace(metadata=document_checksum(document))
+                )
         groups = {**manifest.groups, **entries}
         # the list of all metadata: of other groups as they were listed, where these are still there
         documents = dict(self._documents)
@@ -358,12 +371,12 @@ class _StoreWriter:
         }
         for name, document in listed.items():
             plain = {key: value for key, value in document.items() if key != "consolidated_metadata"}
-            known = name not in recorded or recorded[name] == document_checksum(plain)
-            if name not in documents and known and location.has(name, METADATA):
+            is_current = name not in recorded or recorded[name] == document_checksum(plain)
+            if name not in documents and is_current and location.has(name, METADATA):
                 documents[name] = plain
         for name in recorded:
             if name not in documents:
-                with contextlib.suppress(IncompleteStoreError):  # damaged: verify says so
+                with contextlib.suppress(IncompleteStoreError):  # damaged: reported by verify
                     documents |= {name: node} if (node := location.metadata(name)) is not None else {}
         root = documents.pop("", None) or group_document(stamped({}, "created"))
         location.write_json(with_listed(root, documents), METADATA)
@@ -373,9 +386,9 @@ class _StoreWriter:
         if lacking or (self._write.command and writes):
             check_state(location)
         if lacking:
-            gone = sorted(set(self._write.contents) - set(there))
+            missing = sorted(set(self._write.contents) - set(there))
             raise IncompleteStoreError(
-                f"{location.url}: somebody removed /{gone[0]} while it was written",
+                f"{location.url}: another process removed /{missing[0]} while it was written",
                 mend="run the writer again",
                 code="group-removed",
             )
@@ -383,9 +396,14 @@ class _StoreWriter:
 
 @contextlib.contextmanager
 def _writer(
-    location: Location, contents: Mapping[str, str], pending: list[str], attrs: Mapping[str, Any], *,
-    command: str = "", overwrite: bool = False,
-) -> Iterator[_StoreWriter]:  # fmt: skip
+    location: Location,
+    contents: Mapping[str, str],
+    pending: list[str],
+    attrs: Mapping[str, Any],
+    *,
+    command: str = "",
+    overwrite: bool = False,
+) -> Iterator[_StoreWriter]:
     """Open a store as its only writer.
 
     ``contents``: all groups of this write; ``pending``: those still to be written, whose finished blocks are
@@ -433,11 +451,7 @@ def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str
     if not (named and all(has_attributes(group, wanted, location) for group, wanted in attrs.items())):
         return False
     listed = listed_documents(location)
-    return all(
-        joined(name, array) in listed
-        for name in contents
-        for array in manifest.groups[name].arrays
-    )  # fmt: skip
+    return all(joined(name, array) in listed for name in contents for array in manifest.groups[name].arrays)
 
 
 @contextlib.contextmanager
@@ -521,9 +535,16 @@ class WholeRun:
 
 @contextlib.contextmanager
 def whole_run(
-    path: Path, contents: Mapping[str, str], pending: Mapping[str, xr.Dataset], attrs: Mapping[Any, Any], *,
-    command: str, overwrite: bool, codec: layout.Codec = "compact", take_up: TakeUp | None = None,
-) -> Iterator[WholeRun]:  # fmt: skip
+    path: Path,
+    contents: Mapping[str, str],
+    pending: Mapping[str, xr.Dataset],
+    attrs: Mapping[Any, Any],
+    *,
+    command: str,
+    overwrite: bool,
+    codec: layout.Codec = "compact",
+    take_up: TakeUp | None = None,
+) -> Iterator[WholeRun]:
     """Hold a store for a run, and write its manifest if the run succeeds; a complete store is left unchanged.
 
     ``contents``: of every group of the run, see `run_contents`; ``pending``: those that it will write;
@@ -574,8 +595,6 @@ def _write_arrays(
     Return the files that xarray made, of which the group's own metadata are not yet written, and for each
     array the crc32c of each chunk, by key.
     """
-    import numpy as np
-
     dataset = job.dataset.copy(deep=False)
     dataset.attrs = {**stamped(job.dataset.attrs, "to_store"), CONTENT: job.content}
     variables = {str(name): variable for name, variable in dataset.variables.items()}
@@ -600,20 +619,16 @@ def _write_arrays(
     sums = {}
     for name in variables:
         if name in computed:
-            found = computed[name]
             sums[name] = {
-                targets[name].key(index): int(found[index]).to_bytes(4, "little")
-                for index in np.ndindex(found.shape)
+                targets[name].key(index): int(value).to_bytes(4, "little")
+                for index, value in np.ndenumerate(computed[name])
             }
         else:
             prefix = f"{name}/"
             keys = [key for key in files if key.startswith(prefix) and not key.endswith(METADATA)]
-            sums[name] = {key.removeprefix(prefix): files[key][-4:] for key in sorted(keys, key=_in_order)}
+            keys.sort(key=lambda key: [int(part) for part in key.split("/") if part.isdigit()])  # C order
+            sums[name] = {key.removeprefix(prefix): files[key][-4:] for key in keys}
     return files, sums
-
-
-def _in_order(key: str) -> list[int]:
-    return [int(part) for part in key.split("/") if part.isdigit()]
 
 
 def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, bytes]:
@@ -637,10 +652,9 @@ def _write_to_store_object(
 ) -> None:
     import zarr
 
-    try:
-        held = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
-    except Exception:  # a new store; each kind has its own
-        held = []
+    groups: list[str] = []
+    with contextlib.suppress(Exception):  # a new store; each kind raises its own error
+        groups = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
     problems = Problems(f"cannot write {store}", StoreError)
     for job in jobs:
         if names := reads_from(job.dataset, store, job.group):
@@ -648,9 +662,9 @@ def _write_to_store_object(
                 f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
                 code="source-overwritten",
             )
-        if not job.group and held and overwrite:
+        if not job.group and groups and overwrite:
             problems.add(
-                f"its root holds groups, which would be lost: {', '.join(held[:5])}", code="group-occupied"
+                f"its root holds groups, which would be lost: {', '.join(groups[:5])}", code="group-occupied"
             )
     problems.raise_if_any()
     try:
@@ -685,8 +699,6 @@ def _plan(
     data: xr.Dataset | xr.DataTree, group: str, source_token: str | None, form: tuple[layout.Codec, Layout]
 ) -> tuple[list[Job], dict[str, dict[str, Any]]]:
     """Return the groups to write, and the attributes of groups without variables."""
-    import xarray as xr
-
     is_tree = not isinstance(data, xr.Dataset)
     if isinstance(data, xr.Dataset):
         nodes = {group: data}
@@ -700,7 +712,11 @@ def _plan(
     for name, node in nodes.items():
         if "coarse_reflectance" in node.variables and not has_own_means(node):
             node = node.drop_vars("coarse_reflectance")  # computed from earlier reflectance
-        dataset = layout.with_layout(_without_foreign_inputs(node, source_token), form[1])
+        # inputs inherited from another group
+        if INPUTS in node.attrs and (source_token is None or node.attrs[INPUTS] != source_token):
+            node = node.copy(deep=False)
+            del node.attrs[INPUTS]
+        dataset = layout.with_layout(node, form[1])
         prepared = layout.prepare(dataset, clean_group(name))
         if is_tree and not dataset.variables:
             attrs[name] = {key: value for key, value in prepared.attrs.items() if key not in OWN_ATTRS}
@@ -712,15 +728,6 @@ def _plan(
 def check_codec(codec: str) -> None:
     if codec not in get_args(layout.Codec):
         raise SchemaError(f"codec={codec!r}", expected="'compact' or 'fast'", code="choice-unknown")
-
-
-def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr.Dataset:
-    """Return the dataset without an `INPUTS` attribute inherited from another group."""
-    if INPUTS not in dataset.attrs or (source_token is not None and dataset.attrs[INPUTS] == source_token):
-        return dataset
-    unmarked = dataset.copy(deep=False)
-    del unmarked.attrs[INPUTS]
-    return unmarked
 
 
 def _token(dataset: xr.Dataset, source_token: str | None) -> str:
@@ -751,21 +758,6 @@ def _content(variable: xr.Variable) -> Any:
     return uuid.uuid4().hex
 
 
-def _refuse_own_source(jobs: list[Job], location: Location) -> None:
-    """Refuse groups that are read from groups which this call replaces."""
-    problems = Problems(f"cannot write {location.url}", StoreError)
-    for job in jobs:
-        for other in jobs:
-            if names := reads_from(job.dataset, location, other.group):
-                problems.add(
-                    f"group {'/' + other.group!r} would be overwritten while {', '.join(names)} "
-                    f"{'is' if len(names) == 1 else 'are'} read from it",
-                    mend="write to another group or path, or .load() the dataset first",
-                    code="source-overwritten",
-                )
-    problems.raise_if_any()
-
-
 def pending_groups(
     contents: Mapping[str, str], location: Location, *, overwrite: bool, around: Iterable[str] = ()
 ) -> list[str]:
@@ -776,14 +768,12 @@ def pending_groups(
     problems = Problems(f"cannot write {location.url}", StoreError)
     above = dict.fromkeys(each for name in (*contents, *around) for each in groups_above(name))
     check_above(above, location, problems, overwrite=overwrite)
-    manifest = None
     try:
-        manifest = Manifest.read(location)
+        manifest = Manifest.read(location, ignore_damage=overwrite)
     except IncompleteStoreError as error:
-        if not overwrite:
-            problems.add_error(location.url, error)
-    pending = []
-    there = location.has("")
+        problems.add_error(location.url, error)
+        manifest = None
+    pending, there = [], location.has("")
     lost = store_state(location).faults if manifest is None and there and not len(problems) else ()
     if lost and not overwrite:
         problems.add(
@@ -853,6 +843,6 @@ def _check_room(jobs: list[Job], location: Location) -> int | None:
     """Refuse groups that exceed disk or memory; return the number of threads that fit, None for any."""
     _check_disk(jobs, location)
     if computing.client_in_force() is not None:
-        return None  # the memory is that of the workers
+        return None  # the workers have their own memory
     threads = [check_memory(job.dataset, f"group {'/' + job.group!r}") for job in jobs]
     return min((count for count in threads if count is not None), default=None)
