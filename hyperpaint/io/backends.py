@@ -1,4 +1,4 @@
-"""xarray's entry point to our readers.
+"""Entry points of xarray to our readers.
 
 xarray loads this module at any user's first `open_dataset`: it imports nothing but xarray.
 """
@@ -23,7 +23,7 @@ _DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
 class EnviBackendEntrypoint(BackendEntrypoint):
     """Opens ENVI cubes lazily: ``xr.open_dataset("raw_0.hdr")``, or with ``engine="envi"``.
 
-    See `hyperpaint.io.envi.envi_cubes.open_envi` for what is returned; lines and columns are numbered.
+    See `hyperpaint.io.envi.envi_cubes.open_envi` for the dataset; lines and columns are numbered.
     """
 
     description: ClassVar[str] = "ENVI cubes (.hdr and data file) through hyperpaint"
@@ -34,7 +34,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
     )
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Tell whether this is an ENVI header, or a data file that has one beside it."""
+        """Return whether this is an ENVI header, or a data file that has one beside it."""
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         path = Path(os.fsdecode(filename_or_obj))
@@ -69,7 +69,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
         keep_whole_lines
             Open recordings that were cut short; see `hyperpaint.io.envi.envi_cubes.open_envi`.
         quantity
-            What the samples are where the header does not say it, such as ``"counts"``.
+            Quantity of the samples where the header does not state it, such as ``"counts"``.
 
         Raises
         ------
@@ -87,7 +87,7 @@ class EnviBackendEntrypoint(BackendEntrypoint):
 
 
 class _SpectrometerEntrypoint(BackendEntrypoint):
-    """What the engines of field spectrometers share: one file is one spectrum."""
+    """Shared part of the engines of field spectrometers: one file is one spectrum."""
 
     open_dataset_parameters: ClassVar[tuple[str, ...]] = ("filename_or_obj", "drop_variables", "quantity")
     suffix: ClassVar[str]
@@ -95,7 +95,7 @@ class _SpectrometerEntrypoint(BackendEntrypoint):
     """Regular expression that the first bytes of a file match."""
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Tell whether this is a file of the instrument, by its suffix and its first bytes."""
+        """Return whether this is a file of the instrument, by its suffix and its first bytes."""
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         path = Path(os.fsdecode(filename_or_obj))
@@ -105,7 +105,7 @@ class _SpectrometerEntrypoint(BackendEntrypoint):
 class AsdBackendEntrypoint(_SpectrometerEntrypoint):
     """Opens binary files of ASD spectrometers: ``xr.open_dataset("white.asd")``, or with ``engine="asd"``.
 
-    See `hyperpaint.open_asd` for what is returned, for many files at once and for all options.
+    See `hyperpaint.open_asd` for the dataset, for many files at once and for all options.
     """
 
     description: ClassVar[str] = "ASD field spectrometers (.asd) through hyperpaint"
@@ -127,7 +127,7 @@ class AsdBackendEntrypoint(_SpectrometerEntrypoint):
 class SvcBackendEntrypoint(_SpectrometerEntrypoint):
     """Opens files of SVC spectrometers: ``xr.open_dataset("hood.sig")``, or with ``engine="svc"``.
 
-    See `hyperpaint.open_svc` for what is returned, for many files at once and for all options.
+    See `hyperpaint.open_svc` for the dataset, for many files at once and for all options.
     """
 
     description: ClassVar[str] = "SVC field spectrometers (.sig) through hyperpaint"
@@ -156,7 +156,7 @@ def _is_envi_header(path: Path) -> bool:
 
 
 def _first_bytes(path: Path, count: int) -> bytes:
-    """Return how a file begins; nothing of what is no file that can be read."""
+    """Return the first bytes of a file; empty for an unreadable one."""
     try:
         if not path.is_file():  # a pipe would wait
             return b""

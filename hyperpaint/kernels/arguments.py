@@ -1,9 +1,9 @@
-"""What the kernels take, grouped by what belongs together; numba passes these tuples as they are.
+"""Arguments of the kernels, grouped in NamedTuples, which numba passes as plain values.
 
-Free of numba, so that callers can make and keep them without loading a compiler.
+The module does not import numba, so that callers can build and keep the groups without loading a compiler.
 
-A kernel is compiled for the types of what it takes. What is None is neither compiled nor paid for: `given`
-puts None in the place of empty arrays.
+A kernel is compiled for the types of its arguments: a member that is None removes its branch from the
+compiled code. `given` replaces empty arrays by None.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Group = TypeVar("Group", bound=tuple[Any, ...])
 
 
 def given(group: Group) -> Group:
-    """Return a group of arguments with None in the place of empty arrays.
+    """Return a group of arguments with empty arrays replaced by None.
 
     Examples
     --------
@@ -35,99 +35,98 @@ def given(group: Group) -> Group:
 
 
 class DetectorModel(NamedTuple):
-    """What a detector does to counts beside its dark; None, in a plan empty, is what it does not do."""
+    """Detector effects other than dark counts; None (in a plan: empty) where absent."""
 
     #: (0 or 4,) float32: a2 ... a5 of linear counts c + a2 c^2 + ... + a5 c^5
     polynomial: Array
-    #: (0 or node,) float32: in its place, what linear counts have more than counts, evenly spaced
+    #: (0 or node,) float32: instead, linear counts minus counts at evenly spaced nodes
     table: Array
-    #: first_node [count], nodes_per_count, float32: where its nodes lie
+    #: first_node [count], nodes_per_count, float32: position of the nodes
     first_node: Any
     nodes_per_count: Any
-    #: (0 or n, 2) int64: band and column of elements that see no light; what they count on average beyond
-    #: their dark is the pedestal of a line
+    #: (0 or n, 2) int64: band and column of elements that see no light; their mean counts above dark are the
+    #: pedestal of a line
     masked: Array
-    on_raw: Any  #: bool: both are of raw counts and of the dark, each; not of their difference
+    on_raw: Any  #: bool: the curve applies to raw counts and to the dark, not to their difference
 
 
 class Calibration(NamedTuple):
-    """What turns counts into radiance per exposure."""
+    """Dark, gain and detector model: radiance times exposure is gain x linear counts above dark."""
 
     dark: Array  #: (n, band, column) float32
-    #: dark_index, dark_weight (line,): the dark of a line lies between ``dark[i]`` and ``dark[i + 1]``, at
-    #: this weight of the later; None where one dark serves every line
+    #: dark_index i, dark_weight w (line,): the dark of a line is (1 - w) dark[i] + w dark[i + 1]; None for
+    #: one dark of all lines
     dark_index: Array | None
     dark_weight: Array | None
-    gain: Array  #: (band, column) float32: NaN marks a bad element
+    gain: Array  #: (band, column) float32; NaN for bad elements
     detector: DetectorModel
 
 
 class StrayLight(NamedTuple):
-    """What linear counts above dark hold of other bands: ``smear`` of their sum, ``give @ take`` of the rest.
+    """Light of other bands in linear counts above dark: ``smear`` of their sum, ``give @ take`` of the rest.
 
-    Charge smears as it was counted. Light strays before it meets an element, whatever that makes of it.
+    Smear is proportional to counts as read. Scattered light is proportional to the light before the detector,
+    hence the ``level`` of each element.
     """
 
-    give: Array  #: (band, term) float32; the terms are a multiple of four
-    take: Array  #: (term, band) float32; the bands are filled up with zeros to a multiple of four
+    give: Array  #: (band, term) float32; a multiple of four terms
+    take: Array  #: (term, band) float32; bands padded with zeros to a multiple of four
     smear: Array  #: (line,) float32: share of the sum of all bands [1]
-    #: (n, 3) int64: column and band of elements whose own counts mean nothing, and the band whose counts are
-    #: taken for theirs; -1 where no light falls on them
+    #: (n, 3) int64: column and band of bad elements, and the band whose counts replace theirs; -1 for 0
     stands_in: Array
-    #: (band, column) float32: counts of an even detector over those of an element [1]; NaN of bad ones
+    #: (band, column) float32: counts of a uniform detector over those of an element [1]; NaN for bad ones
     level: Array
-    relative: Any  #: float32: relative standard uncertainty of what is subtracted [1]
+    relative: Any  #: float32: relative standard uncertainty of the subtracted light [1]
 
 
 class LightCells(NamedTuple):
-    """What dark-subtracted counts times gain are multiplied or divided by, over the cells of the smile."""
+    """Factors that turn dark-subtracted counts times gain into values, by smile cell."""
 
-    #: (line, band, cell, 1 or 4) float32: one: what counts are multiplied by. Four: a cubic in ``shift``, by
-    #: which they are divided.
+    #: (line, band, cell, 1 or 4) float32: one factor, or the coefficients of a cubic in ``shift`` that
+    #: divides
     coefficients: Array
-    #: (1 or band, column) float32: position of a column inside its cell; None without a smile
+    #: (1 or band, column) float32: position of a column inside its cell; None without smile
     shift: Array | None
-    #: edges (1 or band, run + 1), cells (1 or band, run) int64: columns where runs begin whose columns share
-    #: a cell, and that cell; None without a smile
+    #: edges (1 or band, run + 1), cells (1 or band, run) int64: first columns of runs of columns that share a
+    #: cell, and that cell; None without smile
     edges: Any
     cells: Any
 
 
 def light_cells(coefficients: Array, shift: Array, edges: Array, cells: Array) -> LightCells:
-    """Return `LightCells`; the place of columns counts for cubics alone."""
+    """Return `LightCells`; column positions are kept only where coefficients are cubics."""
     return LightCells(coefficients, *((shift, edges, cells) if coefficients.shape[3] > 1 else (None,) * 3))
 
 
 class CountLimits(NamedTuple):
     """Counts beyond which a sample is flagged."""
 
-    #: lowest, highest, like counts: of the counts from which samples are saturated
+    #: lowest, highest saturation count of all elements, dtype of the counts
     lowest: Any
     highest: Any
-    saturation: Array | None  #: (band, column), like counts: those of each element; None where all are one
-    #: (band, column) float32: how far below the dark noise may take a sample; NaN for an element that sets no
-    #: flag
+    saturation: Array | None  #: (band, column), dtype of the counts: by element; None where uniform
+    #: (band, column) float32: noise margin below the dark [count]; NaN for an element that sets no flag
     noise_margin: Array
-    most_negative: Any  #: uint16: number of samples under the dark that a pixel may have
+    most_negative: Any  #: uint16: samples below the dark that a pixel may have
     whole: Any  #: bool: counts are integers
 
 
 def count_limits(saturation: Array, noise_margin: Array, most_negative: Any, whole: Any) -> CountLimits:
-    """Return `CountLimits`, ``saturation`` being (1, 1) or (band, column)."""
+    """Return `CountLimits` from a ``saturation`` of shape (1, 1) or (band, column)."""
     each = saturation if saturation.size > 1 else None
     return CountLimits(saturation.min(), saturation.max(), each, noise_margin, most_negative, whole)
 
 
 class Rounding(NamedTuple):
-    """Rounding of float32 values to nearest-even, by their bits as uint32; as numcodecs' BitRound does."""
+    """Bit masks that round float32 values to nearest-even, as numcodecs' BitRound does."""
 
-    last: Any  #: The lowest bit that is kept
-    half: Any  #: Half of it
-    mask: Any  #: The bits that are kept
+    last: Any  #: Lowest kept bit
+    half: Any  #: Half of ``last``
+    mask: Any  #: All kept bits
 
 
 def rounding(cleared_bits: int) -> Rounding | None:
-    """Return the rounding that clears this many bits of the mantissa; None for none."""
+    """Return the rounding that clears this number of mantissa bits; None for 0."""
     if not cleared_bits:
         return None
     last = 1 << int(cleared_bits)
@@ -135,17 +134,17 @@ def rounding(cleared_bits: int) -> Rounding | None:
 
 
 class LineCounts(NamedTuple):
-    """What the values of a line are computed from."""
+    """Inputs of the values of a line."""
 
     counts: Array  #: (line, band, column)
-    dark: Array  #: (band, column): that of the line
+    dark: Array  #: (band, column)
     gain: Array  #: (band, column)
     saturation_limit: Any  #: float32: counts from which a value is NaN
     rounding: Rounding | None
 
 
 class FixedFlags(NamedTuple):
-    """Bits of quality of whole lines (line,) and columns (column,), and that of a line without data."""
+    """Quality bits of whole lines (line,) and columns (column,), and the bit of a line without data."""
 
     lines: Array
     columns: Array
@@ -153,26 +152,25 @@ class FixedFlags(NamedTuple):
 
 
 class ErrorTerms(NamedTuple):
-    """Terms of the error budget, as the uncertainty of every sample is computed from them."""
+    """Terms of the error budget from which the uncertainties of a sample are computed."""
 
-    #: per_electron, noise_floor (1 or band, column) float32: counts per electron, and the variance that a
-    #: count without light has afresh in every sample [count2]
+    #: per_electron, noise_floor (1 or band, column) float32: counts per electron, and the variance of a count
+    #: without light [count2]
     per_electron: Array
     noise_floor: Array
-    #: (1 or band, column) float32: what is proportional to reflectance and common to the flight [1]
+    #: (1 or band, column) float32: relative uncertainty common to the flight [1]
     relative: Array
-    #: (0, 1 or band, column) float32: uncertainty of the dark that is subtracted [count]; None, in a plan
-    #: empty, where it and wavelengths are certain
+    #: (0, 1 or band, column) float32: uncertainty of the dark [count]; None (in a plan: empty) where dark and
+    #: wavelengths are exact
     offset: Array
-    #: (0 or band, 4) float32: wavelength uncertainty over the distance to the neighbouring bands: what the
-    #: rise to the band above is multiplied by with a band below, and without; what the rise from the band
-    #: below is multiplied by with a band above, and without. None, in a plan empty, where wavelengths are
-    #: certain.
+    #: (0 or band, 4) float32: wavelength uncertainty over the distance to the neighbouring bands: factors of
+    #: the rise to the band above, with and without a band below; of the rise from the band below, with and
+    #: without a band above. None (in a plan: empty) where wavelengths are exact.
     slope: Array
 
 
 class SlabOutputs(NamedTuple):
-    """What is written of a slab: quality and uncertainties where they are asked for, else empty."""
+    """Output arrays of a slab; quality and uncertainties are empty where not requested."""
 
     cube: Array  #: (line, band, column) float32
     quality: Array  #: (line, column) or (0, 0) uint16
@@ -181,22 +179,23 @@ class SlabOutputs(NamedTuple):
     u_systematic: Array
 
 
-# --- what a pixel's light is made of: `hyperpaint.kernels.unmixing`
+# --- unmixing of pixels: `hyperpaint.kernels.unmixing`
 
 
 class Bodies(NamedTuple):
-    """What pixels show."""
+    """Body and neighbouring bodies of every pixel, with their reflectances."""
 
-    body_of: Array  #: (line, column) int32: what each pixel shows, a row of ``reflectance``; -1 leaves it NaN
-    reflectance: Array  #: (body, channel) float64: in full light [1]
-    neighbours: Array  #: (line, column, 2) int32: rows of ``reflectance`` that light each pixel; -1 for none
+    body_of: Array  #: (line, column) int32: row of ``reflectance``; -1 for none: results are NaN
+    reflectance: Array  #: (body, channel) float64: reflectance in full light [1]
+    #: (line, column, 2) int32: rows of ``reflectance`` of the bodies that light each pixel; -1 for none
+    neighbours: Array
 
 
 class LightParts(NamedTuple):
-    """Direct and diffuse part of the irradiance, and what a mirror shows of the sky (channel,), float64 [1].
+    """Direct and diffuse share of the irradiance, and the sky as a perfect mirror shows it (channel,) [1].
 
-    ``above``: the sky straight above; ``sunward``: by how much the sky around the sun is brighter than that,
-    0 under a sky without such a side. Both as reflectance of a perfect mirror.
+    ``above`` is the sky at the zenith; ``sunward`` is the excess of the sky around the sun over ``above``, 0
+    for a uniform sky. Both are reflectances of a perfect mirror, float64.
     """
 
     direct: Array
@@ -206,56 +205,56 @@ class LightParts(NamedTuple):
 
 
 class ChannelErrors(NamedTuple):
-    """Standard deviation of channels: relative to what is seen (channel,) [1], and what is added [1]."""
+    """Standard deviation of channels: ``noise`` relative to reflectance (channel,) [1], and ``floor`` [1]."""
 
     noise: Array
     floor: Any
 
 
 class AmountPrior(NamedTuple):
-    """What amounts are without evidence."""
+    """Prior of the amounts: mean, spread and upper bound."""
 
-    #: expected, spread (part,) float64: what they are, and how far from it they come to lie
+    #: expected, spread (part,) float64: mean and standard deviation
     expected: Array
     spread: Array
-    tilt: Array  #: (body,) float64: the spread of the amount of direct light, in place of that in ``spread``
-    most: Array  #: (part,) float64: amounts are no larger
+    tilt: Array  #: (body,) float64: spread of the amount of direct light; replaces that in ``spread``
+    most: Array  #: (part,) float64: upper bounds
 
 
 class Glinting(NamedTuple):
-    """What is expected where the sun is mirrored, beyond what is elsewhere [1]."""
+    """Additional amounts expected where the sun is mirrored [1]."""
 
-    direct: Any  #: Direct light: what mirrors the sun to a camera above faces halfway to it
-    sunward: Any  #: Mirror image of the sky around the sun, which comes with the sun's
+    direct: Any  #: Direct light: a surface that mirrors the sun to a camera above faces halfway to the sun
+    sunward: Any  #: Mirror image of the sky around the sun
 
 
 class Unmixed(NamedTuple):
-    """What is written of a block of lines."""
+    """Output arrays of `unmix_lines` for a block of lines."""
 
     amount: Array  #: (line, column, part) float32
-    added: Array  #: (line, column, 2) float32: largest reflectance over the channels that each neighbour adds
-    #: (line, column) float32: largest reflectance over the channels that both add; less than the sum of
-    #: ``added`` where they are of different colours
+    added: Array  #: (line, column, 2) float32: largest reflectance over the channels added by each neighbour
+    #: (line, column) float32: largest reflectance over the channels added by both; less than the sum of
+    #: ``added`` where their colours differ
     together: Array
-    misfit: Array  #: (line, column) float32: root mean square of what remains, in standard deviations
+    misfit: Array  #: (line, column) float32: root mean square residual, in standard deviations
 
 
-# --- monochromatic lines: `hyperpaint.kernels.line_fits`
+# --- lamp lines: `hyperpaint.kernels.line_fits`
 
 
 class LineSamples(NamedTuple):
-    """Samples of lines, row by row, or of one of them."""
+    """Samples of lamp lines, one row each, or of a single one."""
 
     values: Array  #: (line, sample) float64
-    weights: Array  #: (line, sample) float64: one over the variance; zero leaves a sample out
-    first: Any  #: (line,) int64: place of the first sample of a row
+    weights: Array  #: (line, sample) float64: 1 / variance; 0 excludes a sample
+    first: Any  #: (line,) int64: position of the first sample of a row
     source: Any  #: (line,) float64: full width at half maximum of the light [samples]
 
 
 class LineFits(NamedTuple):
-    """What is fitted to lines."""
+    """Fitted parameters of lamp lines, with covariance and chi2."""
 
-    #: (line, 4) float64: where to begin, and the result: see `hyperpaint.kernels.line_fits.CENTRE`
+    #: (line, 4) float64: start values, then the result: see `hyperpaint.kernels.line_fits.CENTRE`
     parameters: Array
     covariance: Array  #: (line, 4, 4) float64: inverse of the normal matrix; NaN where it is singular
     chi2: Array  #: (line,) float64: weighted sum of squared residuals
@@ -266,40 +265,40 @@ class LineFits(NamedTuple):
 
 
 class LineRays(NamedTuple):
-    """Where the rays of a line camera begin, and where they go."""
+    """Origins and directions of the rays of a line camera."""
 
     origin: Array  #: (line, 3) float64: projection centre in the line's frame [m]
-    rotation: Array  #: (line, 3, 3) float64: turns directions of the camera into the line's frame
+    rotation: Array  #: (line, 3, 3) float64: rotates camera directions into the line's frame
     look: Array  #: (column, 3) float64: directions of the columns in the camera's frame, of unit length
 
 
 class LineFrames(NamedTuple):
-    """What lies around a line."""
+    """Map coordinates and ellipsoidal height as polynomials of each line's local frame."""
 
-    #: x, y, height (line, 10) float64: coordinates of the map and height above the ellipsoid [m], as
-    #: polynomials of the line's frame
+    #: x, y, height (line, 10) float64: map coordinates and height above the ellipsoid [m], as polynomials of
+    #: the line's frame
     x: Array
     y: Array
     height: Array
-    turn: Array  #: (line,) float64: how north turns with the way to the east [rad m-1]
+    turn: Array  #: (line,) float64: change of the direction of north with east [rad m-1]
 
 
+# Side of the blocks of a raster whose highest point is stored [cell].
 BLOCK = 16
-"""Cells of a raster along either axis whose highest point is known."""
 
 
 class Raster(NamedTuple):
-    """A raster of heights."""
+    """Height raster with block maxima, and its position as polynomials of each line's local frame."""
 
-    #: row, col (line, 10) float64: place in the raster, 0 at the centre of its first cells, as polynomials
-    #: of the line's frame
+    #: row, col (line, 10) float64: raster coordinates, 0 at the centre of the first cell, as polynomials of
+    #: the line's frame
     row: Array
     col: Array
     heights: Array  #: (row, col) float64: above the ellipsoid [m]; NaN in holes
     #: (ceil((row - 1) / `BLOCK`), ceil((col - 1) / `BLOCK`)) float64: highest point of every block; minus
     #: infinity where all of it is a hole
     tops: Array
-    #: lowest, highest: of all heights [m]
+    #: lowest, highest height [m]
     lowest: float
     highest: float
 
@@ -308,52 +307,50 @@ class Raster(NamedTuple):
 
 
 class LinePositions(NamedTuple):
-    """Where the pixels of lines lie on the map."""
+    """Map coordinates of the pixels of lines, and of the line before them."""
 
-    #: east, north (line, column) float64: of lines that follow one another [m]; NaN where that is not known
+    #: east, north (line, column) float64: of successive lines [m]; NaN where unknown
     east: Array
     north: Array
-    #: east_before, north_before (column,) float64: the same of the line before; NaN where there is none
+    #: east_before, north_before (column,) float64: of the line before; NaN where there is none
     east_before: Array
     north_before: Array
-    #: (line, column - 1) bool: whether four pixels, with those of the line before, span no patch; empty where
+    #: (line, column - 1) bool: whether two pixels, with those of the line before, span no patch; empty where
     #: all do
     hidden: Array
 
 
 class MapCells(NamedTuple):
-    """The cells of a tile, and which patch over a cell counts."""
+    """Cells of a tile, and the rule that selects one of several patches over a cell."""
 
-    #: (6,) float64: east and north of the centre of the map's first cell [m]; then what turns metres from
-    #: there into columns of cells, and into rows of cells, each by its part per metre east and north
+    #: (6,) float64: east and north of the centre of the map's first cell [m]; columns per metre east and
+    #: north; rows per metre east and north
     frame: Array
     corner: tuple[int, int]  #: Row and column of the tile's first cell on the map
-    longest: float  #: Edge from which a patch is a gap, and covers nothing [cell]
+    longest: float  #: Longest edge of a patch; longer ones are gaps [cell]
     rule: int  #: `NADIR`, `FIRST` or `LAST` of `hyperpaint.kernels.inverse_map`
 
 
 class InverseTile(NamedTuple):
-    """What is written of a tile."""
+    """Output arrays of `invert_lines` for a tile."""
 
-    #: (2, row, col) float64: line and column of every cell, written where a patch covers one that has none
-    #: yet or a worse one
+    #: (2, row, col) float64: line and column at every cell, written where a patch has a lower rank
     place: Array
-    #: (2, row, col) int32: line and column of the one of the patch's four pixels that lies nearest to the
-    #: cell
+    #: (2, row, col) int32: line and column of the nearest of the patch's four pixels
     nearest: Array
-    #: (row, col) float64: what cells are compared by, the least wins; infinite where nothing has covered them
+    #: (row, col) float64: rank of the patch over a cell, the least wins; infinite where none covers it
     rank: Array
-    hits: Array  #: (row, col) uint16: patches over every cell, added to
+    hits: Array  #: (row, col) uint16: number of patches over every cell
 
 
 class Places(NamedTuple):
-    """Places between pixels, line by line, and the cells they go to."""
+    """Fractional positions between pixels, line by line, and the cells that receive their spectra."""
 
-    #: lines, columns (place,) int64: pixel before each place
+    #: lines, columns (place,) int64: line and column, rounded down
     lines: Array
     columns: Array
-    #: along, across (place,), like what is written: way to the next line and column, 0 to 1; of what is 0
-    #: away the next is not looked at
+    #: along, across (place,), dtype of the output: fraction towards the next line and column, 0 to 1; with 0
+    #: the next is not read
     along: Array
     across: Array
-    cells: Array  #: (place,) int64: where each goes
+    cells: Array  #: (place,) int64: target cell

@@ -1,4 +1,4 @@
-"""Rounding of float32 values to the bits that are stored: rows of the loops over a slab."""
+"""Rounding of float32 values to the stored mantissa bits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .arguments import Rounding
 def rounded(value: Any, rounding: Rounding | None) -> Any:
     """Return a float32 rounded to nearest-even.
 
-    By masks, not shifts, which would be of numbers twice as wide.
+    Masks are used instead of shifts, which numba would do in 64 bits.
     """
     if rounding is None:
         return value
@@ -27,7 +27,6 @@ def rounded(value: Any, rounding: Rounding | None) -> Any:
 
 @inlined_kernel
 def round_row(values: Array, rounding: Rounding | None) -> None:
-    """Round float32 values (column,), in place."""
     if rounding is not None:
         for x in range(values.size):
             values[x] = rounded(values[x], rounding)

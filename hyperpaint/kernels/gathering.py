@@ -1,7 +1,7 @@
-"""Spectra of a slab of lines, brought to the cells of a map.
+"""Spectra of a slab of lines, copied or interpolated to the cells of a map.
 
-A slab has its bands before its columns, a map its bands last. Lines are turned one at a time, into memory
-that stays in the processor's cache; every cell is then one copy of a whole spectrum.
+Slabs are (line, band, column), maps (row, column, band). Each line is transposed into a buffer that fits the
+processor's cache; every cell is then one contiguous copy of a spectrum.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import Places
 
+# Columns transposed together: one cache line of float32.
 _COLUMNS = 16
-"""Columns that are turned together: a line of the cache in single precision."""
 
 
 @kernel
 def _turn(source: Array, start: int, stop: int, out: Array) -> None:
-    """Write columns of a line (band, column) as (column, band)."""
+    """Write columns ``start`` to ``stop`` of a line (band, column) transposed, as (column, band)."""
     for block in range(start, stop, _COLUMNS):
         end = min(block + _COLUMNS, stop)
         for band in range(source.shape[0]):
@@ -31,8 +31,8 @@ def gather_nearest(
 ) -> None:
     """Copy the spectra of pixels of a slab (line, band, column) to ``out`` (cell, band).
 
-    ``lines`` and ``columns`` (pixel,) are the pixels, line by line, and ``cells`` (pixel,) where each goes;
-    ``turned`` (column, band), of the type of ``out``, is memory to work in.
+    ``lines`` and ``columns`` (pixel,) are the pixels in the order of their lines, ``cells`` (pixel,) their
+    targets; ``turned`` (column, band) is a buffer of the dtype of ``out``.
     """
     k = 0
     while k < lines.size:
@@ -52,10 +52,10 @@ def gather_nearest(
 def gather_bilinear(
     slab: Array, after: Array, places: Places, turned: Array, turned_next: Array, out: Array
 ) -> None:
-    """Write spectra (cell, band) between the four pixels around each place in a slab (line, band, column).
+    """Write spectra (cell, band), interpolated between four pixels of a slab (line, band, column).
 
-    They are NaN where one of the pixels looked at is. ``after`` (band, column) is the line that follows the
-    slab; ``turned`` and ``turned_next`` (column, band), of the type of ``out``, are memory to work in.
+    A value is NaN where a pixel that has weight is NaN. ``after`` (band, column) is the line that follows the
+    slab; ``turned`` and ``turned_next`` (column, band) are buffers of the dtype of ``out``.
     """
     lines, columns, along, across, cells = places
     last = slab.shape[2] - 1

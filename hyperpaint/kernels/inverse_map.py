@@ -1,7 +1,7 @@
-"""Which place of a flight line lies at every cell of a map: the inverse of where its pixels lie.
+"""Line and column of a flight line at every cell of a map: the inverse of the map position of its pixels.
 
 Four neighbouring pixels span a quadrilateral on the map, and a bilinear patch between the lines and columns.
-Every cell whose centre lies in it is given the line and the column, as fractions, that the patch has there.
+Every cell whose centre lies in it gets the fractional line and column of the patch at that centre.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import InverseTile, LinePositions, MapCells
 
+# Rule that selects one of several patches over a cell: nearest to the middle column, first line, last line.
 NADIR, FIRST, LAST = 0, 1, 2
-"""Which of several patches over one cell counts: that nearest to the middle column, of the first line, or of
-the last."""
 
+# Lower edges of a patch are moved outwards and upper ones inwards by this part of it, so that a centre on a
+# common edge belongs to one patch in spite of rounding.
 _EDGE = 1e-9
-"""Part of a patch by which its lower edges reach out and its upper ones fall short, so that a centre on the
-edge of two belongs to one of them whatever is lost to rounding."""
+# Outer edges of a line are moved outwards by this part of a patch, the rounding of large map coordinates.
 _OUTER = 1e-6
-"""By how much the outer edges of a line reach out: map coordinates far from their origin have lost that."""
 
 
 @kernel
@@ -35,9 +34,9 @@ def _inside_patch(
     start: tuple[float, float],
     end: tuple[float, float],
 ) -> tuple[bool, float, float]:
-    """Return whether p = u a + v b + u v c with u and v within limits, and these, from 0 to 1.
+    """Return whether p = u a + v b + u v c has a solution with u and v within limits, and u and v in 0 to 1.
 
-    Without u there remains a quadratic in v, whose roots are taken in the form that loses no digits.
+    Eliminating u leaves a quadratic in v, solved in the form without cancellation.
     """
     px, py = p
     ax, ay = a
@@ -71,7 +70,7 @@ def _inside_patch(
 def _nearest_corner(
     px: float, py: float, ax: float, ay: float, bx: float, by: float, fx: float, fy: float
 ) -> tuple[int, int]:
-    """Return which corner is nearest to p, in lines and columns from the first: that at 0, a, b or b + f."""
+    """Return line and column offset (0 or 1) of the corner nearest to p: those at 0, a, b and b + f."""
     line, column = 0, 0
     least = px * px + py * py
     away = (px - ax) ** 2 + (py - ay) ** 2
@@ -90,11 +89,11 @@ def _nearest_corner(
 def _to_cells(
     east: Array, north: Array, frame: Array, x: Array, y: Array, reach: tuple[float, float, float, float]
 ) -> tuple[int, int]:
-    """Write where the pixels of a line lie, in cells; return the first and last column within reach.
+    """Write the pixels of a line in cell coordinates; return the first and last column within reach.
 
-    ``reach`` is the least and the largest row, and column, that a corner of a patch over the tile can lie at.
+    ``reach`` holds the least and largest row, then column, of a corner of any patch over the tile.
     """
-    for j in range(east.size):  # apart from what follows, which has branches: this is done eight at a time
+    for j in range(east.size):  # a loop without branches, which vectorises
         e, n = east[j] - frame[0], north[j] - frame[1]
         x[j] = frame[2] * e + frame[3] * n
         y[j] = frame[4] * e + frame[5] * n
@@ -108,10 +107,10 @@ def _to_cells(
 
 @kernel
 def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCells, out: InverseTile) -> None:
-    """Write the place in a flight line of every cell of a tile, as far as some of its lines cover it.
+    """Write line and column at every cell of a tile, as far as the given lines cover it.
 
-    ``first`` and ``last`` are the numbers of the first of these lines, and of the last line of the flight.
-    Lines may go back over themselves: every patch is visited, whichever way round it lies.
+    ``first`` is the number of the first given line, ``last`` the number of the last line of the flight. Lines
+    may overlap earlier ones: every patch is visited, whatever its orientation.
     """
     east, north, hidden = positions.east, positions.north, positions.hidden
     place, nearest, rank, hits = out
@@ -120,7 +119,7 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
     columns = east.shape[1]
     x0, y0, x1, y1 = np.empty(columns), np.empty(columns), np.empty(columns), np.empty(columns)
     box = np.empty((5, columns))
-    # no edge of a patch is longer, and no corner farther from a cell inside than two edges
+    # a corner is at most two longest edges away from a cell inside its patch
     away = 2.0 * cells.longest + 1.0
     reach = (first_row - away, last_row + away, first_col - away, last_col + away)
     start0, stop0 = _to_cells(positions.east_before, positions.north_before, frame, x0, y0, reach)
@@ -135,7 +134,7 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
                 box[2, j], box[3, j] = min(y0[j], y1[j]) - _OUTER, max(y0[j], y1[j]) + _OUTER
                 box[4, j] = x0[j] + y0[j] + x1[j] + y1[j]
             for j in range(start, stop):
-                if not abs(box[4, j] + box[4, j + 1]) < math.inf:  # a corner is not known
+                if not abs(box[4, j] + box[4, j + 1]) < math.inf:  # a corner is unknown
                     continue
                 if hidden.size and hidden[i, j]:
                     continue
@@ -230,11 +229,11 @@ def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Arr
 
 @kernel
 def look_at_lines(east: Array, north: Array, frame: Array, out: Array) -> None:
-    """Write the box and the ends of lines, of the pixels that have a place; NaN stays where none has.
+    """Write bounding box and ends of lines, of pixels with a position; NaN stays for lines without any.
 
-    ``frame`` (6,) are east and north of an anchor, then what turns ways from there into ways to the right,
-    and down; ``out`` (line, 8 or more) the least and the largest way to the right and down [m], then east and
-    north of the first and the last pixel.
+    ``frame`` (6,) are east and north of an anchor, then the factors that turn offsets from it into distances
+    to the right and down. ``out`` (line, 8 or more): least and largest distance to the right and down [m],
+    then east and north of the first and the last pixel.
     """
     for line in range(east.shape[0]):
         left, right, upper, lower = math.inf, -math.inf, math.inf, -math.inf

@@ -1,4 +1,4 @@
-"""Least-squares fits of monochromatic lines, one line after the other."""
+"""Least-squares fits of lamp lines, one after the other."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import LineFits, LineSamples
 
-#: Places of the parameters of a line: centre [samples], full width at half maximum of the instrument's own
-#: response [samples], area [value x samples], offset [value].
+#: Positions of the parameters of a lamp line: centre [samples], full width at half maximum of the
+#: instrument's own response [samples], area [value x samples], offset [value].
 CENTRE, WIDTH, AREA, OFFSET = 0, 1, 2, 3
 
 #: Shapes of the instrument's own response.
@@ -21,13 +21,13 @@ GAUSSIAN, SLIT = 0, 1
 _SIGMA = 1.0 / (2.0 * math.sqrt(2.0 * math.log(2.0)))
 _ROOT2 = math.sqrt(2.0)
 _ROOT2PI = math.sqrt(2.0 * math.pi)
-_NARROWEST = 0.05  # samples; a box narrower than this does not differ from none
+_NARROWEST = 0.05  # [sample]; narrower boxes have no effect
 _STEPS = 60
 
 
 @kernel
 def _ramp(x: float, sigma: float) -> float:
-    """Return the second integral of a Gaussian of unit area; of a point, max(x, 0)."""
+    """Return the second integral of a Gaussian of unit area; for sigma 0, max(x, 0)."""
     if sigma < 1e-6 or abs(x) > 8.0 * sigma:
         return max(x, 0.0)
     z = x / sigma
@@ -37,7 +37,7 @@ def _ramp(x: float, sigma: float) -> float:
 @kernel
 def _two_boxes(x: float, a: float, b: float, sigma: float) -> float:
     """Return a Gaussian convolved with boxes ``a`` and ``b`` wide, of unit area."""
-    x = -abs(x)  # on the rising side ramps are small: nothing large cancels
+    x = -abs(x)  # the ramps are small on the rising side: no cancellation of large terms
     outer, inner = 0.5 * (a + b), 0.5 * (a - b)
     total = _ramp(x + outer, sigma) - _ramp(x + inner, sigma)
     total -= _ramp(x - inner, sigma) - _ramp(x - outer, sigma)
@@ -46,7 +46,7 @@ def _two_boxes(x: float, a: float, b: float, sigma: float) -> float:
 
 @kernel
 def _cube(x: float) -> float:
-    """Return the fourth integral of a point, x^3 / 6 above zero."""
+    """Return the fourth integral of a delta function, x^3 / 6 above zero."""
     return x * x * x / 6.0 if x > 0.0 else 0.0
 
 
@@ -65,11 +65,11 @@ def _four_boxes(x: float, a: float, b: float, c: float) -> float:
 
 @kernel
 def line_profile(x: float, width: float, source: float, shape: int, triangular: bool) -> float:
-    """Return the profile of a line, of unit area, at a distance from its centre [samples].
+    """Return the profile of a lamp line, of unit area, at a distance from its centre [samples].
 
     ``width`` is the full width at half maximum of the instrument's own response, whose ``shape`` is
-    `GAUSSIAN`, or `SLIT`: a box ``width`` wide, the slit's image, seen by samples one wide. ``source`` is the
-    full width at half maximum of the light, whose line is triangular or else Gaussian.
+    `GAUSSIAN`, or `SLIT`: a box ``width`` wide, the slit's image, convolved with a sample of width 1.
+    ``source`` is the full width at half maximum of the light, whose spectrum is triangular or else Gaussian.
     """
     if shape == GAUSSIAN:
         if triangular and source > _NARROWEST:
@@ -164,7 +164,7 @@ def _chi2(line: LineSamples, p: Array, shape: int, triangular: bool) -> float:
 def _fit_line(
     line: LineSamples, p: Array, shape: int, triangular: bool, covariance: Array
 ) -> tuple[float, bool]:
-    """Improve the parameters of one line in place; return its chi2, and whether the search has ended."""
+    """Improve the parameters of one lamp line in place; return chi2, and whether the search converged."""
     matrix, right, damped = np.empty((4, 4)), np.empty(4), np.empty((4, 4))
     change, trial = np.empty(4), np.empty(4)
     damping = 1e-3
@@ -192,7 +192,7 @@ def _fit_line(
         else:
             damping *= 10.0
             if damping > 1e8:
-                ended = True  # no step is better: rounding is all that is left
+                ended = True  # only rounding is left to improve
                 break
     unit = np.zeros(4)
     for j in range(4):
@@ -207,9 +207,9 @@ def _fit_line(
 
 @kernel
 def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits) -> None:
-    """Fit offset + area x profile (see `line_profile`) to every row, by Levenberg and Marquardt's method.
+    """Fit offset + area x profile (see `line_profile`) to every row by the Levenberg-Marquardt method.
 
-    ``fits`` hold where to begin, and are written.
+    ``fits`` hold the start values, and receive the results.
     """
     parameters, covariance, chi2, converged = fits
     for line in range(samples.values.shape[0]):
@@ -228,7 +228,7 @@ def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits
 
 @kernel
 def profiles(places: Array, width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
-    """Write the `line_profile` of every line at distances (line, sample) from its centre."""
+    """Write the `line_profile` of every lamp line at distances (line, sample) from its centre."""
     for line in range(places.shape[0]):
         for i in range(places.shape[1]):
             out[line, i] = line_profile(places[line, i], width[line], source[line], shape, triangular)
@@ -236,7 +236,7 @@ def profiles(places: Array, width: Array, source: Array, shape: int, triangular:
 
 @kernel
 def full_widths(width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
-    """Write the full width at half maximum (line,) of lines as they are seen, by bisection."""
+    """Write the full width at half maximum (line,) of observed lamp lines, by bisection."""
     for line in range(width.shape[0]):
         if not np.isfinite(width[line] + source[line]):
             out[line] = np.nan

@@ -1,4 +1,4 @@
-"""Counts made proportional to light, a row of columns at a time: rows of `hyperpaint.kernels.radiometry`."""
+"""Linearity correction of counts, a row of columns at a time."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _NOTHING = np.float32(0.0)
 
 
 class LinearMemory(NamedTuple):
-    """Memory of a line whose counts are made linear."""
+    """Buffers of a line whose counts are linearised."""
 
-    #: (band, column) float32: dark of the line, linear where the detector's curve is of raw counts
+    #: (band, column) float32: dark of the line, linearised where the detector's curve is of raw counts
     dark: Array
-    signal: Array  #: (column,) float32: linear counts above dark of the band in work
-    #: node (column,) int32, part (column,) float32: where counts lie in a table
+    signal: Array  #: (column,) float32: linear counts above dark of the current band
+    #: node (column,) int32, part (column,) float32: whole and fractional position of counts in a table
     node: Array
     part: Array
 
@@ -31,18 +31,19 @@ class LinearMemory(NamedTuple):
 def linear_memory(
     polynomial: Array | None, table: Array | None, bands: int, columns: int
 ) -> LinearMemory | None:
-    """Return memory for lines of a detector with a curve; None for one without."""
+    """Return buffers for a detector with a linearity curve; None for one without."""
     if polynomial is None and table is None:
         return None
     return LinearMemory(
-        np.empty((bands, columns), np.float32), np.empty(columns, np.float32), np.empty(columns, np.int32),
+        np.empty((bands, columns), np.float32),
         np.empty(columns, np.float32),
-    )  # fmt: skip
+        np.empty(columns, np.int32),
+        np.empty(columns, np.float32),
+    )
 
 
 @kernel
 def signal_of(linear: LinearMemory | None) -> Array | None:
-    """Return the signal of a memory; None without one."""
     if linear is None:
         return None
     return linear.signal
@@ -50,7 +51,7 @@ def signal_of(linear: LinearMemory | None) -> Array | None:
 
 @borrowing_kernel
 def polynomial_row(polynomial: Array | None, counts: Array) -> None:
-    """Add to counts (column,), in place, what they lack to be proportional to light."""
+    """Linearise counts (column,) in place: c + a2 c^2 + ... + a5 c^5."""
     if polynomial is not None:
         a2, a3, a4, a5 = polynomial[0], polynomial[1], polynomial[2], polynomial[3]
         for x in range(counts.size):
@@ -60,17 +61,17 @@ def polynomial_row(polynomial: Array | None, counts: Array) -> None:
 
 @borrowing_kernel
 def table_row(detector: DetectorModel, table: Array | None, memory: LinearMemory, counts: Array) -> None:
-    """Add to counts (column,), in place, what they lack to be proportional to light.
+    """Linearise counts (column,) in place by a table of corrections.
 
-    A table is straight between its nodes, and beyond the outer ones as between the last two. Places come
-    first, by themselves: the compiler cannot vectorise what looks up.
+    The table is linear between nodes, and extrapolated from the outer two. Node numbers are computed in a
+    loop of their own, because look-ups do not vectorise.
     """
     if table is not None:
         node, part = memory.node, memory.part
         last = np.float32(table.size - 2)
         for x in range(counts.size):
             place = (counts[x] - detector.first_node) * detector.nodes_per_count
-            # a comparison that is false of NaN, whose node would be any
+            # false for NaN, whose conversion to an integer is undefined
             inside = min(place, last) if place > _NOTHING else _NOTHING
             node[x] = np.int32(inside)
             part[x] = place - np.float32(node[x])
@@ -83,7 +84,7 @@ def table_row(detector: DetectorModel, table: Array | None, memory: LinearMemory
 
 @borrowing_kernel
 def straighten_dark(detector: DetectorModel, dark: Array, linear: LinearMemory | None) -> None:
-    """Write the dark (band, column) of a line, made linear where the detector's curve is of raw counts."""
+    """Write the dark (band, column) of a line, linearised where the detector's curve is of raw counts."""
     if linear is not None:
         for band in range(dark.shape[0]):
             for x in range(dark.shape[1]):
@@ -97,7 +98,7 @@ def straighten_dark(detector: DetectorModel, dark: Array, linear: LinearMemory |
 def signal_row(
     counts: Array, detector: DetectorModel, linear: LinearMemory | None, place: tuple[Any, Any]
 ) -> None:
-    """Write linear counts above dark of a ``place`` (line, band)."""
+    """Write the linear counts above dark of a ``place`` (line, band) to the buffer."""
     if linear is not None:
         line, band = place
         signal, dark = linear.signal, linear.dark[band]
@@ -112,10 +113,14 @@ def signal_row(
 
 @borrowing_kernel
 def slope_row(
-    counts: Array, dark: Array, detector: DetectorModel, polynomial: Array | None, table: Array | None,
+    counts: Array,
+    dark: Array,
+    detector: DetectorModel,
+    polynomial: Array | None,
+    table: Array | None,
     slope: Array,
-) -> None:  # fmt: skip
-    """Write linear counts per count (column,), with which noise grows."""
+) -> None:
+    """Write the derivative of linear counts by counts (column,), which scales the noise."""
     if polynomial is not None:
         a2, a3 = np.float32(2.0) * polynomial[0], np.float32(3.0) * polynomial[1]
         a4, a5 = np.float32(4.0) * polynomial[2], np.float32(5.0) * polynomial[3]

@@ -1,4 +1,4 @@
-"""Small pictures of a slab: means of blocks, and colours from bands."""
+"""Overviews of a slab: block means, and colours from bands."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 @kernel
 def average_blocks(values: Array, side: int, out: Array) -> None:
-    """Write the means of blocks of ``side`` lines and columns of values (line, band, column), float32.
+    """Write the means of ``side`` x ``side`` blocks of values (line, band, column), float32.
 
-    ``out`` is (row, band, block), float32. What is missing is left out, and the last blocks may be cut. Sums
-    run over lines, then over columns, so that they vectorise.
+    ``out`` is (row, band, block), float32. NaN samples are left out; blocks at the far edges may be smaller.
+    Sums run over lines, then over columns, so that they vectorise.
     """
     lines, bands, columns = values.shape
     sums, counts = np.empty(columns, np.float32), np.empty(columns, np.float32)
@@ -41,23 +41,23 @@ def average_blocks(values: Array, side: int, out: Array) -> None:
 def mix_bands(values: Array, weights: Array, out: Array) -> None:
     """Write linear sRGB (line, column, 3) of values (line, band, column), all float32.
 
-    ``weights`` are (3, band, column). A missing band of a pixel that has others is over-bright and counts 1;
-    a pixel without any is black.
+    ``weights`` are (3, band, column). A NaN band of a pixel with other valid bands is saturated and counts as
+    1; a pixel without valid bands is black.
     """
     lines, bands, columns = values.shape
-    filled, seen = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    filled, fallback = np.empty(columns, np.float32), np.empty(columns, np.float32)
     sums = np.empty((3, columns), np.float32)
     for line in range(lines):
-        seen[:] = _ZERO
+        fallback[:] = _ZERO
         for band in range(bands):
             for x in range(columns):
                 value = values[line, band, x]
-                seen[x] = _ONE if value == value else seen[x]
+                fallback[x] = _ONE if value == value else fallback[x]
         sums[:] = _ZERO
         for band in range(bands):
             for x in range(columns):
                 value = values[line, band, x]
-                filled[x] = value if value == value else seen[x]
+                filled[x] = value if value == value else fallback[x]
             for colour in range(3):
                 for x in range(columns):
                     sums[colour, x] += filled[x] * weights[colour, band, x]

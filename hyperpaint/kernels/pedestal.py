@@ -1,4 +1,4 @@
-"""What every element of a line counts beyond its dark, from those that see no light."""
+"""Pedestal of a line: mean counts above dark of masked elements."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ import numpy as np
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.jit import borrowing_kernel
 
+# Masked elements farther from the mean are left out as cosmic rays [standard deviations].
 _FAR_SD = 5.0
-"""Standard deviations from the mean beyond which a masked element is left out: a cosmic ray, not noise."""
 
 
 @borrowing_kernel
 def pedestal_of(counts: Array, dark: Array, masked: Array) -> Any:
     """Return the mean of counts less dark (band, column) over ``masked`` elements (n, 2) [count], float32.
 
-    Twice, the second time without those far from the first mean; 0 where no count is finite.
+    Computed twice; the second time without elements over `_FAR_SD` standard deviations from the first mean. 0
+    where no count is finite.
     """
     mean, far = 0.0, np.inf
     for _ in range(2):
@@ -38,7 +39,6 @@ def pedestal_of(counts: Array, dark: Array, masked: Array) -> Any:
 
 @borrowing_kernel
 def raise_dark(pedestal: Any, dark: Array, out: Array) -> None:
-    """Write the dark with the pedestal of its line (band, column)."""
     for band in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[band, x] = dark[band, x] + pedestal

@@ -1,4 +1,4 @@
-"""Flags of raw counts, gathered over the bands of a line: rows of `hyperpaint.kernels.radiometry`."""
+"""Quality flags of raw counts, combined over the bands of a line."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from .arguments import CountLimits, FixedFlags
 _ZERO = np.float32(0.0)
 _SATURATED = np.uint16(1)
 _BELOW_DARK = np.uint16(2)
-_FEW = 20
-"""One column in so many costs as much, visited alone, as all of them row by row."""
+# Above one doubtful column in this number, visiting all columns row by row is faster.
+_DOUBTFUL_SHARE = 20
 
 
 class Tally(NamedTuple):
-    """What is counted of a line, column by column."""
+    """Per-column statistics of a line."""
 
-    #: peak, negative (column,): highest counts over the bands, and how many bands lie under the dark
+    #: peak, negative (column,): highest count over the bands, and number of bands below the dark
     peak: Array
     negative: Array
-    #: saturated, below (column,) uint16: whether an element reaches its limit, or lies under the dark beyond
+    #: saturated, below (column,) uint16: whether an element is saturated, or below the dark by more than
     #: noise
     saturated: Array
     below: Array
@@ -32,10 +32,10 @@ class Tally(NamedTuple):
 
 @borrowing_kernel
 def count_levels(dark: Array, margin: Array, whole: Any, level: Array, floor: Array) -> None:
-    """Write the counts below which a sample lies under the dark, and under it beyond noise (band, column).
+    """Write the dark level, and the dark less its noise margin, as counts (band, column).
 
-    An integer is below a bound exactly when it is below the bound rounded up. Nothing is below the levels of
-    an element without a margin.
+    A sample is below a level exactly when its integer count is below the level rounded up. Levels of an
+    element without a margin are set so that no count is below them.
     """
     nothing = np.float32(0.0 if whole else -np.inf)
     for band in range(dark.shape[0]):
@@ -44,14 +44,14 @@ def count_levels(dark: Array, margin: Array, whole: Any, level: Array, floor: Ar
             if whole:
                 high, low = np.ceil(high), np.ceil(low)
                 high, low = high if high > _ZERO else _ZERO, low if low > _ZERO else _ZERO
-            watched = margin[band, x] == margin[band, x]
-            level[band, x] = high if watched else nothing
-            floor[band, x] = low if watched else nothing
+            has_margin = margin[band, x] == margin[band, x]
+            level[band, x] = high if has_margin else nothing
+            floor[band, x] = low if has_margin else nothing
 
 
 @inlined_kernel
 def gather_row(counts: Array, level: Array, tally: Tally, place: tuple[Any, Any]) -> None:
-    """Keep the highest counts of each column, and how many of its bands lie under the dark."""
+    """Update each column's highest count, and its number of bands below the dark."""
     line, band = place
     peak, negative = tally.peak, tally.negative
     for x in range(counts.shape[2]):
@@ -62,13 +62,13 @@ def gather_row(counts: Array, level: Array, tally: Tally, place: tuple[Any, Any]
 
 @inlined_kernel
 def limit_of(saturation: Array | None, limits: CountLimits, band: Any, x: Any) -> Any:
-    """Return the counts from which an element is saturated."""
+    """Return the saturation count of an element."""
     return limits.highest if saturation is None else saturation[band, x]
 
 
 @inlined_kernel
 def look_at(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band: Any, x: Any) -> None:
-    """Mark a column whose element reaches its limit and has a margin, or lies under its floor."""
+    """Mark a column whose element is saturated (if it has a margin), or is below its floor."""
     raw, margin = counts[band, x], limits.noise_margin[band, x]
     reached = raw >= limit_of(limits.saturation, limits, band, x)
     tally.saturated[x] |= np.uint16(reached & (margin == margin))
@@ -77,14 +77,19 @@ def look_at(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band
 
 @borrowing_kernel
 def flag_line(
-    counts: Array, limits: CountLimits, floor: Array, tally: Tally, flags: FixedFlags, line_flags: Any,
+    counts: Array,
+    limits: CountLimits,
+    floor: Array,
+    tally: Tally,
+    flags: FixedFlags,
+    line_flags: Any,
     quality: Array,
-) -> None:  # fmt: skip
-    """Write the quality (column,) of one line of counts (band, column) from what `gather_row` kept.
+) -> None:
+    """Write the quality (column,) of a line of counts (band, column) from the tally of `gather_row`.
 
-    The bands are visited again only where the counts of single elements decide: in columns that reach the
-    lowest limit, or have anything under the dark. A few columns are visited one by one, many row by row.
-    A line without data carries the flags of the line alone, since its counts mean nothing.
+    Bands are visited again only where single elements decide: in columns that reach the lowest saturation
+    count, or have counts below the dark. A few such columns are visited one by one, many row by row. A line
+    without data gets the flags of the line alone.
     """
     bands, columns = counts.shape
     if (line_flags & flags.no_data) != 0:
@@ -96,7 +101,7 @@ def flag_line(
         tally.saturated[x] = 0
         tally.below[x] = 0
         doubtful += (tally.peak[x] >= limits.lowest) | (tally.negative[x] > 0)
-    if doubtful > columns // _FEW:
+    if doubtful > columns // _DOUBTFUL_SHARE:
         for band in range(bands):
             for x in range(columns):
                 look_at(counts, limits, floor, tally, band, x)

@@ -1,9 +1,8 @@
 """Counts to radiance or reflectance, with flags and uncertainties, in one pass over memory.
 
-Rows are short functions, compiled into the loop over lines and bands of `calibrate_slab`, which is what tasks
-call: the values of a band in one loop, and while its counts are in the nearest cache what else is asked of
-them. Division and rounding are IEEE single precision throughout: the same bits come out whatever the number
-of lines in a slab.
+Rows are short functions, compiled into the loop over lines and bands of `calibrate_slab`. A band's values are
+computed in one loop; flags and uncertainties follow while its counts are in the cache. Division and rounding
+are IEEE single precision throughout, so the bits do not depend on the number of lines in a slab.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from .arguments import (
     LineCounts,
     Rounding,
     SlabOutputs,
-)  # fmt: skip
+)
 from .bit_rounding import rounded
 from .linear_counts import linear_memory, signal_of, signal_row, straighten_dark
 from .pedestal import pedestal_of, raise_dark
@@ -47,21 +46,26 @@ def blend(low: Array, high: Array, weight: Any, out: Array) -> None:
 
 @kernel
 def dark_of_line(
-    counts: Array, dark: Array, index: Array | None, weight: Array | None, masked: Array | None, line: Any,
+    counts: Array,
+    dark: Array,
+    index: Array | None,
+    weight: Array | None,
+    masked: Array | None,
+    line: Any,
     mixed: Array,
-) -> Array:  # fmt: skip
-    """Return the dark of a line of counts (band, column): the one there is, or what is written to ``mixed``.
+) -> Array:
+    """Return the dark of a line of counts (band, column), computed in ``mixed`` where it is not stored.
 
-    The other arguments are those of `Calibration` and its `DetectorModel`.
+    The other arguments are members of `Calibration` and its `DetectorModel`.
     """
-    own: Array = dark[0]
+    line_dark: Array = dark[0]
     if index is not None and weight is not None:
         blend(dark[index[line]], dark[index[line] + 1], weight[line], mixed)
-        own = mixed
+        line_dark = mixed
     if masked is not None:
-        raise_dark(pedestal_of(counts, own, masked), own, mixed)
-        own = mixed
-    return own
+        raise_dark(pedestal_of(counts, line_dark, masked), line_dark, mixed)
+        line_dark = mixed
+    return line_dark
 
 
 # --- values, row by row
@@ -69,13 +73,17 @@ def dark_of_line(
 
 @inlined_kernel
 def value_row(
-    samples: LineCounts, signal: Array | None, light: LightCells, shift: Array | None,
-    place: tuple[Any, Any], out: Array,
-) -> None:  # fmt: skip
+    samples: LineCounts,
+    signal: Array | None,
+    light: LightCells,
+    shift: Array | None,
+    place: tuple[Any, Any],
+    out: Array,
+) -> None:
     """Write the values of a ``place`` (line, band) from counts, or from the linear ``signal`` above dark.
 
-    ``signal`` is (column,), ``shift`` that of ``light``. Indexed by line and band: views of four rows would
-    cost a quarter of the loop.
+    ``signal`` is (column,), ``shift`` that of ``light``. Arrays are indexed by line and band: four row views
+    would cost a quarter of the loop's time.
     """
     line, band = place
     counts, dark, gain = samples.counts, samples.dark, samples.gain
@@ -88,23 +96,34 @@ def value_row(
             value = value if raw < samples.saturation_limit else _NAN
             out[line, band, x] = rounded(value, samples.rounding)
     else:
-        own = band if shift.shape[0] > 1 else 0
+        smile_band = band if shift.shape[0] > 1 else 0
         for run in range(light.cells.shape[1]):
-            first, last = light.edges[own, run], light.edges[own, run + 1]
+            first, last = light.edges[smile_band, run], light.edges[smile_band, run + 1]
             above_dark = dark[band, first:last] if signal is None else signal[first:last]
             divide_run(
-                counts[line, band, first:last], above_dark, signal, gain[band, first:last],
-                shift[own, first:last], light.coefficients[line, band, light.cells[own, run]], samples,
+                counts[line, band, first:last],
+                above_dark,
+                signal,
+                gain[band, first:last],
+                shift[smile_band, first:last],
+                light.coefficients[line, band, light.cells[smile_band, run]],
+                samples,
                 out[line, band, first:last],
-            )  # fmt: skip
+            )
 
 
 @inlined_kernel
 def divide_run(
-    counts: Array, dark_or_signal: Array, signal: Array | None, gain: Array, shift: Array, cubic: Array,
-    samples: LineCounts, out: Array,
-) -> None:  # fmt: skip
-    """Write gain * (counts - dark), or where there is one gain * signal, over a cubic in ``shift``."""
+    counts: Array,
+    dark_or_signal: Array,
+    signal: Array | None,
+    gain: Array,
+    shift: Array,
+    cubic: Array,
+    samples: LineCounts,
+    out: Array,
+) -> None:
+    """Write gain x (counts - dark) / E, or gain x signal / E; E is a cubic in ``shift``."""
     c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
     for x in range(out.size):
         raw, s = np.float32(counts[x]), shift[x]
@@ -117,7 +136,7 @@ def divide_run(
 
 @inlined_kernel
 def limit_row(counts: Array, saturation: Array | None, place: tuple[Any, Any], out: Array) -> None:
-    """Write NaN where counts reach the limits of their own elements (band, column), if these have any."""
+    """Write NaN where counts reach the saturation of their own elements (band, column), if given."""
     if saturation is not None:
         line, band = place
         for x in range(counts.shape[2]):
@@ -141,9 +160,9 @@ def calibrate_slab(
 ) -> None:
     """Calibrate whole lines of counts (line, band, column), uint16 or float32, with flags and uncertainties.
 
-    Written are the cube; ``flags`` given, the quality; ``terms`` given, the uncertainties. The detector and
-    the terms hold None where they hold nothing (`hyperpaint.kernels.arguments.given`): a loop is compiled for
-    what is there.
+    The cube is always written; the quality only with ``flags``, the uncertainties only with ``terms``. Absent
+    members of detector and terms are None (`hyperpaint.kernels.arguments.given`), so that their branches are
+    not compiled.
     """
     n_line, n_band, n_column = counts.shape
     detector = calibration.detector
@@ -155,19 +174,28 @@ def calibrate_slab(
         level = np.empty((n_band, n_column), counts.dtype)
         floor = np.empty((n_band, n_column), counts.dtype)
         tally = Tally(
-            np.empty(n_column, counts.dtype), np.empty(n_column, np.uint16),
-            np.empty(n_column, np.uint16), np.empty(n_column, np.uint16),
-        )  # fmt: skip
+            np.empty(n_column, counts.dtype),
+            np.empty(n_column, np.uint16),
+            np.empty(n_column, np.uint16),
+            np.empty(n_column, np.uint16),
+        )
     if terms is not None:
         memory = ErrorMemory(
-            np.empty((3, n_column), np.float32), np.empty((3, n_column), np.float32),
-            np.empty(n_column, np.float32), rounding,
-        )  # fmt: skip
+            np.empty((3, n_column), np.float32),
+            np.empty((3, n_column), np.float32),
+            np.empty(n_column, np.float32),
+            rounding,
+        )
     for line in range(n_line):
         dark = dark_of_line(
-            counts[line], calibration.dark, calibration.dark_index, calibration.dark_weight, detector.masked,
-            line, mixed_dark,
-        )  # fmt: skip
+            counts[line],
+            calibration.dark,
+            calibration.dark_index,
+            calibration.dark_weight,
+            detector.masked,
+            line,
+            mixed_dark,
+        )
         if line == 0 or own_dark:
             straighten_dark(detector, dark, linear)
             if flags is not None:

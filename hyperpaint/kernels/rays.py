@@ -1,9 +1,9 @@
-"""Rays of a line camera to the ground, be it level or a raster of heights.
+"""Rays of a line camera to the ground: a level surface, or a raster of heights.
 
-Every line has a frame of its own: metres to the east (e), north (n) and up (u) of where its navigation puts
-it. What lies around, coordinates of a map, of a raster, and the height above the ellipsoid, are polynomials
-of second degree in (e, n, u), whose ten coefficients stand in the order of ``1 e n u ee nn uu en eu nu``. On
-a straight ray each is then a parabola in the distance s from the camera.
+Every line has a local frame: metres to the east (e), north (n) and up (u) of its navigation position. Map
+coordinates, raster coordinates and ellipsoidal height are polynomials of second degree in (e, n, u), with ten
+coefficients in the order ``1 e n u ee nn uu en eu nu``. Along a straight ray each is a parabola in the
+distance s from the camera.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from .arguments import BLOCK, LineFrames, LineRays, Raster
 Vector = tuple[float, float, float]
 Parabola = tuple[float, float, float]
 
+# Results of a pixel: x and y on the map, height [m], zenith and azimuth of the camera [degree].
 PLACES = 5
-"""What is known of a pixel: x and y on the map, height [m], zenith and azimuth of the camera [degree]."""
 
+# Horizontal part of a direction below which its azimuth is undefined, and set to 0.
 _UPRIGHT = 1e-9
-"""Horizontal part of a direction below which it has no azimuth; 0 is given then."""
+# Distance from the surface at which an intersection is accepted [m].
 _SURFACE = 1e-9
-"""Distance from the surface at which a ray has arrived [m]."""
+# Rays are followed this far above the highest and below the lowest point of a raster [m].
 _MARGIN = 1e-3
-"""How far above the highest and below the lowest point of a raster a ray is followed [m]."""
+# Part of a cell by which a ray is moved across the border of the next.
 _NUDGE = 1e-7
-"""Part of a cell by which a ray is put across the border of the next."""
+# Cells per metre below which a ray stays in its cell.
 _STEEP = 1e-30
-"""Cells per metre below which a ray stays in its cell."""
 
 
 @borrowing_kernel
 def _at(c: Array, e: float, n: float, u: float) -> float:
-    """Return a polynomial at a place."""
+    """Return a polynomial at (e, n, u)."""
     value: float = (
         c[0]
         + e * (c[1] + c[4] * e + c[7] * n + c[8] * u)
@@ -49,7 +49,7 @@ def _at(c: Array, e: float, n: float, u: float) -> float:
 
 @borrowing_kernel
 def _gradient(c: Array, e: float, n: float, u: float) -> Vector:
-    """Return the derivatives of a polynomial at a place."""
+    """Return the derivatives of a polynomial at (e, n, u)."""
     return (
         c[1] + 2.0 * c[4] * e + c[7] * n + c[8] * u,
         c[2] + 2.0 * c[5] * n + c[7] * e + c[9] * u,
@@ -59,7 +59,7 @@ def _gradient(c: Array, e: float, n: float, u: float) -> Vector:
 
 @borrowing_kernel
 def _along(c: Array, e: float, n: float, u: float, direction: Vector) -> Parabola:
-    """Return a polynomial as the parabola that it is along a ray from (e, n, u)."""
+    """Return the parabola in s of a polynomial along a ray from (e, n, u)."""
     de, dn, du = direction
     ge, gn, gu = _gradient(c, e, n, u)
     bent = c[4] * de * de + c[5] * dn * dn + c[6] * du * du + c[7] * de * dn + c[8] * de * du + c[9] * dn * du
@@ -68,7 +68,7 @@ def _along(c: Array, e: float, n: float, u: float, direction: Vector) -> Parabol
 
 @borrowing_kernel
 def _first_zero(a: float, b: float, c: float) -> float:
-    """Return the first s > 0 where a + b s + c s s, falling from a > 0, is 0; NaN where it never is."""
+    """Return the smallest s > 0 with a + b s + c s s = 0, for a > 0 and b < 0; NaN where there is none."""
     if not (a > 0.0 and b < 0.0):
         return math.nan
     inside = b * b - 4.0 * a * c
@@ -81,16 +81,16 @@ def _first_zero(a: float, b: float, c: float) -> float:
 def _describe(
     frames: LineFrames, place: Vector, direction: Vector, out: Array, line: int, column: int
 ) -> None:
-    """Write what a pixel shows that is seen at a place (e, n, u) in a direction (de, dn, du)."""
+    """Write map position, height and camera angles of a pixel seen at (e, n, u) in direction (de, dn, du)."""
     e, n, u = place
     de, dn, du = direction
     out[0, line, column] = _at(frames.x[line], e, n, u)
     out[1, line, column] = _at(frames.y[line], e, n, u)
     out[2, line, column] = _at(frames.height[line], e, n, u)
-    # the vertical of the place that is seen, not that of the camera
+    # vertical at the ground, not at the camera
     ve, vn, vu = _gradient(frames.height[line], e, n, u)
     upwards = -(ve * de + vn * dn + vu * du)
-    # by the sine: the arc cosine loses half of its digits near the zenith
+    # by the sine: the arc cosine loses half the digits near the zenith
     ce, cn, cu = vn * du - vu * dn, vu * de - ve * du, ve * dn - vn * de
     out[3, line, column] = math.degrees(math.atan2(math.sqrt(ce * ce + cn * cn + cu * cu), upwards))
     length = ve * ve + vn * vn + vu * vu
@@ -99,14 +99,14 @@ def _describe(
     if math.hypot(level_e, level_n) < _UPRIGHT:
         out[4, line, column] = 0.0
         return
-    # meridians meet: north of the place is turned against that of the camera
+    # meridians converge: north at the ground is rotated against north at the camera
     azimuth = math.degrees(math.atan2(level_e, level_n) + frames.turn[line] * e)
     out[4, line, column] = azimuth % 360.0
 
 
 @borrowing_kernel
 def _direction(rays: LineRays, line: int, column: int) -> Vector:
-    """Return where a column of a line looks, in the line's frame."""
+    """Return the look direction of a column of a line, in the line's frame."""
     a, b, c = rays.look[column, 0], rays.look[column, 1], rays.look[column, 2]
     m = rays.rotation[line]
     return (
@@ -118,7 +118,7 @@ def _direction(rays: LineRays, line: int, column: int) -> Vector:
 
 @kernel
 def level_places(rays: LineRays, frames: LineFrames, ground: float, out: Array) -> None:
-    """Follow the rays of lines to the surface that is everywhere ``ground`` [m] above the ellipsoid.
+    """Intersect the rays of lines with the surface at ``ground`` [m] above the ellipsoid.
 
     ``out`` (`PLACES`, line, column) is written; NaN where a ray meets no ground.
     """
@@ -138,13 +138,12 @@ def level_places(rays: LineRays, frames: LineFrames, ground: float, out: Array) 
 
 @borrowing_kernel
 def _bend(parabola: Parabola, s: float) -> float:
-    """Return a parabola at s."""
     return parabola[0] + s * (parabola[1] + s * parabola[2])
 
 
 @borrowing_kernel
 def _above(heights: Array, i: int, j: int, ray: tuple[Parabola, Parabola, Parabola], s: float) -> float:
-    """Return how far a ray is above the bilinear patch of cell (i, j) [m]; NaN over a hole."""
+    """Return the height of a ray above the bilinear patch of cell (i, j) [m]; NaN over a hole."""
     row, col, h = ray
     v, w = _bend(row, s) - i, _bend(col, s) - j
     near = heights[i, j] + w * (heights[i, j + 1] - heights[i, j])
@@ -164,7 +163,7 @@ def _arrival(
     end: float,
     f_end: float,
 ) -> float:
-    """Return where a ray that is above a patch at s and not above it at ``end`` meets it (Illinois)."""
+    """Return where a ray meets a patch, between s (above) and ``end`` (not above), by the Illinois method."""
     side = 0
     for _ in range(60):
         if f_end == f:
@@ -188,7 +187,7 @@ def _arrival(
 
 @borrowing_kernel
 def _to_border(place: float, speed: float, low: float, high: float) -> float:
-    """Return how far a ray goes until it leaves the interval from ``low`` to ``high``."""
+    """Return the distance until a ray leaves the interval from ``low`` to ``high``."""
     if speed > _STEEP:
         return (high - place) / speed
     if speed < -_STEEP:
@@ -198,7 +197,7 @@ def _to_border(place: float, speed: float, low: float, high: float) -> float:
 
 @borrowing_kernel
 def _to_raster(place: float, speed: float, last: float) -> float:
-    """Return how far a ray goes until it is between 0 and ``last``: 0 inside, infinite where it never is."""
+    """Return the distance until a ray is between 0 and ``last``: 0 inside, infinite where it never is."""
     if 0.0 <= place <= last:
         return 0.0
     way = -place if place < 0.0 else last - place
@@ -209,7 +208,7 @@ def _to_raster(place: float, speed: float, last: float) -> float:
 
 @borrowing_kernel
 def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> float:
-    """Return where a ray (its row, column and height) first meets a raster; NaN where that is unknown."""
+    """Return the distance s at which a ray (row, column, height) first meets a raster; NaN where unknown."""
     heights, tops, lowest, highest = raster.heights, raster.tops, raster.lowest, raster.highest
     row, col, h = ray
     last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
@@ -232,12 +231,16 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
             unknown = True
             continue
         i, j = min(int(y), last_row - 1), min(int(x), last_col - 1)
-        # a block whose highest point the ray is still above where it leaves it
+        # skip a block if the ray leaves it above its highest point
         bi, bj = i // BLOCK, j // BLOCK
-        leave = s + nudge + min(
-            _to_border(y, vy, bi * BLOCK, min((bi + 1) * BLOCK, last_row)),
-            _to_border(x, vx, bj * BLOCK, min((bj + 1) * BLOCK, last_col)),
-        )  # fmt: skip
+        leave = (
+            s
+            + nudge
+            + min(
+                _to_border(y, vy, bi * BLOCK, min((bi + 1) * BLOCK, last_row)),
+                _to_border(x, vx, bj * BLOCK, min((bj + 1) * BLOCK, last_col)),
+            )
+        )
         if leave < end and _bend(h, leave) > tops[bi, bj]:
             unknown = tops[bi, bj] == -math.inf
             s = leave
@@ -255,7 +258,7 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
         unknown = False
         if f_leave <= 0.0:
             return _arrival(heights, i, j, ray, s, f, leave, f_leave)
-        # over a patch the distance is a parabola, which may dip below 0 in between
+        # over a patch the distance is a parabola, which may have a root pair in between
         middle = _above(heights, i, j, ray, 0.5 * (s + leave))
         bent, slope = 2.0 * (f + f_leave - 2.0 * middle), 4.0 * middle - 3.0 * f - f_leave
         if bent > 0.0 and 0.0 < -slope < 2.0 * bent:
@@ -269,10 +272,10 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
 
 @kernel
 def raster_places(rays: LineRays, frames: LineFrames, raster: Raster, out: Array) -> None:
-    """Follow the rays of lines to the first point of a bilinear surface through a raster; see `level_places`.
+    """Intersect the rays of lines with the bilinear surface through a raster; see `level_places`.
 
-    What is hidden from the camera is not seen: the first hit counts. A ray that leaves a hole, or comes in
-    over the edge, below the surface has met the ground where it is not known, and gets NaN.
+    The first intersection counts. A ray that leaves a hole, or enters over the edge, below the surface has
+    met the ground at an unknown position, and gets NaN.
     """
     for line in range(rays.origin.shape[0]):
         e, n, u = rays.origin[line, 0], rays.origin[line, 1], rays.origin[line, 2]

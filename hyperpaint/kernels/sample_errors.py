@@ -1,4 +1,4 @@
-"""How sure every sample is, by noise and by what is common to a flight: rows of `.radiometry`."""
+"""Random and systematic uncertainty of every sample."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _NOTHING = np.float32(0.0)
 
 
 class ErrorMemory(NamedTuple):
-    """Memory of `propagate_band`."""
+    """Buffers of `propagate_band`."""
 
-    #: irradiance, inverse (3, column) float32: what dark-subtracted counts times gain are divided by, and its
-    #: inverse, of a band and the two before: band ``b`` is in row ``b % 3``
+    #: irradiance E, inverse 1 / E (3, column) float32: of a band and the two before, band ``b`` in row
+    #: ``b % 3``
     irradiance: Array
     inverse: Array
-    slope: Array  #: (column,) float32: linear counts per count of the band in work
+    slope: Array  #: (column,) float32: linear counts per count of the current band
     rounding: Rounding | None
 
 
 @inlined_kernel
 def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
-    """Write a cubic in ``shift`` (column,)."""
+    """Evaluate a cubic in ``shift`` (column,)."""
     c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
     for x in range(irradiance.size):
         s = shift[x]
@@ -42,9 +42,9 @@ def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
 def light_row(
     light: LightCells, shift: Array | None, place: tuple[Any, Any], irradiance: Array, inverse: Array
 ) -> None:
-    """Write what dark-subtracted counts times gain are divided by, and its inverse (column,).
+    """Write the irradiance E of a ``place`` (line, band), and 1 / E (column,).
 
-    ``shift`` is that of ``light``; ``place``: (line, band).
+    Values are gain x (counts - dark) / E. ``shift`` is that of ``light``.
     """
     line, band = place
     if shift is None:
@@ -54,21 +54,29 @@ def light_row(
         for x in range(inverse.size):
             irradiance[x] = _ONE_F32 / scale
     else:
-        own = band if shift.shape[0] > 1 else 0
+        smile_band = band if shift.shape[0] > 1 else 0
         for run in range(light.cells.shape[1]):
-            first, last = light.edges[own, run], light.edges[own, run + 1]
-            cubic = light.coefficients[line, band, light.cells[own, run]]
-            light_run(cubic, shift[own, first:last], irradiance[first:last])
+            first, last = light.edges[smile_band, run], light.edges[smile_band, run + 1]
+            cubic = light.coefficients[line, band, light.cells[smile_band, run]]
+            light_run(cubic, shift[smile_band, first:last], irradiance[first:last])
         for x in range(inverse.size):
             inverse[x] = _ONE_F32 / irradiance[x]
 
 
 @inlined_kernel
 def random_row(
-    samples: LineCounts, linear: LinearMemory | None, detector: DetectorModel, terms: ErrorTerms,
-    memory: ErrorMemory, place: tuple[Any, Any], out: SlabOutputs,
-) -> None:  # fmt: skip
-    """Write m sqrt(signal / k + floor), m reflectance per count; a negative signal adds no variance."""
+    samples: LineCounts,
+    linear: LinearMemory | None,
+    detector: DetectorModel,
+    terms: ErrorTerms,
+    memory: ErrorMemory,
+    place: tuple[Any, Any],
+    out: SlabOutputs,
+) -> None:
+    """Write u = m sqrt(signal / k + floor), m: reflectance per count, k: counts per electron.
+
+    A negative signal adds no variance.
+    """
     line, band = place
     inverse, gain = memory.inverse[band % 3], samples.gain[band]
     per_electron = terms.per_electron[band if terms.per_electron.shape[0] > 1 else 0]
@@ -77,12 +85,12 @@ def random_row(
     if linear is None:
         for x in range(u_random.size):
             value, per_count = values[x], abs(gain[x] * inverse[x])
-            # not max(), which would lose the NaN
+            # max() would drop the NaN
             shot = _NOTHING if value < _NOTHING else value
             variance = per_count * (shot * per_electron[x] + per_count * noise_floor[x])
             u_random[x] = rounded(np.sqrt(variance), memory.rounding)
     else:
-        # noise is that of counts as they are read: m L'(C) sqrt((C - D) / k + floor)
+        # noise arises in raw counts: u = m L'(C) sqrt((C - D) / k + floor)
         counts, dark, slope = samples.counts[line, band], samples.dark[band], memory.slope
         slope_row(counts, dark, detector, detector.polynomial, detector.table, slope)
         for x in range(u_random.size):
@@ -95,12 +103,19 @@ def random_row(
 
 @inlined_kernel
 def systematic_row(
-    values: Array, gain: Array, memory: ErrorMemory, terms: ErrorTerms, slope: Array | None,
-    offset: Array | None, band: Any, u_systematic: Array,
-) -> None:  # fmt: skip
-    """Write the systematic uncertainty of a band (column,), from its line (band, column).
+    values: Array,
+    gain: Array,
+    memory: ErrorMemory,
+    terms: ErrorTerms,
+    slope: Array | None,
+    offset: Array | None,
+    band: Any,
+    u_systematic: Array,
+) -> None:
+    """Write the systematic uncertainty (column,) of a band from the values of its line (band, column).
 
-    ``slope`` and ``offset`` are those of ``terms``.
+    The root of the sum of squares of three terms: relative, dark offset, and wavelength. ``slope`` and
+    ``offset`` are those of ``terms``.
     """
     relative = terms.relative[band if terms.relative.shape[0] > 1 else 0]
     rounding = memory.rounding
@@ -118,7 +133,7 @@ def systematic_row(
         own_offset = offset[band if offset.shape[0] > 1 else 0]
         irradiance, inverse = memory.irradiance, memory.inverse
         up, up_alone, down, down_alone = slope[band, 0], slope[band, 1], slope[band, 2], slope[band, 3]
-        # indexed by band: with a view of every row the compiler would have too many arrays to tell apart
+        # indexed by band: row views would exceed the compiler's limit of alias checks
         for x in range(u_systematic.size):
             here, per_light = values[band, x], inverse[row, x]
             # radiance of the neighbours, in units of this band's light
@@ -126,7 +141,7 @@ def systematic_row(
             above = values[high, x] * (irradiance[row_high, x] * per_light)
             rise = above - here if above == above else _NOTHING
             fall = here - below if below == below else _NOTHING
-            # without one neighbour, the other alone tells the slope
+            # at a missing neighbour the other alone gives the slope
             to_above = up if below == below else up_alone
             to_below = down if above == above else down_alone
             wavelength = rise * to_above + fall * to_below
@@ -138,13 +153,19 @@ def systematic_row(
 
 @inlined_kernel
 def propagate_band(
-    samples: LineCounts, linear: LinearMemory | None, detector: DetectorModel, light: LightCells,
-    terms: ErrorTerms, memory: ErrorMemory, place: tuple[Any, Any], out: SlabOutputs,
-) -> None:  # fmt: skip
-    """Write the random uncertainty of a ``place`` (line, band), and round what is complete.
+    samples: LineCounts,
+    linear: LinearMemory | None,
+    detector: DetectorModel,
+    light: LightCells,
+    terms: ErrorTerms,
+    memory: ErrorMemory,
+    place: tuple[Any, Any],
+    out: SlabOutputs,
+) -> None:
+    """Write the random uncertainty of a ``place`` (line, band), and round finished bands.
 
-    The systematic one needs the light and the values of the band after it, not yet rounded, and so comes one
-    band later.
+    The systematic uncertainty of a band needs irradiance and unrounded values of the next band, and is
+    therefore computed one band later.
     """
     line, band = place
     values = out.cube[line]

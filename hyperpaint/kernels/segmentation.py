@@ -1,4 +1,4 @@
-"""Segments of a picture of spectra: steps between neighbours, joined from the gentlest on."""
+"""Segmentation of a cube: relative steps between neighbouring spectra, joined from the smallest on."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from hyperpaint.base.jit import kernel
 def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None:
     """Write the relative step from every pixel to the next one across and along the track (line, column).
 
-    It is the root mean square over ``channels`` (line, column, channel), reflectances [1], of differences
-    over their mean plus ``floor`` [1]; infinite where there is no next pixel or no data. Of what is written
-    there may be fewer lines than of channels.
+    The root mean square over ``channels`` (line, column, channel), reflectances [1], of differences over
+    their mean plus ``floor`` [1]; infinite where there is no next pixel, or half the channels lack data. The
+    outputs may have fewer lines than ``channels``.
     """
     lines, columns, count = channels.shape
     for line in range(across.shape[0]):
@@ -46,9 +46,9 @@ def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None
 
 @kernel
 def count_steps(steps: Array, bits: Array, counts: Array) -> None:
-    """Count finite ``steps``, float32 from 0 on, in piles (32768,) by the first bits of their whole numbers.
+    """Count finite ``steps``, float32 from 0 on, in piles (32768,) by the upper 16 of their ``bits``.
 
-    ``bits`` are these whole numbers, uint32, which ascend as the steps do.
+    ``bits`` are the steps viewed as uint32, which ascend as the steps do.
     """
     for place in range(steps.size):
         if steps[place] < np.inf:
@@ -59,9 +59,9 @@ def count_steps(steps: Array, bits: Array, counts: Array) -> None:
 def pick_steps(
     bits: Array, first_place: Any, first_pile: Any, end_pile: Any, places: Array, values: Array, start: Any
 ) -> Any:
-    """Write places and whole numbers of the steps that lie in some piles; return how many there are then.
+    """Write places and bits of the steps in a range of piles; return the number written so far.
 
-    ``first_place`` is the place of the first of the steps given, ``start`` how many were written before.
+    ``first_place`` is the place of the first given step, ``start`` the number written before.
     """
     count = start
     for k in range(bits.size):
@@ -74,10 +74,10 @@ def pick_steps(
 
 @kernel
 def sort_steps(places: Array, values: Array, other_places: Array, other_values: Array) -> None:
-    """Sort places by their values, equal ones in the order in which they stand.
+    """Sort places by their values (uint32), keeping the order of equal ones: a radix sort in three passes.
 
-    They are dealt to 2048 piles by their last 11 bits, then by the next, then by the first ones: what is
-    sorted ends up in ``other_places`` and ``other_values``.
+    Each pass deals to 2048 piles by 11 bits, the lowest first. The result is in ``other_places`` and
+    ``other_values``.
     """
     starts = np.empty(2049, np.int64)
     for turn in range(3):
@@ -109,15 +109,15 @@ def root_of(parent: Array, pixel: Any) -> Any:
 def join_segments(
     order: Array, steps: Array, columns: Any, scale: Any, parent: Array, size: Array, within: Array
 ) -> None:
-    """Join pixels over the steps between them, gentlest first (Felzenszwalb & Huttenlocher 2004).
+    """Join pixels over the steps between them, smallest first (Felzenszwalb & Huttenlocher 2004).
 
-    Two segments are joined where the step between them is no larger than the largest step that holds either
-    of them together, plus ``scale`` over its size.
+    Two segments are joined where the step between them is at most, for each of them, the largest step inside
+    it plus ``scale`` over its size.
 
     ``order`` (step,) are the places of ``steps`` (step,), both by ascending steps: 2 x pixel for the step
-    across, 2 x pixel + 1 for that along; ``columns`` the pixels of a line. Written are the tree of every
-    pixel, ``parent`` (pixel,), and at its root the ``size`` of the segment in pixels, and ``within``, the
-    largest step that holds it together. Further steps, all larger, may follow in another call.
+    across, 2 x pixel + 1 for that along; ``columns``: pixels of a line. Written are the tree of every pixel,
+    ``parent`` (pixel,), and at its root the ``size`` of the segment [pixel] and ``within``, the largest step
+    inside it. Larger steps may follow in another call.
     """
     for k in range(order.size):
         place, step = order[k], steps[k]
@@ -135,7 +135,7 @@ def join_segments(
 
 @kernel
 def count_cores(parent: Array, columns: Any, core: Array) -> None:
-    """Write, at the root of every segment, how many of its pixels have only their like on all four sides."""
+    """Write, at the root of every segment, the number of its pixels whose four neighbours belong to it."""
     lines = parent.size // columns
     for pixel in range(parent.size):
         root_of(parent, pixel)
@@ -152,7 +152,7 @@ def count_cores(parent: Array, columns: Any, core: Array) -> None:
 
 @kernel
 def mark_large(parent: Array, size: Array, columns: Any, least: Any, least_core: Any, large: Array) -> None:
-    """Write at the root of every segment whether it is large enough to stand for itself, see `absorb`."""
+    """Write, at the root of every segment, whether it has enough pixels and core pixels, see `absorb`."""
     core = np.zeros(parent.size, np.int32)
     count_cores(parent, columns, core)
     for pixel in range(parent.size):
@@ -161,10 +161,9 @@ def mark_large(parent: Array, size: Array, columns: Any, least: Any, least_core:
 
 @kernel
 def absorb(order: Array, columns: Any, large: Array, parent: Array, size: Array) -> None:
-    """Join small and thin segments to the neighbour that the gentlest step leads to.
+    """Join segments that are not ``large`` (pixel,), at their roots, to a neighbour, by ascending steps.
 
-    Those are not ``large`` (pixel,), at their roots: of fewer pixels than asked for, or with fewer that have
-    only their like around them. Further steps, all larger, may follow in another call.
+    Larger steps may follow in another call.
     """
     for place in order:
         one = place // 2
@@ -180,7 +179,7 @@ def absorb(order: Array, columns: Any, large: Array, parent: Array, size: Array)
 
 @kernel
 def number_segments(parent: Array, valid: Array, number: Array) -> Any:
-    """Write the segment of every pixel, numbered in the order of their first pixels; return how many.
+    """Write the segment of every pixel, numbered by first pixel; return the number of segments.
 
     Pixels that are not ``valid`` get -1.
     """
@@ -200,7 +199,7 @@ def number_segments(parent: Array, valid: Array, number: Array) -> Any:
 
 @kernel
 def count_pixels(number: Array, chosen: Array, counts: Array) -> None:
-    """Count the pixels of every segment (2, segment): those that are not chosen, and those that are."""
+    """Count the pixels of every segment (2, segment): those not chosen, and those chosen."""
     for line in range(number.shape[0]):
         for x in range(number.shape[1]):
             if number[line, x] >= 0:
@@ -211,10 +210,10 @@ def count_pixels(number: Array, chosen: Array, counts: Array) -> None:
 def sample_places(
     number: Array, chosen: Array, wanted: Array, step: Array, start: Array, seen: Array, out: Array
 ) -> None:
-    """Write places, counted line by line, of every so many pixels of each segment.
+    """Write the places (line by line) of every ``step``-th pixel of each segment.
 
-    Of those pixels that are ``chosen`` as ``wanted`` (segment,) says. ``step`` (segment,) is of how many one
-    is taken, ``start`` where in ``out`` the first of a segment goes, and ``seen`` (segment,) begins with 0.
+    Only pixels whose ``chosen`` equals the segment's ``wanted`` count. ``start`` (segment,) is the place in
+    ``out`` of a segment's first sample; ``seen`` (segment,) starts at 0.
     """
     columns = number.shape[1]
     for line in range(number.shape[0]):
@@ -228,18 +227,18 @@ def sample_places(
 
 @kernel
 def to_pixels(parent: Array, of_roots: Array, of_pixels: Array) -> None:
-    """Write what every pixel's segment has at its root."""
+    """Write to every pixel the value at the root of its segment."""
     for pixel in range(parent.size):
         of_pixels[pixel] = of_roots[root_of(parent, pixel)]
 
 
 @kernel
 def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> None:
-    """Write how many pixels (of eight neighbours) every pixel is from one of another body or of none.
+    """Write the distance of every pixel (in steps to eight neighbours) from a mixed pixel or an unknown one.
 
-    ``body`` (line, column) is what pixels show, -1 for nothing known. The ``distance`` is 0 in a mixed pixel,
-    1 beside another body, and so on up to ``most``, at most 255. Where a pixel is not ``sure``, as it only
-    goes with its neighbours, it is 0 where another body is within 2 pixels.
+    ``body`` (line, column) is the body a pixel shows, -1 where unknown. The ``distance`` is 0 in a mixed
+    pixel, 1 beside another body, and so on up to ``most``, at most 255. A pixel that is not ``sure``, because
+    its body was taken from its neighbours, has 0 where another body is within 2 pixels.
     """
     lines, columns = body.shape
     for line in range(lines):
@@ -268,7 +267,7 @@ def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> N
 
 @kernel
 def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
-    """Put a source into a short list of the nearest, in which every one stands once."""
+    """Insert a source into a short list of the nearest, in which every label stands once."""
     count = labels.size
     for place in range(count):
         if labels[place] == label:
@@ -288,11 +287,11 @@ def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
 
 @kernel
 def nearest_sources(labels: Array, distances: Array, reach: Any) -> None:
-    """Spread labels from the cells that have one to all cells within reach, keeping the nearest ones.
+    """Spread labels from labelled cells to all cells within reach, keeping the nearest ones.
 
-    ``labels`` (line, column, place) hold the label of a cell at the first place, -1 where it has none, and
-    then the nearest labels; ``distances`` 0 where there is a label, else infinity, and then those of the
-    labels [cell]; labels go no further than ``reach`` [cell].
+    ``labels`` (line, column, place) hold a cell's label at the first place, -1 without one, and receive the
+    nearest labels; ``distances`` hold 0 at a label, else infinity, and receive their distances [cell]; labels
+    spread no farther than ``reach`` [cell].
     """
     lines, columns, places = labels.shape
     for _ in range(2):

@@ -1,6 +1,6 @@
-"""Along the spectral axis: running means, weighted sums, and interpolation with weights of each column.
+"""Operations along the spectral axis: running means, weighted sums, interpolation with weights per column.
 
-A missing band touches its own window only.
+A NaN band affects only the windows that contain it.
 """
 
 from __future__ import annotations
@@ -15,24 +15,22 @@ from hyperpaint.base.jit import borrowing_kernel, inlined_kernel, kernel
 _NAN = np.float32(np.nan)
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
+# Bands weighted in one loop: few enough for the registers of any processor.
 _AT_ONCE = 6
-"""Bands that are weighed in one loop: few enough for the registers of any processor."""
 
 
-# --- means, whatever their width
+# --- running means
 
 
 @kernel
 def average_slab(values: Array, width: int, out: Array) -> None:
-    """Write the mean of ``width`` bands, odd, around each of values (line, band, column), float32.
+    """Write running means of values (line, band, column), float32, over ``width`` (odd) bands.
 
-    The window is cut at the ends, and of what it holds the missing is left out; a missing band stays missing.
+    Windows are cut at the ends; NaN bands are left out of the mean, and stay NaN themselves.
 
-    Notes
-    -----
-    The bands are cut into blocks as wide as a window, which then is the end of one block and the beginning of
-    the next [1]_: three additions a value, whatever the width, and no subtraction, by which a large value
-    would be felt beyond its windows.
+    Notes ----- The bands are cut into blocks as wide as a window, so that a window is the end of one block
+    and the beginning of the next [1]_: three additions a value, whatever the width. There is no subtraction,
+    which would let a large value affect bands beyond its windows.
 
     References
     ----------
@@ -53,7 +51,7 @@ def average_slab(values: Array, width: int, out: Array) -> None:
 
 @borrowing_kernel
 def has_gap(values: Array) -> Any:
-    """Tell whether any of values (band, column) is missing."""
+    """Return whether any of values (band, column) is NaN."""
     for band in range(values.shape[0]):
         gap = False
         for x in range(values.shape[1]):
@@ -65,10 +63,10 @@ def has_gap(values: Array) -> Any:
 
 @borrowing_kernel
 def average_line(values: Array, width: int, ends: Array, beginning: Array, out: Array) -> None:
-    """Write the means of a line (band, column) without gaps.
+    """Write the means of a line (band, column) without NaN.
 
     ``ends`` (width + 1, column): sums from a band of the block to its end; ``beginning`` (column,): sum from
-    the beginning of the next.
+    the beginning of the next block.
     """
     bands, columns = values.shape
     half = width // 2
@@ -99,13 +97,13 @@ def average_line(values: Array, width: int, ends: Array, beginning: Array, out: 
 
 @inlined_kernel
 def share_of_window(band: Any, half: Any, bands: Any) -> Any:
-    """Return one over the number of bands in a window, cut at the ends, of ``half`` to either side."""
+    """Return 1 / (number of bands in a window of ``half`` bands to either side, cut at the ends)."""
     return _ONE / np.float32(min(band + half, bands - 1) - max(band - half, 0) + 1)
 
 
 @borrowing_kernel
 def fill_gaps(values: Array, filled: Array, counts: Array) -> None:
-    """Write values (band, column) with zeros in the place of gaps, and ones in that of values."""
+    """Write values (band, column) with NaN replaced by 0, and their validity as 1 or 0."""
     for band in range(values.shape[0]):
         for x in range(values.shape[1]):
             value = values[band, x]
@@ -117,7 +115,7 @@ def fill_gaps(values: Array, filled: Array, counts: Array) -> None:
 
 @borrowing_kernel
 def correct_means(values: Array, shares: Array, half: int, out: Array) -> None:
-    """Turn means over whole windows (band, column) into those of the ``shares`` of them that are there."""
+    """Divide means over whole windows (band, column) by the ``shares`` of their bands that are valid."""
     bands = values.shape[0]
     whole = _ONE - np.float32(0.5) / np.float32(2 * half + 1)
     for band in range(bands):
@@ -133,12 +131,12 @@ def correct_means(values: Array, shares: Array, half: int, out: Array) -> None:
 def filter_slab(values: Array, weights: Array, first: Array, fallback: Array, out: Array) -> None:
     """Write the weighted sum of each band's window of values (line, band, column), float32.
 
-    ``weights`` (band, width) are those of a band's window, which begins at the band ``first`` (band,); a row
-    sums to 1. Row ``k`` of ``fallback`` (band, width, width) has the weights without the ``k``-th value.
+    ``weights`` (band, width) are for a band's window, which begins at the band ``first`` (band,); a row sums
+    to 1. Row ``k`` of ``fallback`` (band, width, width) has the weights without the ``k``-th value.
 
     Notes
     -----
-    A missing band stays missing. Where two or more values are missing the value is left as it is.
+    A NaN band stays NaN. A value with two or more NaN in its window is not filtered.
     """
     width = weights.shape[1]
     for line in range(values.shape[0]):
@@ -159,7 +157,7 @@ def filter_slab(values: Array, weights: Array, first: Array, fallback: Array, ou
 def weigh_rows(values: Array, weights: Array, first: Any, k: Any, out: Array) -> None:
     """Add the weighted values (band, column) of `_AT_ONCE` bands of a window, from its ``k``-th on.
 
-    Beyond the window the first band of it is taken, with no weight: what is missing there is missing anyway.
+    Beyond the window its first band is read with weight 0; if that is NaN, the sum is NaN already.
     """
     w0, r0 = weight_and_row(values, weights, first, k)
     w1, r1 = weight_and_row(values, weights, first, k + 1)
@@ -179,14 +177,14 @@ def weigh_rows(values: Array, weights: Array, first: Any, k: Any, out: Array) ->
 
 @kernel
 def weight_and_row(values: Array, weights: Array, first: Any, k: Any) -> tuple[Any, Array]:
-    """Return the weight of the ``k``-th band of a window, and the band."""
+    """Return the weight and the values of the ``k``-th band of a window."""
     inside = k < weights.size
     return (weights[k] if inside else _ZERO), values[first + (k if inside else 0)]
 
 
 @borrowing_kernel
 def without_missing(values: Array, fallback: Array, line: Any, band: Any, x: Any, first: Any) -> Any:
-    """Return the filtered value of a window with one value missing, the value itself with more."""
+    """Return the filtered value of a window with one NaN; the unfiltered value with more."""
     missing, gap, width = 0, 0, fallback.shape[1]
     for k in range(width):
         value = values[line, first + k, x]
@@ -204,10 +202,10 @@ def without_missing(values: Array, fallback: Array, line: Any, band: Any, x: Any
 
 @kernel
 def resample_slab(values: Array, first: Array, weights: Array, out: Array) -> None:
-    """Write sum_k weights[band, column, k] values[first + k]; NaN where a tap with weight is missing.
+    """Write sum_k weights[band, column, k] values[first + k]; NaN where a sample with weight is NaN.
 
-    ``first`` (band, column) is the first of the four bands that are weighed; ``weights`` are NaN where there
-    is nothing to interpolate between. Values are (line, band, column), float32.
+    ``first`` (band, column) is the first of four bands; ``weights`` are NaN where interpolation is
+    impossible. Values are (line, band, column), float32.
     """
     for line in range(values.shape[0]):
         for band in range(out.shape[1]):

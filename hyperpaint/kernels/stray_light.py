@@ -1,6 +1,6 @@
-"""Light that a band counts of others, taken out of calibrated lines: scattered in the camera, and smear.
+"""Stray light and smear subtracted from calibrated lines.
 
-Both are sums over all bands of a column, so that a line is made linear once more before anything is summed.
+Both are sums over all bands of a column, so every line is linearised once more before the sums.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from .linear_counts import LinearMemory, linear_memory, signal_row, straighten_d
 from .radiometry import dark_of_line
 from .sample_errors import light_row
 
+# Columns summed together, so that they stay in the first-level cache.
 _BLOCK = 128
-"""Columns whose sums are made side by side, so that they stay in the nearest cache."""
 _NOTHING = np.float32(0.0)
 _NO_LIMIT = np.float32(np.inf)
 
 
 class StrayWork(NamedTuple):
-    """Memory of `sum_line`."""
+    """Buffers of `sum_line`."""
 
     total: Array  #: (column,) float32: smear of a line [count]
-    #: block (band, column), sums (term, column) float32: counts of some columns, and their sums over the
-    #: bands; contiguous, since rows a power of two apart would displace one another from the cache
+    #: block (band, column), sums (term, column) float32: counts of `_BLOCK` columns, and their sums over the
+    #: bands; contiguous, because rows a power of two apart evict one another from the cache
     block: Array
     sums: Array
 
@@ -40,7 +40,7 @@ def net_line(
 ) -> None:
     """Write linear counts above the ``dark`` of a line (band, column), 0 where they are not finite.
 
-    Saturated counts are taken as they are read: the least they can be.
+    Saturated counts are used as read, as a lower bound.
     """
     for band in range(counts.shape[1]):
         row = net[band]
@@ -57,7 +57,7 @@ def net_line(
 
 @borrowing_kernel
 def replace_bad(net: Array, stands_in: Array) -> None:
-    """Set elements (n, 3) of a line: column, band, and the band whose counts are taken; -1 for no light."""
+    """Replace bad elements (n, 3) of a line: column, band, and the band whose counts are copied; -1 for 0."""
     for k in range(stands_in.shape[0]):
         x, band, other = stands_in[k, 0], stands_in[k, 1], stands_in[k, 2]
         net[band, x] = net[other, x] if other >= 0 else _NOTHING
@@ -65,10 +65,11 @@ def replace_bad(net: Array, stands_in: Array) -> None:
 
 @borrowing_kernel
 def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Array) -> None:
-    """Write what of a line's counts (band, column) is that of other bands [count].
+    """Write the counts of a line (band, column) that come from other bands [count].
 
-    First the smear, a share of the sum over the bands, then what is left of it through the product of two
-    narrow matrices. Four terms at a time, whose order is that of the bands, whatever the number of columns.
+    First the smear, a share of the sum over the bands; then, of the rest, the product of two narrow matrices.
+    Terms are summed four at a time in the order of the bands, so the bits do not depend on the number of
+    columns.
     """
     bands, columns = out.shape
     total, block, sums = work.total, work.block, work.sums
@@ -88,15 +89,15 @@ def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Ar
         for term in range(stray.take.shape[0]):
             sum_rows(block, stray.take[term], sums[term])
         for band in range(bands):
-            own = block[band]
-            sum_rows(sums, stray.give[band], own)
+            row = block[band]
+            sum_rows(sums, stray.give[band], row)
             for x in range(width):
-                out[band, first + x] = own[x] / stray.level[band, first + x] + total[first + x]
+                out[band, first + x] = row[x] / stray.level[band, first + x] + total[first + x]
 
 
 @borrowing_kernel
 def sum_rows(rows: Array, weights: Array, out: Array) -> None:
-    """Write the sum of rows (row, column) times ``weights`` (row,), which are padded to whole fours."""
+    """Write sum_r weights[r] rows[r] of rows (row, column); ``weights`` are padded to a multiple of four."""
     out[:] = _NOTHING
     for row in range(0, weights.size, 4):
         a, b, c, d = weights[row], weights[row + 1], weights[row + 2], weights[row + 3]
@@ -110,7 +111,7 @@ def sum_rows(rows: Array, weights: Array, out: Array) -> None:
 def take_off(
     stray: Array, gain: Array, inverse: Array, relative: Any, out: SlabOutputs, place: tuple[int, int]
 ) -> None:
-    """Subtract stray counts (column,) of a ``place`` (line, band), and add what is unsure of them."""
+    """Subtract stray counts (column,) of a ``place`` (line, band); add their uncertainty in quadrature."""
     line, band = place
     values = out.cube[line, band]
     for x in range(values.size):
@@ -118,18 +119,22 @@ def take_off(
     if out.u_systematic.shape[0] > 0:
         u_systematic = out.u_systematic[line, band]
         for x in range(values.size):
-            unsure = relative * (stray[x] * (gain[x] * inverse[x]))
-            u_systematic[x] = np.sqrt(u_systematic[x] * u_systematic[x] + unsure * unsure)
+            uncertainty = relative * (stray[x] * (gain[x] * inverse[x]))
+            u_systematic[x] = np.sqrt(u_systematic[x] * u_systematic[x] + uncertainty * uncertainty)
 
 
 @kernel
 def subtract_stray_light(
-    counts: Array, calibration: Calibration, light: LightCells, stray: StrayLight, rounding: Rounding | None,
+    counts: Array,
+    calibration: Calibration,
+    light: LightCells,
+    stray: StrayLight,
+    rounding: Rounding | None,
     out: SlabOutputs,
-) -> None:  # fmt: skip
-    """Free whole lines, calibrated from counts (line, band, column) but not rounded, of stray light.
+) -> None:
+    """Subtract stray light from whole lines calibrated from counts (line, band, column), not yet rounded.
 
-    What of ``out`` is not empty is rounded.
+    Outputs that are not empty are rounded.
     """
     n_line, n_band, n_column = counts.shape
     detector = calibration.detector
@@ -137,17 +142,23 @@ def subtract_stray_light(
     linear = linear_memory(detector.polynomial, detector.table, n_band, n_column)
     net = np.empty((n_band, n_column), np.float32)
     other = np.empty((n_band, n_column), np.float32)
-    # rows of zeros fill up the last four bands
+    # rows of zeros pad the bands to a multiple of four
     memory = StrayWork(
-        np.empty(n_column, np.float32), np.zeros((max(stray.take.shape[1], n_band), _BLOCK), np.float32),
+        np.empty(n_column, np.float32),
+        np.zeros((max(stray.take.shape[1], n_band), _BLOCK), np.float32),
         np.zeros((stray.take.shape[0], _BLOCK), np.float32),
-    )  # fmt: skip
+    )
     irradiance, inverse = np.empty(n_column, np.float32), np.empty(n_column, np.float32)
     for line in range(n_line):
         dark = dark_of_line(
-            counts[line], calibration.dark, calibration.dark_index, calibration.dark_weight, detector.masked,
-            line, mixed_dark,
-        )  # fmt: skip
+            counts[line],
+            calibration.dark,
+            calibration.dark_index,
+            calibration.dark_weight,
+            detector.masked,
+            line,
+            mixed_dark,
+        )
         straighten_dark(detector, dark, linear)
         net_line(counts, line, dark, detector, linear, net)
         replace_bad(net, stray.stands_in)

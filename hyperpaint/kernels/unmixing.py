@@ -1,4 +1,4 @@
-"""What a pixel's light is made of, given what it shows: least squares without negative parts."""
+"""Unmixing of pixel spectra into body reflectance, light and mirror images, by bounded least squares."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from hyperpaint.base.jit import kernel
 
 from .arguments import AmountPrior, Bodies, ChannelErrors, Glinting, LightParts, Unmixed
 
+# Direct, diffuse, mirror images of the sun, of the zenith sky and of the sky around the sun, and of each of
+# two neighbours: light reflected twice, mirror image.
 PARTS = 9
-"""Direct, diffuse, mirror images of the sun, of the sky above and of that around the sun, and two neighbours:
-reflected twice, mirrored."""
+# The first parts need no neighbour.
 _OWN = 5
-"""The first of them, that need no neighbour."""
+# Parts of the mirror images of the sun, and of the sky around it.
 _GLINT, _SUNWARD = 2, 4
-"""The mirror images of the sun, and of the sky around it, among them."""
+# Smallest gradient, for a curvature of 1, at which a part is freed: rounding.
 _SLOPE = 1e-9
-"""Gradient below which nothing is let go, of parts scaled to have a curvature of 1: rounding."""
+# Least amount of direct light on a surface that mirrors the sun, since it faces halfway to the sun.
 _SUNLIT = 0.7
-"""Amount of direct light on what mirrors the sun, at least: it faces halfway to it."""
+# Share of the channels with independent errors: model errors are smooth over several channels.
 _INDEPENDENT = 0.25
-"""Share of the channels that err on their own: what a model lacks is smooth over some of them."""
 
 
 @kernel
 def average_bands(cube: Array, channel: Array, out: Array) -> None:
-    """Write means (line, column, group) of a cube (line, band, column) over groups of bands, pixel by pixel.
+    """Write means (line, column, group) of a cube (line, band, column) over groups of bands.
 
-    ``channel`` (band,) is the group of every band, -1 for none; NaN where half of a group or more is missing.
+    ``channel`` (band,) is the group of every band, -1 for none. NaN where at most half of a group is valid.
     """
     lines, bands, columns = cube.shape
     groups = out.shape[2]
@@ -61,7 +61,7 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
 
 @kernel
 def _fill_parts(body: Array, light: LightParts, first: Array, second: Array, parts: Array) -> None:
-    """Write the spectra (part, channel) that a pixel's reflectance is a sum of."""
+    """Write the spectra (part, channel) whose weighted sum is a pixel's reflectance."""
     for k in range(body.size):
         parts[0, k] = body[k] * light.direct[k]
         parts[1, k] = body[k] * light.diffuse[k]
@@ -76,7 +76,7 @@ def _fill_parts(body: Array, light: LightParts, first: Array, second: Array, par
 
 @kernel
 def _solve_free(gram: Array, right: Array, free: Array, amount: Array, factor: Array, goal: Array) -> None:
-    """Write the minimum ``goal`` over the free parts, the others as they are: Cholesky, in place."""
+    """Write to ``goal`` the minimum over the free parts, the others fixed, by Cholesky's method."""
     count = right.size
     for i in range(count):
         goal[i] = amount[i]
@@ -110,13 +110,13 @@ def _solve_free(gram: Array, right: Array, free: Array, amount: Array, factor: A
 def minimise(gram: Array, right: Array, most: Array, held: Array, amount: Array) -> Any:
     """Write the minimum of x' gram x / 2 - right' x over 0 <= x <= most, by an active-set method.
 
-    Exact, but for rounding: the parts inside their limits are solved for together (Cholesky); one that would
-    pass a limit is held there, and one whose gradient points back inside is let go, the steepest first. Each
-    turn makes the value smaller, so that no set of parts comes twice.
+    Exact but for rounding: the parts inside their bounds are solved for together (Cholesky); a part that
+    would pass a bound is fixed there, and the part whose gradient points inside most steeply is freed. Each
+    iteration lowers the value, so no set of free parts recurs.
 
-    ``gram`` (part, part) is positive definite; ``most`` (part,) are the largest amounts; parts that are
-    ``held`` stay as they are; ``amount`` (part,) is the start, within the limits, and the minimum. Returns
-    whether it was found; False, with the best so far, after more turns than there are sets.
+    ``gram`` (part, part) is positive definite; ``most`` (part,) are upper bounds; parts that are ``held``
+    stay unchanged; ``amount`` (part,) is the start, within the bounds, and receives the minimum. Return
+    whether it was found; False, with the best so far, after more iterations than there are sets.
     """
     count = right.size
     free = np.empty(count, np.bool_)
@@ -174,18 +174,18 @@ class Equations(NamedTuple):
     #: gram (part, part), right (part,)
     gram: Array
     right: Array
-    valid: Any  #: Channels with data
-    used: Any  #: Parts that the pixel has: those of its own, and of the neighbours that light it
+    valid: Any  #: Number of valid channels
+    used: Any  #: Number of parts of the pixel: its own, and of the neighbours that light it
 
 
 @kernel
 def _normal_equations(
     seen: Array, parts: Array, used: Any, errors: ChannelErrors, gram: Array, right: Array
 ) -> Any:
-    """Write what least squares needs; return the number of channels with data, and the sum without parts."""
+    """Write the normal equations; return the number of valid channels, and the cost of zero amounts."""
     gram[:] = 0.0
     right[:] = 0.0
-    valid, whole = 0, 0.0
+    valid, zero_cost = 0, 0.0
     for k in range(seen.size):
         value = np.float64(seen[k])
         if not np.isfinite(value):
@@ -193,7 +193,7 @@ def _normal_equations(
         valid += 1
         sigma = errors.noise[k] * abs(value) + errors.floor
         weight = 1.0 / (sigma * sigma)
-        whole += weight * value * value
+        zero_cost += weight * value * value
         for i in range(used):
             scaled = weight * parts[i, k]
             right[i] += scaled * value
@@ -202,12 +202,12 @@ def _normal_equations(
     for i in range(used):
         for j in range(i):
             gram[j, i] = gram[i, j]
-    return valid, whole
+    return valid, zero_cost
 
 
 @kernel
-def _tempted(gram: Array, right: Array, used: Any, amount: Array) -> Any:
-    """Tell whether some of a neighbour's light, of which there is none yet, would lessen the misfit."""
+def _neighbour_lowers_residual(gram: Array, right: Array, used: Any, amount: Array) -> Any:
+    """Return whether adding a neighbour's light, now absent, lowers the residual."""
     for i in range(_OWN, used):
         slope = right[i]
         for j in range(_OWN):
@@ -218,17 +218,19 @@ def _tempted(gram: Array, right: Array, used: Any, amount: Array) -> Any:
 
 
 @kernel
-def _settle(equations: Equations, whole: Any, most: Array, evidence: Any, held: Array, amount: Array) -> Any:
-    """Write the least of the cost, with neighbours where they are worth it; return it."""
+def _minimise_with_neighbours(
+    equations: Equations, zero_cost: Any, most: Array, evidence: Any, held: Array, amount: Array
+) -> Any:
+    """Write the amounts of least cost, with neighbours only where they gain enough; return the cost."""
     gram, right, used = equations.gram, equations.right, equations.used
     held[_OWN:] = True
     minimise(gram, right, most, held, amount)
-    cost = whole + _cost(gram, right, amount)
-    if used > _OWN and cost > evidence and _tempted(gram, right, used, amount):
+    cost = zero_cost + _cost(gram, right, amount)
+    if used > _OWN and cost > evidence and _neighbour_lowers_residual(gram, right, used, amount):
         held[_OWN:used] = False
         trial = amount.copy()
         minimise(gram, right, most, held, trial)
-        less = whole + _cost(gram, right, trial)
+        less = zero_cost + _cost(gram, right, trial)
         if cost - less > evidence * max(1.0, less / (_INDEPENDENT * equations.valid)):
             amount[:] = trial
             cost = less
@@ -238,19 +240,19 @@ def _settle(equations: Equations, whole: Any, most: Array, evidence: Any, held: 
 @kernel
 def _solve(
     equations: Equations,
-    whole: Any,
+    zero_cost: Any,
     prior: AmountPrior,
     evidence: Any,
     more: Glinting,
     tie: Any,
     amount: Array,
 ) -> None:
-    """Write the amounts that the light gives evidence of, from what is expected on.
+    """Write the amounts, starting from the prior.
 
-    ``equations`` and ``whole`` (the cost without any parts) with the tie to what is expected, which of
-    direct light is ``tie``. Neighbours, and glint, are in only where leaving them out makes the cost larger
-    by ``evidence``, in units of the misfit of what is left, where that is more than noise. Of what mirrors
-    the sun, ``more`` is expected, and it is not in shadow.
+    ``equations`` and ``zero_cost`` (the cost of zero amounts) include the prior; ``tie`` is the prior weight
+    of the direct light. Neighbours and glint are kept only where omitting them raises the cost by
+    ``evidence``, in units of the reduced residual where that exceeds noise. With glint, ``more`` is added to
+    the prior mean, and the direct light must be at least `_SUNLIT`.
     """
     right, most = equations.right, prior.most
     held = np.zeros(PARTS, np.bool_)
@@ -258,9 +260,9 @@ def _solve(
     around = 1.0 / prior.spread[_SUNWARD] ** 2
     right[0] += tie * more.direct
     right[_SUNWARD] += around * more.sunward
-    glinting = whole + tie * more.direct * (2.0 * prior.expected[0] + more.direct)
+    glinting = zero_cost + tie * more.direct * (2.0 * prior.expected[0] + more.direct)
     glinting += around * more.sunward * (2.0 * prior.expected[_SUNWARD] + more.sunward)
-    cost = _settle(equations, glinting, most, evidence, held, amount)
+    cost = _minimise_with_neighbours(equations, glinting, most, evidence, held, amount)
     right[0] -= tie * more.direct
     right[_SUNWARD] -= around * more.sunward
     if evidence <= 0.0:
@@ -268,7 +270,7 @@ def _solve(
     trial = start
     trial[_GLINT] = 0.0
     held[_GLINT] = True
-    plain = _settle(equations, whole, most, evidence, held, trial)
+    plain = _minimise_with_neighbours(equations, zero_cost, most, evidence, held, trial)
     weak = plain - cost <= evidence * max(1.0, cost / (_INDEPENDENT * equations.valid))
     if weak or amount[_GLINT] <= 0.0 or amount[0] < _SUNLIT:
         amount[:] = trial
@@ -287,13 +289,13 @@ def unmix_lines(
 ) -> None:
     """Unmix every pixel of a block of lines.
 
-    The minimum of sum(((seen - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2) with
-    sigma = noise x seen + floor and amounts from 0 to the most. NaN where less than half is known.
+    Minimises sum(((seen - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2) with sigma =
+    noise x seen + floor and amounts from 0 to the upper bound. NaN where fewer than half the channels are
+    valid.
 
-    ``seen`` (line, column, channel) is reflectance [1]. ``evidence`` is by how much leaving glint or
-    neighbours out must enlarge the sum, 9 for three standard deviations; they are left out otherwise; 0:
-    nothing is left out. ``glinting`` is what more is expected where there is glint, of direct light at most
-    the body's tilt.
+    ``seen`` (line, column, channel) is reflectance [1]. ``evidence`` is the increase of the sum by which an
+    omission of glint or neighbours is rejected, 9 for three standard deviations; with 0 all are kept.
+    ``glinting`` is added to the prior mean where there is glint, direct light by at most the body's tilt.
     """
     lines, columns, channels = seen.shape
     parts, nothing = np.empty((PARTS, channels)), np.zeros(channels)
@@ -309,7 +311,7 @@ def unmix_lines(
                 one = nothing if first < 0 else reflectance[first]
                 other = nothing if second < 0 else reflectance[second]
                 _fill_parts(reflectance[number], light, one, other, parts)
-                valid, whole = _normal_equations(seen[line, x], parts, used, errors, gram, right)
+                valid, zero_cost = _normal_equations(seen[line, x], parts, used, errors, gram, right)
             if 2 * valid < channels or number < 0:
                 out.amount[line, x] = np.nan
                 out.added[line, x] = np.nan
@@ -320,12 +322,12 @@ def unmix_lines(
                 tie = 1.0 / spread[part] ** 2 if part else 1.0 / tilt[number] ** 2
                 gram[part, part] += tie
                 right[part] += tie * expected[part]
-                whole += tie * expected[part] ** 2
+                zero_cost += tie * expected[part] ** 2
                 amount[part] = expected[part] if part < used else 0.0
             equations = Equations(gram, right, valid, used)
             tie = 1.0 / tilt[number] ** 2
             more = Glinting(min(glinting.direct, tilt[number]), glinting.sunward)
-            _solve(equations, whole, prior, evidence, more, tie, amount)
+            _solve(equations, zero_cost, prior, evidence, more, tie, amount)
             out.amount[line, x] = amount
             out.misfit[line, x] = _misfit(seen[line, x], parts, amount, errors)
             most_first, most_second, most_both = 0.0, 0.0, 0.0
@@ -341,7 +343,7 @@ def unmix_lines(
 
 @kernel
 def _misfit(seen: Array, parts: Array, amount: Array, errors: ChannelErrors) -> Any:
-    """Return the root mean square of what remains, in standard deviations."""
+    """Return the root mean square residual, in standard deviations."""
     total, valid = 0.0, 0
     for k in range(seen.size):
         value = np.float64(seen[k])

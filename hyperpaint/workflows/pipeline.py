@@ -84,7 +84,7 @@ def kept_groups(
     Raises `StoreError`: groups of other inputs stand in the place of ours, or beside them; all are listed.
     """
     from hyperpaint.io.store import is_complete
-    from hyperpaint.io.store.groups import groups_above, problems_above
+    from hyperpaint.io.store.groups import check_above, groups_above
     from hyperpaint.io.store.location import Location
     from hyperpaint.io.store.manifest import Manifest, content_of, numerics_of
     from hyperpaint.io.store.writer import run_contents
@@ -94,8 +94,7 @@ def kept_groups(
     location = Location.of(out)
     problems = Problems(f"cannot write {out}", StoreError)
     above = dict.fromkeys(each for name in groups for each in groups_above(name))
-    for text in problems_above(above, location, overwrite=overwrite):
-        problems.add(text, code="group-above")
+    check_above(above, location, problems, overwrite=overwrite)
     problems.raise_if_any()
     complete = []
     contents = run_contents(groups)

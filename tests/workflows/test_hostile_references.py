@@ -190,7 +190,7 @@ class Repository:
 
 def container_elsewhere(repository: Repository, server: str) -> str:
     repository.refer(f"file://{repository.home.parent}/secret")
-    return "record does not name"
+    return "reference-wrong"
 
 
 def link_that_leads_out(repository: Repository, server: str) -> str:
@@ -207,17 +207,17 @@ def folder_that_is_a_link(repository: Repository, server: str) -> str:
 
 def offset_beyond_the_end(repository: Repository, server: str) -> str:
     repository.refer(f"file://{repository.raw}", 10**9)
-    return "no whole virtual store"
+    return "store-damaged"
 
 
 def length_beyond_the_end(repository: Repository, server: str) -> str:
     repository.refer(f"file://{repository.raw}", repository.raw.stat().st_size - repository.slab + 1)
-    return "no whole virtual store"
+    return "store-damaged"
 
 
 def offset_that_overflows(repository: Repository, server: str) -> str:
     repository.refer(f"file://{repository.raw}", 2**64 - 100)
-    return "lacks bytes|no whole virtual store"
+    return "lacks bytes|store-damaged"
 
 
 def another_length(repository: Repository, server: str) -> str:
@@ -228,12 +228,12 @@ def another_length(repository: Repository, server: str) -> str:
 def another_file_beside(repository: Repository, server: str) -> str:
     (repository.raw.parent / "letter").write_bytes(SECRET)
     repository.refer(f"file://{repository.raw.parent}/letter")
-    return "record does not name"
+    return "reference-wrong"
 
 
 def another_file_by_dots(repository: Repository, server: str) -> str:
     repository.refer(f"file://{repository.raw.parent}/%2e%2e/%2e%2e/%2e%2e/secret")
-    return "record does not name"
+    return "reference-wrong"
 
 
 def s3_container(repository: Repository, server: str) -> str:
@@ -249,7 +249,7 @@ def s3_container_of_no_record(repository: Repository, server: str) -> str:
         region="us-east-1", endpoint_url=server, allow_http=True, force_path_style=True, s3_compatible=True
     )
     repository.refer("s3://bucket/cube", place=place)
-    return "record does not name"
+    return "reference-wrong"
 
 
 def http_container(repository: Repository, server: str) -> str:
@@ -319,7 +319,7 @@ def test_references_to_the_file_of_another_line(home: Path, name: str) -> None:
     repository.refer(f"file://{home}/day/other")
     row = {"url": f"file://{home}/day/other", "size": 1, "changed_ns": 0}
     repository.record(lambda groups: groups.update({name: {**groups[GROUP], "raw_files": [row]}}))
-    with pytest.raises(StoreError, match="record does not name"):
+    with pytest.raises(StoreError, match="reference-wrong"):
         hp.io.open_virtual(repository.path, GROUP)
 
 

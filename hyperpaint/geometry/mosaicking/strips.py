@@ -133,7 +133,10 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     if len(set(crs.values())) > 1:
         listed = ", ".join(f"{name}: {code}" for name, code in crs.items())
         problems.add(
-            f"lines on different maps ({listed})", mend="give crs=", option="give --set crs=", code="crs-conflict"
+            f"lines on different maps ({listed})",
+            mend="give crs=",
+            option="give --set crs=",
+            code="crs-conflict",
         )
     surveys = {
         name: survey_lines(*_places(line), north_axes(), progress)

@@ -1,7 +1,7 @@
-"""The samples of an ENVI data file as a lazy array that reads only the bytes asked for.
+"""Samples of an ENVI data file as a lazy array that reads only the requested bytes.
 
-A memory map handed to dask is copied whole into memory, and pickled with the graph. `EnviArray` is a few
-hundred bytes instead: the path and the layout. Each read opens the file for itself, so that threads and
+A memory map passed to dask is copied into memory, and pickled with the graph. `EnviArray` takes a few
+hundred bytes instead: the path and the layout. Each read opens the file, so that threads and
 processes share nothing.
 """
 
@@ -22,25 +22,25 @@ from xarray.core import indexing
 from hyperpaint.base.arrays import Array, Ints
 from hyperpaint.base.errors import FormatError
 
-# bytes that are cheaper to read and drop than to skip with another system call
+# gaps up to this size are read and dropped, which is faster than another system call [byte]
 _GAP = 32 * 2**10
-# bytes read at once where not all of them are kept
+# largest piece read at once if not all of it is kept [byte]
 _BOX = 8 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """From stored samples to values: ``(stored * gain + offset) / divisor``, `ignore` becoming NaN."""
+    """From stored samples to values: ``(stored * gain + offset) / divisor``, `ignore` becomes NaN."""
 
     dtype: np.dtype[Any]  # Type of the values, floating or complex
-    ignore: int | float | None = None  # Compared with what is stored, before anything is scaled
+    ignore: int | float | None = None  # Compared with stored samples, before scaling
     divisor: float | None = None  # The reflectance scale factor
     # gain, offset: One for each band
     gain: npt.NDArray[np.float64] | None = None
     offset: npt.NDArray[np.float64] | None = None
 
     def apply(self, stored: Array, per_band: Callable[[Array], Array]) -> Array:
-        """Return values of `stored`; `per_band` cuts and shapes a band vector to fit it."""
+        """Return values of `stored`; `per_band` selects and reshapes a band vector to match it."""
         # float32 holds 16 bits exactly; wider integers pass through float64
         values = stored.astype(np.result_type(stored.dtype, np.float32))
         if self.gain is not None:
@@ -72,7 +72,6 @@ class EnviArray(BackendArray):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Sizes of the dims."""
         return tuple(self.file_shape[axis] for axis in self.axes)
 
     @property
@@ -101,13 +100,18 @@ class EnviArray(BackendArray):
         samples = np.empty(shape, self.stored.newbyteorder("="))
         if samples.size == 0:
             return samples
-        # the same memory, its axes in the order of the file
+        # a view of the same memory, axes in the order of the file
         in_file_order = samples.transpose(np.argsort(self.axes))
         along = [positions[axis] for axis in np.argsort(self.axes)]
         with open(self.path, "rb", buffering=0) as file:
             self._refuse_changed(file)
-            if self.axes == (0, 1, 2) and _is_slab(along, self.file_shape):
-                first = int(along[0][0]) * self.file_shape[1] * self.file_shape[2]
+            # whole planes of the file, one after another, are read in one piece
+            planes, rows, columns = along
+            _, height, width = self.file_shape
+            is_slab = self.axes == (0, 1, 2) and bool((np.diff(planes) == 1).all())
+            is_slab = is_slab and np.array_equal(rows, np.arange(height))
+            if is_slab and np.array_equal(columns, np.arange(width)):
+                first = int(planes[0]) * height * width
                 self._fill(file, first, samples.reshape(-1))
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
@@ -116,17 +120,19 @@ class EnviArray(BackendArray):
         return samples
 
     def _refuse_changed(self, file: io.FileIO) -> None:
-        """Raise where the file is not the one that was opened: its layout and meaning may be others."""
+        """Raise FormatError if the file has changed since it was opened: layout and meaning may differ."""
         status = os.fstat(file.fileno())
         if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
             raise FormatError(
                 f"ENVI data file {self.path!r} has changed since it was opened: found {status.st_size} bytes "
-                f"of {_moment(status.st_mtime_ns)}, expected {self.file_size} bytes of "
-                f"{_moment(self.modified_ns)}; open it again"
+                f"of {np.datetime64(status.st_mtime_ns, 'ns')} UTC",
+                expected=f"{self.file_size} bytes of {np.datetime64(self.modified_ns, 'ns')} UTC",
+                mend="open it again",
+                code="file-changed",
             )
 
     def _gather(self, file: io.FileIO, along: list[Ints], into: Array) -> None:
-        """Read boxes of lines of the file that hold the wanted samples, and keep those."""
+        """Read boxes of file lines around the wanted samples, and keep those."""
         planes, rows, samples = along
         columns = self.file_shape[2]
         # lines of the file, counted through all planes
@@ -135,7 +141,7 @@ class EnviArray(BackendArray):
         gaps = np.diff(lines) * columns - (last - first + 1)
         lines_a_box = max(1, _BOX // (columns * self.stored.itemsize))
         breaks = (gaps * self.stored.itemsize > _GAP) | (np.diff((lines - lines[0]) // lines_a_box) != 0)
-        breaks |= np.diff(lines) < 0  # a plane that is asked for again
+        breaks |= np.diff(lines) < 0  # a plane that is repeated
         edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(lines)]
         places = np.unravel_index(np.arange(len(lines)), into.shape[:2])
         picked = _selector(samples)
@@ -148,7 +154,7 @@ class EnviArray(BackendArray):
             into[places[0][start:stop], places[1][start:stop]] = rows[:, picked]
 
     def _fill(self, file: io.FileIO, first: int, into: Array) -> None:
-        """Read samples from number `first` on into contiguous memory, byte for byte."""
+        """Read samples from number `first` on into contiguous memory, without conversion."""
         view = into.view(np.uint8).data
         file.seek(self.offset + first * self.stored.itemsize)
         done = 0
@@ -156,14 +162,12 @@ class EnviArray(BackendArray):
             count = file.readinto(view[done:])
             if not count:
                 raise FormatError(
-                    f"ENVI data file {self.path!r} ends {len(view) - done} bytes early: it was "
-                    f"{self.file_size} bytes when it was opened; open it again"
+                    f"ENVI data file {self.path!r} ends {len(view) - done} bytes early",
+                    expected=f"{self.file_size} bytes, as when it was opened",
+                    mend="open it again",
+                    code="file-truncated",
                 )
             done += count
-
-
-def _moment(nanoseconds: int) -> str:
-    return f"{np.datetime64(nanoseconds, 'ns')} UTC"
 
 
 def _is_integer(index: object) -> bool:
@@ -178,18 +182,8 @@ def _positions(index: Any, size: int) -> Ints:
     return np.asarray(index, dtype=np.int64)
 
 
-def _is_slab(along: list[Ints], file_shape: tuple[int, int, int]) -> bool:
-    """Whether the samples are one run of whole planes of the file."""
-    planes, rows, columns = along
-    return (
-        np.array_equal(rows, np.arange(file_shape[1]))
-        and np.array_equal(columns, np.arange(file_shape[2]))
-        and bool((np.diff(planes) == 1).all())
-    )
-
-
 def _selector(positions: Ints) -> slice | Ints:
-    """Return a slice where positions are evenly spaced: it copies nothing."""
+    """Return a slice for evenly spaced positions, which avoids a copy."""
     steps = np.diff(positions)
     if len(steps) == 0:
         return slice(int(positions[0]), int(positions[0]) + 1)

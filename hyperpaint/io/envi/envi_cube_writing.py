@@ -1,4 +1,4 @@
-"""ENVI cubes written: a flight line, or a map in its place.
+"""ENVI cubes written: a flight line, or a georeferenced map.
 
 The data file is filled block by block as dask computes them, so that a cube of any length needs the memory of
 a few blocks. Header and data appear together, the header last.
@@ -12,9 +12,11 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
@@ -32,10 +34,6 @@ from hyperpaint.io.maps.map_grids import (
 
 from .envi_grammar import braced
 
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import NDArray
-
 Interleave = Literal["bil", "bip", "bsq"]
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
@@ -43,8 +41,8 @@ _CODES = {"uint8": 1, "int16": 2, "int32": 3, "float32": 4, "float64": 5, "uint1
 _AXES: Mapping[str, str] = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _SCALE = 10_000
 _IGNORE = 65_535
+# Size of the pieces in which an array in memory is written [byte].
 _BLOCK = 64 * 2**20
-"""Bytes of an array in memory that are written at a time."""
 
 
 @takes_quantities()
@@ -75,7 +73,7 @@ def write_envi(
     dtype
         ``"float32"``; or ``"uint16"``, for reflectance times 10,000 (0 to 6.5534, others end there), unknown
         samples 65535. By default floats are float32 (places such as ``east`` and ``glt_line`` float64), and
-        integers stay what they are.
+        integers keep their type.
     overwrite
         Replace files that exist.
     progress
@@ -92,7 +90,7 @@ def write_envi(
         There is no such variable, its dims or type are others, or ENVI cannot say where its grid is; all are
         listed.
     StoreError
-        A file exists, or cannot be written. What was there stays.
+        A file exists, or cannot be written. An existing file stays.
     MissingExtraError
         The map has a reference system, and pyproj is not installed.
 
@@ -119,18 +117,27 @@ def write_envi(
         cube, grid = cube.isel(y=slice(None, None, -1)), grid.flipped(cube.sizes["y"])
     chosen = interleave or ("bil" if grid is None and "y" not in cube.dims else "bip")
     if chosen not in _AXES:
-        raise SchemaError(f"interleave {chosen!r:.40}, expected 'bil', 'bip' or 'bsq'")
+        raise SchemaError(
+            f"interleave {chosen!r:.40}", expected="'bil', 'bip' or 'bsq'", code="choice-unknown"
+        )
     order = [dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]]
     stored = cube.transpose(*order)
     header = _header(dataset, cube, chosen, grid)
-    data, head = _paths(Path(path))
+    # names of data file and header
+    data = head = Path(path)
+    if data.suffix.lower() == ".hdr":
+        data = head.with_suffix(".img")
+    elif data.suffix.lower() in _DATA_SUFFIXES:
+        head = data.with_suffix(".hdr")
+    else:
+        data, head = (data.with_name(data.name + suffix) for suffix in (".img", ".hdr"))
     with published_files([data, head], overwrite=overwrite) as (data_file, header_file):
         _fill(data_file, stored, progress)
         header_file.write_bytes(header.encode())
     return head
 
 
-# --- what is written ---------------------------------------------------------------------------------------
+# --- array and header --------------------------------------------------------------------------------------
 
 
 def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.DataArray:
@@ -141,11 +148,14 @@ def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.Da
         cube = cube.expand_dims(BAND, axis=-1)
     cube = cube.transpose(*(("y", "x") if "y" in cube.dims else (ALONG_TRACK, CROSS_TRACK)), BAND)
     if dtype not in (None, "float32", "uint16"):
-        raise SchemaError(f"dtype {dtype!r:.40}, expected 'float32' or 'uint16'")
+        raise SchemaError(f"dtype {dtype!r:.40}", expected="'float32' or 'uint16'", code="choice-unknown")
     if dtype == "uint16" and cube.dtype.kind == "f":
         if name != "reflectance":
             raise SchemaError(
-                f"{name!r} is {cube.dtype}; as uint16 only reflectance is written, whose scale is agreed on"
+                f"{name!r} is {cube.dtype}",
+                expected="reflectance, the only variable of floats that is written as uint16",
+                mend="pass dtype='float32'",
+                code="type-wrong",
             )
         scaled = (cube * np.float32(_SCALE)).round().clip(0, _IGNORE - 1).fillna(_IGNORE)
         return scaled.astype(np.uint16).assign_attrs(cube.attrs)
@@ -154,7 +164,9 @@ def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.Da
     if cube.dtype == bool:
         return cube.astype(np.uint8)
     if cube.dtype.name not in _CODES:
-        raise SchemaError(f"{name!r} is {cube.dtype}, expected floats or one of {', '.join(_CODES)}")
+        raise SchemaError(
+            f"{name!r} is {cube.dtype}", expected=f"floats or one of {', '.join(_CODES)}", code="type-wrong"
+        )
     return cube
 
 
@@ -163,7 +175,7 @@ def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid
     name = str(cube.name)
     scaled = name == "reflectance" and cube.dtype.kind == "u"
     title = _printable(str(dataset.attrs.get("title") or dataset.attrs.get("source") or "hyperpaint"))
-    # the last level that a description names is what readers take the values for
+    # readers take the last level in a description as the quantity
     level = f", {name.upper()}" if name in ("radiance", "reflectance") else f", {name}"
     rows = [
         "ENVI",
@@ -201,7 +213,7 @@ def _spectral(dataset: xr.Dataset) -> list[str]:
         return rows
     nm = axis.values.astype(np.float64)
     if np.isfinite(nm).all():
-        rows += ["wavelength units = Nanometers", f"wavelength = {_listed(nm)}"]
+        rows += ["wavelength units = Nanometers", f"wavelength = {braced(list(map(repr, nm.tolist())))}"]
         if (chosen := nearest_bands(nm, RGB_WAVELENGTHS)) is not None:
             rows.append(f"default bands = {{{', '.join(str(band + 1) for band in chosen)}}}")
     for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
@@ -209,27 +221,14 @@ def _spectral(dataset: xr.Dataset) -> list[str]:
         if variable is None or variable.dims != (BAND,):
             continue
         if np.isfinite(variable.values.astype(np.float64)).all():
-            flags = [str(int(value)) for value in variable.values]
-            rows.append(f"{key} = {braced(flags) if key == 'bbl' else _listed(variable.values)}")
+            numbers = variable.values.astype(int if key == "bbl" else np.float64).tolist()
+            rows.append(f"{key} = {braced(list(map(repr, numbers)))}")
     return rows
 
 
-def _listed(values: NDArray[Any]) -> str:
-    return braced([repr(float(value)) for value in values])
-
-
 def _printable(text: str) -> str:
-    """Return text that cannot end a brace or a line of a header."""
+    """Return text without braces and line ends."""
     return "".join(mark if mark.isprintable() and mark not in "{}" else " " for mark in text)[:500]
-
-
-def _paths(path: Path) -> tuple[Path, Path]:
-    """Return the data file and its header."""
-    if path.suffix.lower() == ".hdr":
-        return path.with_suffix(".img"), path
-    if path.suffix.lower() in _DATA_SUFFIXES:
-        return path, path.with_suffix(".hdr")
-    return path.with_name(path.name + ".img"), path.with_name(path.name + ".hdr")
 
 
 # --- the data file -----------------------------------------------------------------------------------------
@@ -237,9 +236,9 @@ def _paths(path: Path) -> tuple[Path, Path]:
 
 @dataclass(eq=False)
 class _Target:
-    """A file that takes blocks of an array at their places; any thread, any order.
+    """A file that takes blocks of an array at their positions; any thread, any order.
 
-    Blocks go through `os.pwrite`: a memory map would keep what was written in memory for as long as it likes.
+    Blocks go through `os.pwrite`: a memory map would hold written pages in memory.
     """
 
     path: str
@@ -250,14 +249,13 @@ class _Target:
     lock: Any = field(default_factory=threading.Lock)
 
     def __getstate__(self) -> dict[str, Any]:
-        # on another machine nobody sees the progress
+        # no progress on another machine
         return {**self.__dict__, "progress": None, "lock": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, lock=threading.Lock())
 
     def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
-        """Write one block."""
         block = np.ascontiguousarray(block, self.dtype.newbyteorder("<"))
         starts = [where.indices(size)[0] for where, size in zip(region, self.shape, strict=True)]
         _, rows, columns = self.shape
@@ -270,7 +268,7 @@ class _Target:
                 for row, piece in enumerate(pieces):
                     self._write(descriptor, piece, first + row * columns)
             if block.shape[1:] == self.shape[1:] and hasattr(os, "posix_fadvise"):
-                # Linux starts to write what will not be needed: little is left to be flushed at the end
+                # Linux starts to write these pages, so that little is left to flush at the end
                 begin, size = starts[0] * rows * columns * self.dtype.itemsize, block.nbytes
                 os.posix_fadvise(descriptor, begin, size, os.POSIX_FADV_DONTNEED)
         finally:
@@ -298,7 +296,7 @@ def _fill(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None]
             try:
                 os.posix_fallocate(file.fileno(), 0, size)
             except OSError as error:
-                # a full disk is told before anything is computed; not every file system can
+                # reports a full disk before anything is computed; some file systems cannot
                 if error.errno == errno.ENOSPC:
                     raise
     target = _Target(os.path.abspath(path), shape, stored.dtype, progress)

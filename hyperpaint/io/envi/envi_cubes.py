@@ -3,8 +3,8 @@
 The file is read in slabs, when values are asked for and no sooner. Sensor geometry is shown as
 ``(along_track, band, cross_track)`` whatever the interleave, map geometry as ``(y, x, band)``.
 
-A data file may be a link to another folder, as raw cubes on a large disk often are: whoever laid it beside
-the header chose that file. No path that is written inside a header is followed.
+A data file may be a link to another folder, as raw cubes on a large disk often are: the user placed it beside
+the header. Paths written inside a header are never followed.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ import xarray as xr
 from xarray.core import indexing
 
 from hyperpaint.base import schema, units
-from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, UnitsError
+from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems
 from hyperpaint.base.input_files import input_path, is_plain_file
 
 from .envi_array import EnviArray, Scaling
-from .envi_header import EnviHeader, MapInfo, read_header
+from .envi_header import EnviHeader, read_header
 
 DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
 # axes of the file, slowest first
 _FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
-# Headwall's recorder names itself, and a level beside it in what its software made of the counts
+# Headwall's recorder writes its name; its software adds the level of processed cubes
 _RAW = re.compile(r"\[headwall\b|\braw\b|\bdigital (?:numbers?|counts?)\b|\bcounts\b|\bdn\b", re.IGNORECASE)
 _COUNT_UNITS = ("count", "counts", "dn", "digital number", "digital numbers", "digital counts", "adu")
 _QUANTITIES = ("counts", "radiance", "reflectance", "values")
@@ -58,8 +58,9 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     header = header or _existing([path.with_suffix(suffix) for suffix in (".hdr", ".HDR")])
     if not header:
         raise FormatError(
-            f"ENVI data file {str(path)!r} has no header beside it; "
-            f"expected {path.name + '.hdr'!r} or {path.stem + '.hdr'!r}"
+            f"ENVI data file {str(path)!r} has no header beside it",
+            expected=f"{path.name + '.hdr'!r} or {path.stem + '.hdr'!r}",
+            code="header-missing",
         )
     return header[0], path
 
@@ -70,12 +71,17 @@ def _data_of(header: Path) -> Path:
     candidates = _existing([whole]) or _existing([Path(f"{whole}{suffix}") for suffix in suffixes])
     if not candidates:
         raise FormatError(
-            f"ENVI header {str(header)!r} has no data file beside it; "
-            f"expected {whole.name!r}, with no suffix or with one of {' '.join(DATA_SUFFIXES)}"
+            f"ENVI header {str(header)!r} has no data file beside it",
+            expected=f"{whole.name!r}, with no suffix or with one of {' '.join(DATA_SUFFIXES)}",
+            code="data-file-missing",
         )
     if len(candidates) > 1:
         names = ", ".join(repr(path.name) for path in candidates)
-        raise FormatError(f"ENVI header {str(header)!r} could belong to {names}; open the data file you mean")
+        raise FormatError(
+            f"ENVI header {str(header)!r} could belong to {names}",
+            mend="open the data file you mean",
+            code="data-file-ambiguous",
+        )
     return candidates[0]
 
 
@@ -89,9 +95,12 @@ def _existing(candidates: list[Path]) -> list[Path]:
 
 
 def open_envi(
-    path: str | os.PathLike[str], *, keep_whole_lines: bool = False, quantity: str | None = None,
+    path: str | os.PathLike[str],
+    *,
+    keep_whole_lines: bool = False,
+    quantity: str | None = None,
     unsaid: str = "values",
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Open an ENVI cube lazily.
 
     Parameters
@@ -105,23 +114,22 @@ def open_envi(
         there means that the header describes another cube. Not possible for ``bsq``: a short file lacks
         bands.
     quantity
-        ``counts``, ``radiance``, ``reflectance`` or ``values``: what the samples are, where the header does
-        not say it. A header that says otherwise is refused.
+        ``counts``, ``radiance``, ``reflectance`` or ``values``: quantity of the samples, where the header
+        does not state it. A header that contradicts it is refused.
     unsaid
-        As ``quantity``, of integers only, and of no account where the header says what they are: what a
-        reader of darks takes them for.
+        Quantity of integers, used where neither the header nor ``quantity`` states one; for readers of darks.
 
     Returns
     -------
     xarray.Dataset
         One variable: ``counts`` (integers), ``radiance`` or ``reflectance``, where the header or ``quantity``
         says so, else ``values``; dims (along_track, band, cross_track), or (y, x, band) with map info.
-        Radiance and reflectance are float32, a reflectance scale factor or band gains and offsets applied and
-        the ignore value, compared with what is stored, NaN. Integers without a scale keep their type, and
+        Radiance and reflectance are float32, with reflectance scale factor or band gains and offsets applied,
+        and NaN where the stored sample equals the ignore value. Integers without a scale keep their type, and
         the attribute ``data_ignore_value``. Coordinates ``wavelength`` [nm], ``fwhm`` [nm] and ``good`` on
-        ``band``, without an index; ``y`` and ``x`` [map units] at pixel centres where the grid is not
-        rotated (a rotated one has the attribute ``map_info`` alone).
-        Attributes ``envi_header`` and ``envi_comments`` hold all the header says, as JSON text.
+        ``band``, without an index; ``y`` and ``x`` [map units] at pixel centres where the grid is not rotated
+        (a rotated one has the attribute ``map_info`` alone). Attributes ``envi_header`` and ``envi_comments``
+        hold the whole header, as JSON text.
 
     Raises
     ------
@@ -141,7 +149,7 @@ def open_envi(
     ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance products.
     Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word raw,
     counts or DN in the description, by units of counts, or by a description of Headwall's recorder without
-    a level: a product of other software, scaled and without a word, is none.
+    a level; scaled products of other software without such a word are ``values``.
 
     Examples
     --------
@@ -171,8 +179,19 @@ def open_envi(
     _refuse_contradictions(header, header_path)
     status = os.stat(data_path)
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
-    _warn(header, data_path, lines)
-
+    # anything that may make values wrong
+    messages = list(header.warnings)
+    if _is_unscaled(header):
+        messages.append(
+            "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
+            "'values'; add for example 'reflectance scale factor = 10000' to the header"
+        )
+    if lines != header.lines:
+        messages.append(f"{lines} whole lines are kept where the header says {header.lines}")
+    if messages:
+        text = f"{data_path.name}: {'; '.join(messages)}"
+        warnings.warn(PaintWarning(text, code="header-doubtful"), stacklevel=2)
+    # axes of the file, and of the array
     name, attrs = _quantity(header, quantity, unsaid, data_path)
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
     file_axes = _FILE_AXES[header.interleave]
@@ -204,15 +223,24 @@ def open_envi(
 def _refuse_contradictions(header: EnviHeader, path: Path) -> None:
     problems = Problems(f"ENVI header {str(path)!r} cannot be used", FormatError)
     if header.is_spectral_library:
-        problems.add(f"file type is {header.fields['file type']!r}: a spectral library, expected a cube")
+        problems.add(
+            f"file type is {header.fields['file type']!r}: a spectral library",
+            expected="a cube",
+            code="file-type-wrong",
+        )
     scale = header.reflectance_scale_factor not in (None, 1.0)
     if scale and _has_gain(header):
         problems.add(
-            "both 'reflectance scale factor' and band gains or offsets are given; delete those that do not "
-            "belong to what is stored"
+            "both 'reflectance scale factor' and band gains or offsets are given",
+            mend="delete those that do not belong to the stored samples",
+            code="scale-conflict",
         )
     if scale and _level(header) == "radiance":
-        problems.add("the description says RADIANCE but a 'reflectance scale factor' is given; delete one")
+        problems.add(
+            "the description says RADIANCE but a 'reflectance scale factor' is given",
+            mend="delete one",
+            code="scale-conflict",
+        )
     problems.raise_if_any()
 
 
@@ -222,7 +250,7 @@ def _has_gain(header: EnviHeader) -> bool:
 
 
 def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: bool) -> int:
-    """Return the number of lines; raise where the file is not as long as the header says."""
+    """Return the number of lines; FormatError where the file's size contradicts the header."""
     expected = header.header_offset + header.lines * header.line_bytes
     if size == expected:
         return header.lines
@@ -232,124 +260,91 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
     if keep_whole_lines and possible:
         return whole
     change = "shorter" if size < expected else "longer"
-    problem = (
+    found = (
         f"found {size} bytes, expected {expected} ({header.header_offset} + {header.lines} lines x "
         f"{header.bands} bands x {header.samples} samples x {header.dtype.itemsize} bytes): the file is "
         f"{abs(expected - size)} bytes {change} than its header says"
     )
     if by_lines:
-        problem += f"\nit holds {whole} whole lines and {remainder} bytes more"
+        found += f"\nit holds {whole} whole lines and {remainder} bytes more"
+    mend = "check samples, bands, lines and data type, or copy the file again"
     if possible:
-        problem += (
-            f"; keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
-        )
-    else:
-        problem += "\ncheck samples, bands, lines and data type, or copy the file again"
-    subject = f"ENVI data file {str(path)!r} does not fit its header"
-    raise FormatError(subject, problems=[Problem(problem)])
-
-
-def _warn(header: EnviHeader, path: Path, lines: int) -> None:
-    messages = list(header.warnings)
-    if _is_unscaled(header):
-        messages.append(
-            "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
-            "'values'; add for example 'reflectance scale factor = 10000' to the header"
-        )
-    if lines != header.lines:
-        messages.append(f"{lines} whole lines are kept where the header says {header.lines}")
-    if messages:
-        warnings.warn(f"{path.name}: {'; '.join(messages)}", PaintWarning, stacklevel=3)
+        mend = f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
+    raise FormatError(
+        f"ENVI data file {str(path)!r} does not fit its header",
+        problems=[Problem(found, mend=mend, code="file-size")],
+    )
 
 
 def _level(header: EnviHeader) -> str | None:
-    """Return the processing level that the description names."""
+    """Return the processing level in the description; None without one."""
     levels = _LEVEL.findall(header.description[:10_000])
     return str(levels[-1]).lower() if levels else None
 
 
 def _is_unscaled(header: EnviHeader) -> bool:
-    """Whether integers are called reflectance without the scale that would make them fractions."""
+    """Return whether integers are called reflectance without a scale to fractions."""
     unscaled = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
     return _level(header) == "reflectance" and header.dtype.kind in "iu" and unscaled
-
-
-def _comment_units(header: EnviHeader) -> str | None:
-    """Return Headwall's units comment, if it can be read as units."""
-    for key, text in header.comments.items():
-        if key.lower() == "units":
-            plain = text.replace("^", "").strip()
-            try:
-                return units.canonical(plain)
-            except UnitsError:
-                return None
-    return None
-
-
-def _quantity(header: EnviHeader, given: str | None, unsaid: str, path: Path) -> tuple[str, dict[str, Any]]:
-    """Return the name and the attributes of the variable."""
-    name, units_said = _said(header)
-    plain = header.dtype.kind in "iu" and not _has_gain(header)
-    if name is None and given is None and plain and header.file_type in _CUBE_TYPES:
-        given = unsaid
-    elif given is not None:
-        _check_quantity(header, name, given, path)
-    name = name or given or "values"
-    if name == "values":
-        return name, {}
-    attrs = schema.VARIABLES[name].attrs
-    if name == "radiance":
-        attrs = {key: value for key, value in attrs.items() if key != "units"}
-        return name, attrs | ({"units": units_said} if units_said else {})
-    return name, attrs
 
 
 _CUBE_TYPES = ("", "envi", "envi standard")
 
 
-def _check_quantity(header: EnviHeader, said: str | None, given: str, path: Path) -> None:
-    """Refuse what the caller says of the samples where header or samples say otherwise."""
-    if given not in _QUANTITIES:
-        raise FormatError(f"quantity={given!r}: expected one of {', '.join(_QUANTITIES)}")
-    reason = ""
-    if said not in (None, given):
-        reason = f"its header says {said}; correct the header, or leave quantity= out"
-    elif given == "counts" and (header.dtype.kind not in "iu" or _has_gain(header)):
-        reason = f"samples are {header.dtype.name}{', with gains' if _has_gain(header) else ''}, no counts"
-    elif given == "reflectance" and header.dtype.kind in "iu" and not (said or _has_gain(header)):
-        reason = "integers without a scale; add for example 'reflectance scale factor = 10000' to its header"
+def _quantity(
+    header: EnviHeader, quantity: str | None, unsaid: str, path: Path
+) -> tuple[str, dict[str, Any]]:
+    """Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``."""
+    declared, radiance_units = _declared_quantity(header)
+    is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
+    if quantity not in (None, *_QUANTITIES):
+        raise FormatError(
+            f"quantity={quantity!r}", expected=f"one of {', '.join(_QUANTITIES)}", code="choice-unknown"
+        )
+    reason = mend = ""
+    if quantity is not None and declared not in (None, quantity):
+        reason, mend = f"its header says {declared}", "correct the header, or leave quantity= out"
+    elif quantity == "counts" and (not is_integer or has_gain):
+        reason = f"samples are {header.dtype.name}{', with gains' if has_gain else ''}, no counts"
+    elif quantity == "reflectance" and is_integer and not (declared or has_gain):
+        reason = "integers are stored without a scale"
+        mend = "add for example 'reflectance scale factor = 10000' to its header"
     if reason:
-        raise FormatError(f"{path.name}: quantity={given!r}, but {reason}")
+        raise FormatError(
+            f"{path.name}: quantity={quantity!r}, but {reason}", mend=mend, code="quantity-conflict"
+        )
+    if quantity is None and is_integer and not has_gain and header.file_type in _CUBE_TYPES:
+        quantity = unsaid
+    name = declared or quantity or "values"
+    attrs = {} if name == "values" else dict(schema.VARIABLES[name].attrs)
+    if name == "radiance":
+        del attrs["units"]
+        attrs |= {"units": radiance_units} if radiance_units else {}
+    return name, attrs
 
 
-def _said(header: EnviHeader) -> tuple[str | None, str | None]:
-    """Return the quantity that the header names, and its units of radiance; None where it does not."""
+def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
+    """Return the quantity that the header declares, and its units of radiance; None where it does not."""
     if _is_unscaled(header):
         return "values", None
-    level = _level(header)
-    units_said = _comment_units(header)
-    is_radiance = units_said is not None and units.same_dimension(
-        units_said, schema.VARIABLES["radiance"].units
-    )
-    integer = header.dtype.kind in "iu"
-    scale = header.reflectance_scale_factor
-    if level is None and scale is not None and (scale != 1.0 or not integer):
+    # Headwall's comment on units, if it can be read as units
+    comment = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
+    plain = comment.replace("^", "").strip()
+    is_radiance = plain and units.same_dimension(plain, schema.VARIABLES["radiance"].units)
+    radiance_units = plain if is_radiance else None
+    level, scale, is_integer = _level(header), header.reflectance_scale_factor, header.dtype.kind in "iu"
+    if level is None and scale is not None and (scale != 1.0 or not is_integer):
         level = "reflectance"
-    if level is None and is_radiance:
+    if level is None and radiance_units is not None:
         level = "radiance"
     if level in ("reflectance", "radiance"):
-        return level, units_said if is_radiance else None
-    if integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and _is_raw(header):
+        return level, radiance_units
+    # raw counts, by units, description or level
+    count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
+    is_raw = count_units or _RAW.search(header.description[:10_000]) or level == "counts"
+    if is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and is_raw:
         return "counts", None
     return None, None
-
-
-def _is_raw(header: EnviHeader) -> bool:
-    """Whether words of the header say that integers are what the converter gave."""
-    said = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
-    said = header.fields.get("data units", said)
-    in_words = said.strip().lower() in _COUNT_UNITS or _RAW.search(header.description[:10_000])
-    return bool(in_words) or _level(header) == "counts"
 
 
 def _scaling(header: EnviHeader, name: str) -> Scaling | None:
@@ -371,32 +366,32 @@ def _scaling(header: EnviHeader, name: str) -> Scaling | None:
 
 
 def _coordinates(header: EnviHeader, lines: int) -> dict[str, Any]:
-    # else xarray imports dask, which takes longer than all else, to ask whether the values are its own
+    # fastpath: else xarray imports dask, which takes longer than the rest, to check the type of the values
     coords: dict[str, Any] = {
         name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
         for name, values in (
-            ("wavelength", header.wavelength), ("fwhm", header.fwhm), ("good", header.good),
+            ("wavelength", header.wavelength),
+            ("fwhm", header.fwhm),
+            ("good", header.good),
         )
         if values is not None
-    }  # fmt: skip
+    }
     if header.map_info is not None and header.map_info.rotation == 0:
-        coords.update(_map_coordinates(header.map_info, lines, header.samples))
+        # pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner
+        info = header.map_info
+        column, row = info.reference_pixel
+        x = info.reference[0] + (np.arange(header.samples) + 1.5 - column) * info.pixel_size[0]
+        y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
+        if info.projection.lower().startswith("geographic"):
+            x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
+            y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
+        else:
+            unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
+            x_attrs, y_attrs = ({"standard_name": f"projection_{axis}_coordinate"} for axis in "xy")
+            for axis_attrs in (x_attrs, y_attrs):
+                axis_attrs.update({"units": unit} if unit else {})
+        coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
     return coords
-
-
-def _map_coordinates(info: MapInfo, lines: int, samples: int) -> dict[str, Any]:
-    """Return pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner."""
-    column, row = info.reference_pixel
-    x = info.reference[0] + (np.arange(samples) + 1.5 - column) * info.pixel_size[0]
-    y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
-    if info.projection.lower().startswith("geographic"):
-        x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
-        y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
-    else:
-        unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
-        unit_attrs = {"units": unit} if unit else {}
-        x_attrs, y_attrs = ({"standard_name": f"projection_{name}_coordinate", **unit_attrs} for name in "xy")
-    return {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
 
 
 def _attributes(header: EnviHeader, path: Path, lines: int) -> dict[str, Any]:

@@ -18,7 +18,7 @@ _MAX_SHOWN = 20
 
 
 class HeaderFindings(Problems):
-    """What makes a header unusable, and notes and warnings, the flood of a damaged file cut short."""
+    """Problems, notes and warnings of a header, limited in number."""
 
     def __init__(self, name: str) -> None:
         super().__init__(f"{name} cannot be used", FormatError)
@@ -26,7 +26,7 @@ class HeaderFindings(Problems):
         self.warnings: list[str] = []
 
     def note(self, text: str, *, warn: bool = False) -> None:
-        """Add what was inferred or looks odd; `warn` where values may be wrong for it."""
+        """Add an inference or oddity; `warn` if it may make values wrong."""
         if len(self.warnings if warn else self.notes) < _MAX_SHOWN:
             self.notes.append(text)
             if warn:
@@ -42,7 +42,7 @@ class Scanned:
 
 
 def shown(text: str) -> str:
-    """Return text as messages quote it."""
+    """Return text shortened and quoted for messages."""
     return repr(text if len(text) <= 60 else text[:57] + "...")
 
 
@@ -52,7 +52,7 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
     scanned = Scanned()
     _, first = next(lines, (1, ""))
     if first.split() != ["ENVI"]:
-        findings.add(f"first line is {shown(first.rstrip())}, expected 'ENVI'")
+        findings.add(f"first line is {shown(first.rstrip())}", expected="'ENVI'", code="format-unknown")
         return scanned
     entries = 0
     for number, line in lines:
@@ -65,14 +65,22 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
             key, equals, value = line.partition("=")
             key, value = " ".join(key.lower().split()), value.strip()
             if not equals or not key:
-                findings.add(f"line {number} is {shown(line)}, expected 'key = value' or a comment (;)")
+                findings.add(
+                    f"line {number} is {shown(line)}",
+                    expected="'key = value' or a comment (;)",
+                    code="text-unreadable",
+                )
             else:
                 if value.startswith("{"):
                     value = _closed(value, number, key, lines, findings)
                 _store(scanned.fields, key, value, f"line {number}", findings)
         entries += bool(line)
         if entries > MAX_ENTRIES or len(findings) >= _MAX_SHOWN:
-            findings.add(f"reading stopped at line {number}; is it the data file?")
+            findings.add(
+                f"reading stopped at line {number}",
+                mend="check that it is not the data file",
+                code="header-too-long",
+            )
             return Scanned()
     return scanned
 
@@ -80,14 +88,14 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
 def _closed(
     value: str, number: int, key: str, lines: Iterator[tuple[int, str]], findings: HeaderFindings
 ) -> str:
-    """Return a braced value whole, taking more lines until its brace closes."""
+    """Return a braced value, reading more lines until its brace closes."""
     parts: list[str] = []
     part = value
     while "}" not in part:
         parts.append(part)
         _, following = next(lines, (0, None))
         if following is None:
-            findings.add(f"{key!r}: the brace opened on line {number} is never closed")
+            findings.add(f"{key!r}: the brace opened on line {number} is never closed", code="brace-open")
             return "\n".join(parts) + "}"
         part = following.rstrip()
     inside, _, after = part.partition("}")
@@ -103,13 +111,14 @@ def _store(into: dict[str, str], key: str, value: str, where: str, findings: Hea
         findings.note(f"{key!r} is given twice, with the same value")
     else:
         findings.add(
-            f"{where}: {key!r} is given again as {shown(value)}, before as {shown(into[key])}; "
-            "delete the wrong one"
+            f"{where}: {key!r} is given again as {shown(value)}, before as {shown(into[key])}",
+            mend="delete the wrong one",
+            code="key-repeated",
         )
 
 
 def _store_comment(into: dict[str, str], key: str, value: str, findings: HeaderFindings) -> None:
-    """Keep the first of two: a processing step repeats comments, and must not make the cube unreadable."""
+    """Keep the first of two: processing steps repeat comments, and the cube must stay readable."""
     if into.setdefault(key, value) != value:
         findings.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
 

@@ -1,6 +1,6 @@
-"""What the keys of an ENVI header mean: sizes, types, wavelengths, scale, place.
+"""Meaning of the keys of an ENVI header: sizes, types, wavelengths, scale, map position.
 
-Reading is bounded and linear in the length of the file, and every problem found is raised at once.
+Reading is bounded and linear in the length of the file, and all problems are raised together.
 """
 
 from __future__ import annotations
@@ -23,13 +23,22 @@ from hyperpaint.io.files.reading import decoded_text
 from .envi_grammar import HeaderFindings, Scanned, bare, scan, shown
 
 MAX_HEADER_BYTES = 4 * 2**20
+# A library's header names every spectrum: some 400,000 of them.
 MAX_LIBRARY_HEADER_BYTES = 16 * 2**20
-"""Of a spectral library, whose header names every spectrum: some 400,000 of them."""
 
 _DTYPES = {
-    "1": "u1", "2": "i2", "3": "i4", "4": "f4", "5": "f8", "6": "c8", "9": "c16",
-    "12": "u2", "13": "u4", "14": "i8", "15": "u8",
-}  # fmt: skip
+    "1": "u1",
+    "2": "i2",
+    "3": "i4",
+    "4": "f4",
+    "5": "f8",
+    "6": "c8",
+    "9": "c16",
+    "12": "u2",
+    "13": "u4",
+    "14": "i8",
+    "15": "u8",
+}
 _BYTE_ORDERS = {"0": "<", "1": ">"}
 _INTERLEAVES = ("bil", "bip", "bsq")
 
@@ -56,7 +65,7 @@ _NAMED_WAVELENGTH = re.compile(
 
 @dataclass(frozen=True)
 class MapInfo:
-    """Where pixels lie on a map."""
+    """Map position of the pixels, from ``map info``."""
 
     projection: str  # Name of the projection, as written
     # Column and row of the reference, counted from 1; (1, 1) is the outer upper-left corner of the first
@@ -71,7 +80,7 @@ class MapInfo:
 
 @dataclass(frozen=True, eq=False)
 class EnviHeader:
-    """What an ENVI header says."""
+    """Content of an ENVI header."""
 
     # lines, samples, bands: Size of the cube: along track, across track, spectral
     lines: int
@@ -98,7 +107,7 @@ class EnviHeader:
     # Every key (lower case) and its raw text, in the order of the file, braces included
     fields: dict[str, str] = field(default_factory=dict)
     comments: dict[str, str] = field(default_factory=dict)  # ``;key = value`` lines, in the order of the file
-    notes: tuple[str, ...] = ()  # What was inferred or looked odd
+    notes: tuple[str, ...] = ()  # Inferences and oddities
     warnings: tuple[str, ...] = ()  # Those of the notes that may make values or wavelengths wrong
 
     @property
@@ -120,7 +129,7 @@ class EnviHeader:
 def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> EnviHeader:
     """Read an ENVI header file.
 
-    ``path``: the ``.hdr`` file; ``limit``: most bytes that it may have.
+    ``path``: the ``.hdr`` file; ``limit``: its maximum size [byte].
 
     Raises `FormatError`: The file is not an ENVI header, is over the limit, or contradicts itself; all
     problems are listed. Raises `OSError`: The file cannot be read.
@@ -130,14 +139,18 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
         raw = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
     name = f"ENVI header {os.fspath(path)!r}"
     if len(raw) > limit:
-        raise FormatError(f"{name} cannot be read: it is over {limit >> 20} MB; is it the data file?")
+        raise FormatError(
+            f"{name} cannot be read: it is over {limit >> 20} MB",
+            mend="check that it is not the data file",
+            code="file-too-large",
+        )
     return parse_header(decoded_text(raw), name)
 
 
 def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     """Read the text of an ENVI header.
 
-    ``text``: text from the line ``ENVI`` on; ``name``: what messages call it.
+    ``text``: text from the line ``ENVI`` on; ``name``: its name in messages.
 
     Raises `FormatError`: The text is not an ENVI header or contradicts itself; all problems are listed.
 
@@ -164,12 +177,12 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     header = _interpret(scanned, findings) if scanned.fields else None
     findings.raise_if_any()
     if header is None:
-        raise FormatError(f"{name} cannot be used: it holds no 'key = value' line")
+        raise FormatError(f"{name} cannot be used: it holds no 'key = value' line", code="empty-input")
     return header
 
 
 class _Reader:
-    """Turns raw values into checked ones; notes a problem and returns None where one is wrong."""
+    """Converts and checks raw values; notes a problem and returns None for a wrong one."""
 
     def __init__(self, fields: Mapping[str, str], findings: HeaderFindings) -> None:
         self.fields = fields
@@ -180,10 +193,10 @@ class _Reader:
         kind = "a whole number above 0" if least else "a whole number, 0 or above"
         if text is None:
             if default is None:
-                self.findings.add(f"{key!r} is missing; expected {kind}")
+                self.findings.add(f"{key!r} is missing", expected=kind, code="key-missing")
             return default or 0
         if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < least:
-            self.findings.add(f"{key!r} is {shown(text)}, expected {kind}")
+            self.findings.add(f"{key!r} is {shown(text)}", expected=kind, code="value-out-of-range")
             return 0
         return int(text)
 
@@ -192,7 +205,9 @@ class _Reader:
         if text is not None and text.lower() in allowed:
             return allowed[text.lower()]
         stated = "missing" if text is None else shown(text)
-        self.findings.add(f"{key!r} is {stated}, expected one of {', '.join(allowed)}")
+        self.findings.add(
+            f"{key!r} is {stated}", expected=f"one of {', '.join(allowed)}", code="choice-unknown"
+        )
         return None
 
     def number(self, key: str) -> float | None:
@@ -202,7 +217,7 @@ class _Reader:
         try:
             return _to_float(bare(text))
         except ValueError:
-            self.findings.add(f"{key!r} is {shown(text)}, expected one number")
+            self.findings.add(f"{key!r} is {shown(text)}", expected="one number", code="number-unreadable")
             return None
 
     def numbers(self, key: str, count: int, per: str) -> Floats | None:
@@ -210,30 +225,34 @@ class _Reader:
         text = self.fields.get(key)
         if text is None or not bare(text):
             return None
-        if count < 1:  # the count itself is a problem already
+        if count < 1:  # noted already
             return None
         text = bare(text)
-        # counted before it is split: a list of millions never becomes objects unless the cube is as large
+        # counted before it is split: millions of values become objects only if the cube is as large
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
             self.findings.add(
-                f"{key!r} has {size} values for {count} {per}; expected one for each, or no {key!r} at all"
+                f"{key!r} has {size} values for {count} {per}",
+                expected=f"one for each, or no {key!r} at all",
+                code="length-mismatch",
             )
             return None
         try:
             values = np.array([_to_float(item) for item in _ITEM.findall(text)], dtype=np.float64)
         except ValueError as error:
-            self.findings.add(f"{key!r}: {error}, expected numbers")
+            self.findings.add(f"{key!r}: {error}", expected="numbers", code="number-unreadable")
             return None
         if not np.isfinite(values).all():
             where = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
-            self.findings.add(f"{key!r}: value {where} is {values[where - 1]}, expected finite numbers")
+            self.findings.add(
+                f"{key!r}: value {where} is {values[where - 1]}", expected="finite numbers", code="not-finite"
+            )
             return None
         return values
 
 
 def _to_float(text: str) -> float:
-    """Return the number; unlike float(), take neither underscores nor other scripts' digits."""
+    """Return a number; unlike float(), refuse underscores and other scripts' digits."""
     if len(text) <= 64 and text.isascii() and "_" not in text:
         try:
             return float(text)
@@ -246,31 +265,64 @@ def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
     reader = _Reader(scanned.fields, findings)
     lines, samples, bands = (reader.integer(key, least=1) for key in ("lines", "samples", "bands"))
     offset = reader.integer("header offset", least=0, default=0)
-    dtype = _dtype(reader)
+    # type and order of the samples
+    code, order = reader.choice("data type", _DTYPES) or "u1", "<"
+    if "byte order" in reader.fields:
+        order = reader.choice("byte order", _BYTE_ORDERS) or "<"
+    elif np.dtype(code).itemsize > 1:
+        findings.note(
+            "no byte order: assumed little-endian; add 'byte order = 0' (big-endian: 1) to the header",
+            warn=True,
+        )
     interleave = reader.choice("interleave", {name: name for name in _INTERLEAVES})
-    _refuse_unsupported(reader)
+    for key in ("major frame offsets", "minor frame offsets"):
+        text = reader.fields.get(key, "")
+        if set(bare(text)) - set("0, \t\n"):
+            findings.add(
+                f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported"
+            )
+    if reader.fields.get("file compression", "0") != "0":
+        findings.add(
+            "'file compression' is set",
+            mend="unpack the data file and set it to 0",
+            code="layout-unsupported",
+        )
+    # bands
     library = "spectral library" in scanned.fields.get("file type", "").lower()
     count, per = (samples, "samples of a spectral library") if library else (bands, "bands")
     names = _band_names(reader, bands)
     wavelength, fwhm = _spectral_axis(reader, count, per, names)
     good = reader.numbers("bbl", count, per)
     if good is not None and not np.isin(good, (0.0, 1.0)).all():
-        findings.add("'bbl' holds values other than 0 (bad band) and 1 (good band)")
+        findings.add(
+            "'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range"
+        )
     scale = reader.number("reflectance scale factor")
     if scale is not None and not (math.isfinite(scale) and scale > 0):
-        findings.add(f"'reflectance scale factor' is {scale}, expected a number above 0")
+        findings.add(
+            f"'reflectance scale factor' is {scale}", expected="a number above 0", code="value-out-of-range"
+        )
+    # whole numbers stay integers: float64 cannot hold all 64-bit ones
+    text = bare(reader.fields.get("data ignore value", ""))
+    ignore: int | float | None
+    if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
+        ignore = int(text)
+    else:
+        ignore = reader.number("data ignore value")
+        if ignore is not None and ignore.is_integer() and abs(ignore) < 2**53:
+            ignore = int(ignore)
     return EnviHeader(
         lines=lines,
         samples=samples,
         bands=bands,
         header_offset=offset,
-        dtype=dtype,
+        dtype=np.dtype(order + code),
         interleave=interleave or "",
         wavelength=wavelength,
         fwhm=fwhm,
         good=None if good is None else good == 1.0,
         band_names=names,
-        data_ignore_value=_ignore_value(reader),
+        data_ignore_value=ignore,
         reflectance_scale_factor=scale,
         data_gain_values=reader.numbers("data gain values", bands, "bands"),
         data_offset_values=reader.numbers("data offset values", bands, "bands"),
@@ -283,45 +335,17 @@ def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
     )
 
 
-def _dtype(reader: _Reader) -> np.dtype[Any]:
-    code = reader.choice("data type", _DTYPES) or "u1"
-    if "byte order" in reader.fields:
-        order = reader.choice("byte order", _BYTE_ORDERS) or "<"
-    else:
-        order = "<"
-        if np.dtype(code).itemsize > 1:
-            reader.findings.note(
-                "no byte order: assumed little-endian; add 'byte order = 0' (big-endian: 1) to the header",
-                warn=True,
-            )
-    return np.dtype(order + code)
-
-
-def _refuse_unsupported(reader: _Reader) -> None:
-    for key in ("major frame offsets", "minor frame offsets"):
-        text = reader.fields.get(key, "")
-        if set(bare(text)) - set("0, \t\n"):
-            reader.findings.add(f"{key!r} is {shown(text)}: padded lines are not supported")
-    if reader.fields.get("file compression", "0") != "0":
-        reader.findings.add("'file compression' is set: unpack the data file and set it to 0")
-
-
-def _ignore_value(reader: _Reader) -> int | float | None:
-    text = bare(reader.fields.get("data ignore value", ""))
-    # a whole number is kept as such: float64 cannot hold every 64-bit one
-    if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
-        return int(text)
-    value = reader.number("data ignore value")
-    return int(value) if value is not None and value.is_integer() and abs(value) < 2**53 else value
-
-
 def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
     text = bare(reader.fields.get("band names", ""))
     if not text:
         return ()
     count = text.rstrip(", \t\n").count(",") + 1
     if count > max(1000, 10 * bands):
-        reader.findings.add(f"'band names' has {count} names for {bands} bands; delete the list")
+        reader.findings.add(
+            f"'band names' has {count} names for {bands} bands",
+            mend="delete the list",
+            code="length-mismatch",
+        )
         return ()
     if count != bands:
         reader.findings.note(f"'band names' has {count} names for {bands} bands: names ignored")
@@ -343,8 +367,10 @@ def _spectral_axis(
         return None, None
     if unit not in _UNSAID and unit not in _NANOMETRES:
         reader.findings.add(
-            f"'wavelength units' is {shown(text)}, expected Nanometers, Micrometers, Angstroms, "
-            "Millimeters, Centimeters, Meters, Wavenumber, GHz, MHz, Index or Unknown"
+            f"'wavelength units' is {shown(text)}",
+            expected="Nanometers, Micrometers, Angstroms, Millimeters, Centimeters, Meters, Wavenumber, "
+            "GHz, MHz, Index or Unknown",
+            code="choice-unknown",
         )
         return None, None
     if wavelength is None and "wavelength" not in reader.fields:
@@ -357,9 +383,11 @@ def _spectral_axis(
         if wavelength is not None:
             wavelength = _in_nanometres(wavelength, factor, "wavelength", reader)
             if (wavelength <= 0).any():
-                reader.findings.add("'wavelength' holds values that are not above 0")
+                reader.findings.add(
+                    "'wavelength' holds values that are not above 0", code="value-out-of-range"
+                )
     if fwhm is not None and (fwhm < 0).any():
-        reader.findings.add("'fwhm' holds values below 0")
+        reader.findings.add("'fwhm' holds values below 0", code="value-out-of-range")
     return wavelength, None if fwhm is None else _in_nanometres(fwhm, factor, "fwhm", reader)
 
 
@@ -367,7 +395,10 @@ def _in_nanometres(values: Floats, factor: float, name: str, reader: _Reader) ->
     with np.errstate(over="ignore"):
         nanometres: Floats = values * factor
     if not np.isfinite(nanometres).all():
-        reader.findings.add(f"{name!r} holds values up to {values.max():.3g}: no wavelength is so long")
+        reader.findings.add(
+            f"{name!r} holds values up to {values.max():.3g}, which is infinite in nanometres",
+            code="not-finite",
+        )
     return nanometres
 
 
@@ -377,8 +408,8 @@ def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: HeaderF
     longest = float(wavelength.max())
     small = longest < _LARGEST_MICROMETRE
     if unit in _UNSAID:
-        said = "values below 100 taken as micrometres" if small else "values taken as nanometres"
-        findings.note(f"no wavelength units: {said}")
+        assumption = "values below 100 taken as micrometres" if small else "values taken as nanometres"
+        findings.note(f"no wavelength units: {assumption}")
         return 1e3 if small else 1.0
     factor = _NANOMETRES[unit]
     if (factor == 1.0 and small) or (factor == 1e3 and not small):
@@ -390,7 +421,7 @@ def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: HeaderF
 
 
 def _wavelength_of_names(names: tuple[str, ...], findings: HeaderFindings) -> Floats | None:
-    """Return the wavelengths that GDAL leaves in band names, such as ``399.356 nm``."""
+    """Return the wavelengths that GDAL writes into band names, such as ``399.356 nm``."""
     centres = []
     for name in names:
         match = _NAMED_WAVELENGTH.search(name[:200])
@@ -418,12 +449,18 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         rotation = _to_float(words.get("rotation", "0").strip())
     except ValueError as error:
         reader.findings.add(
-            f"'map info' is {shown(text)} ({error}); expected projection, reference column and row, x, y, "
-            "pixel width and height, then zone, datum, units=..., rotation=..."
+            f"'map info' is {shown(text)} ({error})",
+            expected="projection, reference column and row, x, y, pixel width and height, then zone, datum, "
+            "units=..., rotation=...",
+            code="number-unreadable",
         )
         return None
     if not all(map(math.isfinite, (column, row, x, y, width, height, rotation))) or min(width, height) <= 0:
-        reader.findings.add(f"'map info' is {shown(text)}; expected finite numbers and sizes above 0")
+        reader.findings.add(
+            f"'map info' is {shown(text)}",
+            expected="finite numbers and sizes above 0",
+            code="value-out-of-range",
+        )
         return None
     return MapInfo(
         projection=plain[0],

@@ -1,6 +1,6 @@
 """Raw ENVI cubes without copying: slabs of whole lines are runs of bytes of the data file.
 
-`slab_lines` and `slab_offsets` say which; `EnviParser` offers them to VirtualiZarr, as its parsers do.
+`slab_lines` and `slab_offsets` give the slabs; `EnviParser` is a parser of VirtualiZarr.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from hyperpaint.base.errors import FormatError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.io.files.reading import decoded_text
 
-from .envi_header import EnviHeader, parse_header
+from .envi_header import parse_header
 
 if TYPE_CHECKING:
     from virtualizarr.manifests import ManifestStore
 
+# Dims in the order of the file, slowest first.
 FILE_DIMS = {
     "bil": (ALONG_TRACK, BAND, CROSS_TRACK),
     "bip": (ALONG_TRACK, CROSS_TRACK, BAND),
     "bsq": (BAND, ALONG_TRACK, CROSS_TRACK),
 }
-"""Dims in the order of the file, slowest first."""
 
-_LEAST_LINES, _MOST_LINES = 8, 64
-"""Lines of a slab: fewer cost a task more than they are worth, more take much memory."""
+# Lines of a slab: with fewer, overhead dominates a task; more take much memory.
+MIN_SLAB_LINES, MAX_SLAB_LINES = 8, 64
 
 
 def slab_lines(ends: Sequence[int]) -> int:
-    """Return the lines of a slab for cubes one after the other.
+    """Return the lines of a slab for successive cubes.
 
-    ``ends``: the line after the last of each cube. As few slabs as possible are short or lie in two cubes;
-    of those sizes the one nearest to that of stored chunks.
+    ``ends``: the line after the last of each cube. The size with the fewest slabs that are short or span two
+    cubes; among equals the one nearest to that of stored chunks.
 
     Examples
     --------
@@ -49,11 +49,11 @@ def slab_lines(ends: Sequence[int]) -> int:
         broken = {end // lines for end in ends if end % lines}
         return len(broken), abs(math.log(lines / CHUNK_LINES))
 
-    return min(range(_LEAST_LINES, _MOST_LINES + 1), key=badness)
+    return min(range(MIN_SLAB_LINES, MAX_SLAB_LINES + 1), key=badness)
 
 
 def slab_offsets(lines: int, first: int, count: int, header_offset: int, line_bytes: int) -> Ints:
-    """Return where slabs of ``lines`` lines begin in a file, ``count`` of them, the first at line ``first``.
+    """Return the byte offsets of ``count`` slabs of ``lines`` lines in a file, from line ``first`` on.
 
     Examples
     --------
@@ -66,13 +66,13 @@ def slab_offsets(lines: int, first: int, count: int, header_offset: int, line_by
 class EnviParser:
     """A parser of VirtualiZarr for ENVI cubes, such as those of Headwall's recorders.
 
-    Samples are referred to where they lie: slabs of whole lines of a ``bil`` or ``bip`` file, parts of the
+    Samples are referenced in place: slabs of whole lines of a ``bil`` or ``bip`` file, parts of the
     planes of a ``bsq`` file. Sizes, type, byte order and offset come from the header beside the data file.
 
     Parameters
     ----------
     variable
-        Name of the one array.
+        Name of the array.
     lines
         Lines of a chunk, which divide those of the cube, since grids of chunks are regular; by default the
         divisor that is nearest to 32.
@@ -107,11 +107,23 @@ class EnviParser:
         store, data = registry.resolve(data_url)
         _, header_path = registry.resolve(f"{data_url}.hdr")
         header = parse_header(decoded_text(bytes(store.get(str(header_path)).buffer())), f"{data_url}.hdr")
-        _refuse_size(header, int(store.head(str(data))["size"]), data_url)
-        lines = self.lines or _divisor(header.lines)
+        size = int(store.head(str(data))["size"])
+        expected = header.header_offset + header.lines * header.line_bytes
+        if size != expected:
+            raise FormatError(
+                f"{data_url}: {size} bytes",
+                expected=f"{expected} by its header",
+                mend="copy it again",
+                code="file-size",
+            )
+        # by default the divisor nearest to the lines of stored chunks
+        divisors = (n for n in range(1, MAX_SLAB_LINES + 1) if header.lines % n == 0)
+        lines = self.lines or min(divisors, key=lambda n: abs(n - CHUNK_LINES))
         if header.lines % lines:
             raise FormatError(
-                f"{data_url}: {header.lines} lines in chunks of {lines}", expected="a divisor of the lines"
+                f"{data_url}: {header.lines} lines in chunks of {lines}",
+                expected="a divisor of the lines",
+                code="length-mismatch",
             )
         dims = FILE_DIMS[header.interleave]
         sizes = {ALONG_TRACK: header.lines, BAND: header.bands, CROSS_TRACK: header.samples}
@@ -139,14 +151,3 @@ class EnviParser:
             attributes={**attributes, "envi_header": json.dumps(header.fields)},
         )
         return ManifestStore(group=group, registry=registry)
-
-
-def _refuse_size(header: EnviHeader, size: int, name: str) -> None:
-    expected = header.header_offset + header.lines * header.line_bytes
-    if size != expected:
-        raise FormatError(f"{name}: {size} bytes", expected=f"{expected} by its header", mend="copy it again")
-
-
-def _divisor(lines: int) -> int:
-    """Return the divisor nearest to the lines of stored chunks."""
-    return min((n for n in range(1, _MOST_LINES + 1) if lines % n == 0), key=lambda n: abs(n - CHUNK_LINES))

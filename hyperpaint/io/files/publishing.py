@@ -1,8 +1,8 @@
-"""Products that appear whole or not at all: a file, a folder, or several files that belong together.
+"""Products that appear completely or not at all: a file, a folder, or several files that belong together.
 
-A product is built in the folder that a store is built in, ``.partial-<name>`` beside its place (see
+A product is built in a staging folder like a store's, ``.partial-<name>`` beside its place (see
 `hyperpaint.io.store.stage`), flushed to the disk, then moved to its place. One file is moved by one rename.
-One folder changes places with the old one, as a group of a store does.
+One folder is exchanged with the old one, like a group of a store.
 
 Several files are opened by the last of them, the key: the header of a cube, the map that an item describes.
 They cannot be moved in one step, so the key is absent while its companions change:
@@ -10,12 +10,12 @@ They cannot be moved in one step, so the key is absent while its companions chan
 1. Every old companion gets a second name in the build, by a link; it keeps its place.
 2. The build, with a journal of all places, is renamed to ``swap``. Until here all old files stand.
 3. The old key is moved into ``swap``. From here on there is no key to open.
-4. New companions replace the old ones, one by one. Where the disk knows no links, the old one is moved into
+4. New companions replace the old ones, one by one. Where the disk has no links, the old one is moved into
    ``swap`` first.
 5. The new key is moved to its place. From here on all new files stand; ``swap`` is removed.
 
 An error after step 2 undoes all steps at once. A process that is killed there leaves ``swap``: the next
-writer of the product, or `check_place`, undoes the steps where the new key is still in ``swap``, else removes
+writer of the product, or `check_place`, undoes the steps if the new key is still in ``swap``, else removes
 it. So a key in its place has its own companions. Two cases remain: while there is no key, a companion that is
 opened by itself may be the old or the new one; and a program that has opened the old key may read new
 companions.
@@ -42,50 +42,58 @@ from hyperpaint.io.store.disk import flush_group
 from hyperpaint.io.store.location import sync
 from hyperpaint.io.store.stage import Staging, discard, staging
 
-_MEND = "pass {}, or choose another path"
 _SWAP, _JOURNAL = "swap", "journal"
-_MOST_JOURNAL_BYTES = 100_000
+MAX_JOURNAL_BYTES = 100_000
 _PROBE_BYTES = 2**20
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def check_place(
-    path: Path, product: str, *, example: str, kinds: Sequence[str] = (), store: Path | None = None,
-    overwrite: bool = False, error: type[PaintError] = StoreError,
-) -> None:  # fmt: skip
-    """Refuse a place for a file before anything is read or drawn; all reasons are listed.
+    path: Path,
+    product: str,
+    *,
+    example: str,
+    kinds: Sequence[str] = (),
+    store: Path | None = None,
+    overwrite: bool = False,
+    error: type[PaintError] = StoreError,
+) -> None:
+    """Check the place of a new file before anything is read or drawn; all problems are listed.
 
     Messages name the ``product``, such as "the table", and an ``example`` of a name. ``kinds`` are the
-    suffixes that it may have, any by default; it may not be in ``store``.
+    allowed suffixes, any by default; the file may not be inside ``store``.
     """
     problems = Problems(f"{product} cannot be written to {path}", error)
     if kinds and path.suffix.lower() not in kinds:
         several = "one of " + ", ".join(kinds) if len(kinds) > 2 else " or ".join(kinds)
-        problems.add(f"expected a name that ends in {several}")
+        problems.add(f"the name ends in {path.suffix!r}", expected=several, code="suffix-unknown")
     with _errors_of(path):
         _recover(path)
     if store is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
-        problems.add("that is in the store itself; choose another path")
+        problems.add("that is in the store itself", mend="choose another path", code="path-inside-store")
     elif path.is_dir():
-        problems.add(f"that is a folder; name a file in it, such as {example}")
+        problems.add("that is a folder", mend=f"name a file in it, such as {example}", code="path-is-folder")
     elif path.exists() and not overwrite:
-        replace = "pass {} to replace it"
-        mend, option = (replace.format(text) for text in ("overwrite=True", "--overwrite"))
-        problems.add("it exists already", mend=mend, option=option)
+        problems.add(
+            "it exists already",
+            mend="pass overwrite=True to replace it",
+            option="pass --overwrite to replace it",
+            code="file-exists",
+        )
     if not path.absolute().parent.is_dir():
-        problems.add(f"there is no folder {path.absolute().parent}")
+        problems.add(f"there is no folder {path.absolute().parent}", code="folder-missing")
     problems.raise_if_any()
 
 
 def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
-    """Write a file whole or not at all, as `published_files`."""
+    """Write a file completely or not at all, like `published_files`."""
     with published_files([path], overwrite=overwrite) as (temporary,):
         temporary.write_bytes(content)
 
 
 @contextlib.contextmanager
 def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path], str]) -> Iterator[Path]:
-    """Yield a folder to fill, which gets its place when the block ends well; see `published_files`."""
+    """Yield a folder to fill, which is moved to its place if the block succeeds; see `published_files`."""
     with published_files([target], overwrite=overwrite, foreign=foreign) as (build,):
         build.mkdir()
         yield build
@@ -95,18 +103,17 @@ def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path],
 def published_files(
     targets: Sequence[Path], *, overwrite: bool, foreign: Callable[[Path], str] | None = None
 ) -> Iterator[list[Path]]:
-    """Yield a path to write for each part of a product; they get their places when the block ends well.
+    """Yield a path to write for each part of a product; they are moved to their places if the block succeeds.
 
-    ``targets``: their places, in one folder or several; the last is the one by which the product is opened;
-    ``overwrite``: whether an earlier product may be replaced; ``foreign``: given where the last is a folder,
-    which is new, empty, or an earlier product; returns what a folder that is not empty holds and this product
-    does not, such as "other files", and nothing for an earlier product. What holds anything else is never
-    replaced.
+    ``targets``: their places, in one folder or several; the last is the key, by which the product is opened;
+    ``overwrite``: whether an earlier product may be replaced; ``foreign``: given if the last is a folder,
+    which must be new, empty, or an earlier product; returns a description of foreign content, such as "other
+    files", empty for an earlier product. Foreign content is never replaced.
 
     Raises `StoreError`: A place holds something else, or a product that may not be replaced, or is being
-    written by another process; or the system refuses. What was there stays.
+    written by another process; or the system refuses. Existing files stay.
     """
-    if len({target.parent for target in targets}) > 1:  # a folder has one name
+    if len({target.parent for target in targets}) > 1:  # one spelling a folder
         targets = [Path(os.path.realpath(target.parent), target.name) for target in targets]
     key, anchors, builds = targets[-1], _anchors(targets), {}
     with _errors_of(key), contextlib.ExitStack() as stack:
@@ -117,7 +124,7 @@ def published_files(
             anchor.parent.mkdir(parents=True, exist_ok=True)
             stage = stack.enter_context(staging(anchor))
             builds[anchor.parent] = build = stage.build("", "product")
-            stack.callback(_discard_if_there, build)
+            stack.callback(discard, build)
             build.mkdir()
         news = [builds[target.parent] / str(number) / target.name for number, target in enumerate(targets)]
         for new in news:
@@ -136,9 +143,9 @@ def published_files(
 
 
 def unwritable(place: Path, error: Exception) -> StoreError:
-    """Return the error of a place that cannot be written; a full disk is named, with its free space.
+    """Return the error of a place that cannot be written; on a full disk with its free space.
 
-    GDAL keeps the number of the system's error to itself: whether the disk is full is tried out for it.
+    GDAL hides the error number of the system: a probe file shows whether the disk is full.
     """
     folder = next((each for each in place.absolute().parents if each.is_dir()), Path(place.anchor))
     reason: str = getattr(error, "strerror", None) or str(error)
@@ -151,11 +158,12 @@ def unwritable(place: Path, error: Exception) -> StoreError:
         except OSError as full:
             code, reason = full.errno, f"{full.strerror} ({reason})"
     if code not in _FULL:
-        return StoreError(f"{place} cannot be written: {reason}")
+        return StoreError(f"{place} cannot be written: {reason}", code="file-unwritable")
     free = size_text(shutil.disk_usage(folder).free)
     return StoreError(
         f"{place} cannot be written: {reason}; {free} are free on the disk of {folder}",
         mend="make room, or choose another disk",
+        code="disk-full",
     )
 
 
@@ -175,44 +183,59 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
     for target in existing[:]:
         if foreign is None or target != targets[-1]:
             if target.is_dir():
-                raise StoreError(f"{target} is a folder; choose another path")
+                raise StoreError(f"{target} is a folder", mend="choose another path", code="path-is-folder")
             if not target.is_symlink() and not is_plain_file(target):
-                raise StoreError(f"{target} is no plain file; choose another path")
+                raise StoreError(
+                    f"{target} is no plain file", mend="choose another path", code="file-not-plain"
+                )
         elif target.is_symlink() or not target.is_dir():
-            raise StoreError(f"{target} is a file or a link, expected a folder; choose another path")
+            raise StoreError(
+                f"{target} is a file or a link",
+                expected="a folder",
+                mend="choose another path",
+                code="path-not-folder",
+            )
         else:
             try:
                 is_empty = not any(target.iterdir())
                 other = "" if is_empty else foreign(target)
             except OSError as error:
-                raise StoreError(f"{target} cannot be read: {error.strerror or error}") from error
+                raise StoreError(
+                    f"{target} cannot be read: {error.strerror or error}", code="file-unreadable"
+                ) from error
             if other:
-                raise StoreError(f"{target} holds {other}; choose a new or empty folder")
+                raise StoreError(
+                    f"{target} holds {other}", mend="choose a new or empty folder", code="folder-occupied"
+                )
             if is_empty:
                 existing.remove(target)
     if existing and not overwrite:
         names = ", ".join(map(str, existing))
-        found_there = f"{names} {'exists' if len(existing) == 1 else 'exist'}"
-        raise StoreError(found_there, mend=_MEND.format("overwrite=True"), option=_MEND.format("--overwrite"))
+        raise StoreError(
+            f"{names} {'exists' if len(existing) == 1 else 'exist'}",
+            mend="pass overwrite=True, or choose another path",
+            option="pass --overwrite, or choose another path",
+            code="file-exists",
+        )
 
 
 # --- several files -----------------------------------------------------------------------------------------
 
 
 def _anchors(targets: Sequence[Path]) -> list[Path]:
-    """Return the target of each folder that its staging folder is named by, that of the key last."""
+    """Return the target that names the staging folder of each folder, the key last."""
     key = targets[-1]
     return [*{each.parent: each for each in targets if each.parent != key.parent}.values(), key]
 
 
 def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
-    """Let new files and old ones change places: steps 1 to 5 of the module's docstring.
+    """Exchange new and old files: steps 1 to 5 of the module's docstring.
 
-    ``folders``: the build of each folder that targets lie in, that of the key last.
+    ``folders``: the build of each target folder, the key's last.
     """
     *companions, (last, key) = enumerate(targets)
     for number, target in companions:
-        with contextlib.suppress(OSError):  # there is none, or the disk knows no links
+        with contextlib.suppress(OSError):  # there is no old file, or the disk has no links
             os.link(target, _old(folders[target.parent], number))
     for folder, build in folders.items():
         real = os.path.realpath(folder)
@@ -221,7 +244,7 @@ def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
         sync(build / _JOURNAL)
         sync(build)
     try:
-        for folder, build in folders.items():  # that of the key begins the swap
+        for folder, build in folders.items():  # the key's folder comes last and begins the swap
             os.rename(build, build.with_name(_SWAP))
             sync(build.parent)
             folders[folder] = build.with_name(_SWAP)
@@ -238,7 +261,7 @@ def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
         os.rename(_new(folders[key.parent], last, key), key)
         sync(key.parent)
     except BaseException:
-        with contextlib.suppress(OSError):  # else the next writer does it
+        with contextlib.suppress(OSError):  # otherwise done by the next writer
             _settle(targets)
         raise
     _settle(targets)
@@ -253,7 +276,7 @@ def _new(build: Path, number: int, target: Path) -> Path:
 
 
 def _settle(targets: Sequence[Path]) -> None:
-    """Undo a swap whose key is not in its place yet, and remove what is left of it; the places are locked."""
+    """Undo a swap whose key is not in its place yet, and remove its remains; the places are locked."""
     swaps = {anchor.parent: Staging(anchor).folder / _SWAP for anchor in _anchors(targets)}
     *companions, (last, key) = enumerate(targets)
     folder = swaps[key.parent]
@@ -273,19 +296,14 @@ def _settle(targets: Sequence[Path]) -> None:
             os.rename(_old(folder, last), key)
         sync(key.parent)
     for swap in reversed(swaps.values()):
-        _discard_if_there(swap)
-
-
-def _discard_if_there(build: Path) -> None:
-    if build.exists():
-        discard(build)
+        discard(swap)
 
 
 def _recover(target: Path) -> None:
-    """Undo or finish what a killed writer left at a place."""
+    """Undo or finish a swap that a killed writer left at a place."""
     if not os.path.lexists(Staging(target).folder):
         return
-    with staging(target):  # which removes what was only built
+    with staging(target):  # removes unfinished builds
         targets = _journal(target)
     with contextlib.ExitStack() as stack:
         for anchor in _anchors(targets) if targets else ():
@@ -296,13 +314,13 @@ def _recover(target: Path) -> None:
 
 
 def _journal(target: Path) -> list[Path]:
-    """Return the places of the files of a swap that was cut short; refuse what no writer left."""
+    """Return the places of the files of an interrupted swap; StoreError for a journal that no writer left."""
     path = Staging(target).folder / _SWAP / _JOURNAL
     if not os.path.lexists(path.parent):
         return []
     targets = []
     try:
-        if path.parent.is_symlink() or not is_plain_file(path) or path.stat().st_size > _MOST_JOURNAL_BYTES:
+        if path.parent.is_symlink() or not is_plain_file(path) or path.stat().st_size > MAX_JOURNAL_BYTES:
             raise ValueError
         for place, name in json.loads(path.read_bytes()):
             if name in ("", "..") or Path(name).name != name:
@@ -312,5 +330,9 @@ def _journal(target: Path) -> list[Path]:
         if target not in targets:
             raise ValueError
     except (ValueError, TypeError, RecursionError, OSError) as error:
-        raise StoreError(f"{path} is no journal that a writer left; look at it, then remove it") from error
+        raise StoreError(
+            f"{path} is no journal that a writer left",
+            mend="look at it, then remove it",
+            code="staging-foreign",
+        ) from error
     return targets

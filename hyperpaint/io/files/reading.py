@@ -1,6 +1,6 @@
-"""Small files read whole after a look at their size, and files by pattern with a bound on the work.
+"""Small files read completely after a check of their size, and files by pattern with a bound on the work.
 
-A pattern stays inside one folder, and ``**`` follows no link.
+A pattern stays inside one folder, and ``**`` follows no links.
 """
 
 from __future__ import annotations
@@ -12,52 +12,57 @@ import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import input_path, is_plain_file, read_limited
 
-if TYPE_CHECKING:
-    import xarray as xr
+# Longest text line [byte]: tables of spectra have some 12 bytes a cell.
+MAX_LINE_BYTES = 2**20
 
-LONGEST_LINE = 2**20
-"""Bytes of a line of text: spectra side by side have some 12 a cell."""
-
-MOST_NETCDF_BYTES = 2**30
-"""Bytes of all variables of a netCDF file that is loaded at once."""
+# Largest netCDF file that is loaded, by the size of its variables [byte].
+MAX_NETCDF_BYTES = 2**30
 
 
-MOST_LINES = 200_000
-"""Lines of a text whose rows are bands, points or samples: ten times those of the longest spectra."""
+# Most lines of a text whose rows are bands, points or samples: ten times the longest spectra.
+MAX_TEXT_LINES = 200_000
 
 
 def read_limited_text(
-    path: Path, limit: int, expected: str, lines: int = MOST_LINES, mend: str = "check the file"
+    path: Path, limit: int, expected: str, lines: int = MAX_TEXT_LINES, mend: str = "check the file"
 ) -> bytes:
-    """Return the bytes of a text file, as `read_limited`; its lines are bounded too, before any is split.
+    """Return the bytes of a text file, like `read_limited`; the lines are limited too, before any is split.
 
-    A line is split into cells, each of which takes thirty times its bytes, and so does an empty line.
+    A line is split into cells, each of which takes thirty times its bytes; so does an empty line.
 
     Raises `FormatError`: As `read_limited`; there are more than ``lines``; or a line is longer than
-    `LONGEST_LINE`.
+    `MAX_LINE_BYTES`.
     """
     data = read_limited(path, limit, expected)
     count = max(data.count(b"\n"), data.count(b"\r"))
     if count > lines:
-        raise FormatError(f"{path}: {count} lines, expected {expected} of at most {lines}; {mend}")
+        raise FormatError(
+            f"{path}: {count} lines",
+            expected=f"{expected} of at most {lines}",
+            mend=mend,
+            code="file-too-large",
+        )
     start = 0
-    while len(data) - start > LONGEST_LINE:
-        end = max(data.rfind(mark, start, start + LONGEST_LINE + 1) for mark in (b"\n", b"\r"))
+    while len(data) - start > MAX_LINE_BYTES:
+        end = max(data.rfind(mark, start, start + MAX_LINE_BYTES + 1) for mark in (b"\n", b"\r"))
         if end < 0:
             raise FormatError(
-                f"{path}: a line of over {LONGEST_LINE} bytes, expected {expected}, lines of at most that"
+                f"{path}: a line of over {MAX_LINE_BYTES} bytes",
+                expected=f"{expected}, lines of at most that",
+                code="line-too-long",
             )
         start = end + 1
     return data
 
 
 def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
-    r"""Yield the lines of a text with their numbers, one at a time: a list of them takes many times its size.
+    r"""Yield the lines of a text with their numbers, one at a time: a list takes many times the text's size.
 
     Examples
     --------
@@ -74,14 +79,14 @@ def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 class PackedColumns(Mapping[str, list[str]]):
-    """Cells by column, each column a few long texts: a cell by itself takes several times its length."""
+    """Cells by column, stored as a few long texts a column: single cells take several times their length."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._places = {name: place for place, name in enumerate(names)}
         self._packed: list[list[str]] = [[] for _ in names]
 
     def extend(self, columns: Iterable[Sequence[str]]) -> None:
-        """Add cells to every column, as many to each; no cell holds the end of a line."""
+        """Add the same number of cells to every column; cells must not contain line ends."""
         for packed, cells in zip(self._packed, columns, strict=False):
             packed.append("\n".join(cells))
 
@@ -96,7 +101,7 @@ class PackedColumns(Mapping[str, list[str]]):
 
 
 def decoded_text(data: bytes) -> str:
-    """Return the bytes of a file as text: UTF-8, with or without a mark, else latin-1, which any bytes are.
+    """Return the bytes of a file as text: UTF-8, with or without a byte order mark, else latin-1.
 
     Examples
     --------
@@ -110,7 +115,7 @@ def decoded_text(data: bytes) -> str:
 
 
 def number(text: str) -> float | None:
-    """Return a number, NaN of an empty cell, None of anything else.
+    """Return a number, NaN for an empty cell, None for other text.
 
     Unlike float(), takes neither underscores, other scripts' digits, nor infinities.
     """
@@ -127,18 +132,21 @@ def number(text: str) -> float | None:
 
 
 def numbers(cells: Iterable[str]) -> list[float] | None:
-    """Return cells as `number` does; None where one is anything else."""
+    """Return cells as numbers (`number`); None if any is other text."""
     values = [number(cell) for cell in cells]
     return None if None in values else [value for value in values if value is not None]
 
 
 def unique_names(
-    names: Iterable[str], taken: Collection[str] = (), *, suffix: str = " ({})",
+    names: Iterable[str],
+    taken: Collection[str] = (),
+    *,
+    suffix: str = " ({})",
     fold: Callable[[str], str] = str,
-) -> list[str]:  # fmt: skip
-    """Return the names with a number, from 2 on, behind each that is there already.
+) -> list[str]:
+    """Return the names, repeated ones with a number from 2 on.
 
-    taken: Names that none may have; suffix: of the number; fold: makes those alike that count as the same.
+    taken: names already in use; suffix: format of the number; fold: maps equivalent names to the same text.
 
     Examples
     --------
@@ -159,38 +167,42 @@ def unique_names(
 
 
 def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
-    """Load a small netCDF file whole.
+    """Load a small netCDF file completely.
 
-    Raises `FormatError`: It declares more than `MOST_NETCDF_BYTES`, or is no plain file. Where it is damaged,
-    whatever the engine raises.
+    Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is no plain file. A damaged file raises
+    the engine's error.
     """
-    import xarray as xr
-
     if not is_plain_file(input_path(path, "a netCDF file")):
-        raise FormatError(f"{path}: expected a netCDF file; check the path")
+        raise FormatError(
+            f"{path}: no plain file", expected="a netCDF file", mend="check the path", code="file-not-plain"
+        )
     with xr.open_dataset(os.fspath(path), group=group) as dataset:
-        if dataset.nbytes > MOST_NETCDF_BYTES:
-            raise FormatError(f"{path} declares {dataset.nbytes} bytes, expected at most {MOST_NETCDF_BYTES}")
+        if dataset.nbytes > MAX_NETCDF_BYTES:
+            raise FormatError(
+                f"{path} declares {dataset.nbytes} bytes",
+                expected=f"at most {MAX_NETCDF_BYTES}",
+                code="file-too-large",
+            )
         return dataset.load()
 
 
 #: Folders and files looked at before a pattern is called too wide.
-MOST_ENTRIES = 100_000
-_LONGEST = 1000
+MAX_ENTRIES = 100_000
+MAX_PATTERN_CHARS = 1000
 _MAGIC = re.compile(r"[*?\[]")
 
 
 def is_pattern(text: str) -> bool:
-    """Tell whether a text is a pattern, and not a plain path."""
+    """Return whether a text is a pattern, and not a plain path."""
     return _MAGIC.search(text) is not None
 
 
-def matching_files(folder: Path, pattern: str, most: int = MOST_ENTRIES) -> list[Path]:
-    """Return the files and folders that a pattern matches, sorted.
+def matching_files(folder: Path, pattern: str, most: int = MAX_ENTRIES) -> list[Path]:
+    """Return the files and folders that match a pattern, sorted.
 
-    As `glob.glob`, but it cannot be made to walk the whole disk, nor around in links without end: at most
-    ``most`` entries are looked at. Between the slashes of a pattern are names with ``*``, ``?`` and
-    ``[...]``; ``**`` stands for any folders, links left out. None of these matches a leading dot.
+    Like `glob.glob`, but without leaving the folder or following links in circles: at most
+    ``most`` entries are examined. Between the slashes of a pattern are names with ``*``, ``?`` and
+    ``[...]``; ``**`` stands for any folders, without links. None of these matches a leading dot.
 
     Raises `ValueError`: The pattern leads out of the folder, is too long, or matches too much; with the
     reason.
@@ -201,8 +213,8 @@ def matching_files(folder: Path, pattern: str, most: int = MOST_ENTRIES) -> list
     Traceback (most recent call last):
     ValueError: expected a pattern inside the folder of the file
     """
-    if len(pattern) > _LONGEST or "\0" in pattern:
-        raise ValueError(f"expected a pattern of at most {_LONGEST} characters")
+    if len(pattern) > MAX_PATTERN_CHARS or "\0" in pattern:
+        raise ValueError(f"expected a pattern of at most {MAX_PATTERN_CHARS} characters")
     parts = [part for part in pattern.replace(os.sep, "/").split("/") if part != "."]
     if os.path.isabs(pattern) or os.path.splitdrive(pattern)[0] or ".." in parts:
         raise ValueError("expected a pattern inside the folder of the file")

@@ -1,4 +1,4 @@
-"""Which file it is, by its size and samples of its content: cheap for cubes of any size."""
+"""Digest of a file from its size and samples of its content: fast for cubes of any size."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from pathlib import Path
 
 from hyperpaint.base.input_files import open_input
 
+# Number of blocks read from a large file; 4 MiB in all, some milliseconds.
 SAMPLES = 256
-"""Blocks that are read of a large file; with `SAMPLE_BYTES` 4 MiB, some milliseconds."""
 
 SAMPLE_BYTES = 16 * 1024
 
 
 def sampled_digest(path: Path) -> str:
-    """Return a digest of a file's size and of blocks spread evenly over it, its beginning and end among them.
+    """Return a digest of a file's size and of blocks spread evenly over it, first and last block included.
 
-    Files of up to `SAMPLES` blocks are read whole. Of a larger one a rewritten content is told, a change of a
-    few bytes amid it may not be: `hyperpaint verify --inputs` reads all. Neither name nor time count: a copy
-    has the same digest.
+    Files of up to `SAMPLES` blocks are read completely. In a larger one a rewritten content is detected, a
+    change of a few bytes may not be: `hyperpaint verify --inputs` reads all. Name and time are ignored: a
+    copy has the same digest.
 
     Examples
     --------

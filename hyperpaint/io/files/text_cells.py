@@ -1,4 +1,4 @@
-"""Cells of text in tables that a spreadsheet may open: none of them is run as a formula."""
+"""Text cells of tables, protected from being run as formulas by spreadsheets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _FORMULA = re.compile("'*(?:[\\t\\r]|\\s*[=+\\-@\uff1d\uff0b\uff0d\uff20])")
 
 
 def safe_cell(text: str) -> str:
-    """Return a text for a table, an apostrophe before what a spreadsheet would run; numbers stay numbers.
+    """Return a text for a table, with an apostrophe before formulas; numbers stay unchanged.
 
     Examples
     --------
@@ -23,7 +23,7 @@ def safe_cell(text: str) -> str:
 
 
 def text_of_cell(cell: str) -> str:
-    """Return the text that `safe_cell` made a cell of.
+    """Return the original text of a cell made by `safe_cell`.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Tables in text files: one header line, cells that are still text, their lines known for messages."""
+"""Tables in text files: one header line, cells as text, line numbers kept for messages."""
 
 from __future__ import annotations
 
@@ -7,24 +7,19 @@ from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError
 
-from .reading import MOST_LINES, PackedColumns, numbered_lines, read_limited_text
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from .reading import MAX_TEXT_LINES, PackedColumns, numbered_lines, read_limited_text
 
 _MAX_SETTINGS = 16 << 20
 _MAX_TABLE = 1 << 28
-MOST_ROWS = 2_000_000
-"""Rows of a record or index: 3 h 58 min of a camera at 140 Hz, 2 h 46 min of an inertial system at 200 Hz.
-
-Reading takes 170 bytes a row of a frame index and 240 of a record of nine columns, half a gigabyte at most.
-"""
+# Most rows of a record or index: 3 h 58 min of a camera at 140 Hz, 2 h 46 min of an inertial system at 200
+# Hz. A row takes 170 bytes of memory (frame index) to 240 (record of nine columns), half a gigabyte in all.
+MAX_TABLE_ROWS = 2_000_000
 
 
 _BLOCK = 4096
@@ -33,17 +28,20 @@ _TAB, _LINE_END = 9, 10
 _INTEGER = re.compile(r"[+-]?[0-9]{1,16}(?:\.0*)?")
 
 
-def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MOST_LINES) -> str:
-    """Return the text of a side file, its line ends made those of Unix.
+def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINES) -> str:
+    """Return the text of a side file, with Unix line ends.
 
     Raises `FormatError`: The file cannot be read, is larger than ``limit`` bytes, has more than ``lines``, or
     is binary.
     """
-    mend = "cut it to the flight, or give an SBET file" if lines == MOST_ROWS else "check the file"
+    mend = "cut it to the flight, or give an SBET file" if lines == MAX_TABLE_ROWS else "check the file"
     data = read_limited_text(path, limit, "a text file", lines, mend)
     if b"\0" in data:
         raise FormatError(
-            f"{path}: binary, expected text; some systems write binary logs under the same name: export it"
+            f"{path}: binary",
+            expected="text",
+            mend="export it: some systems write binary logs under the same name",
+            code="text-unreadable",
         )
     # as bytes, one copy after the other: such files have a hundred megabytes
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").removeprefix(b"\xef\xbb\xbf")
@@ -52,24 +50,24 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MOST_LINES) -
 
 @dataclass(frozen=True)
 class Table:
-    """A text table with one header line, its cells still text."""
+    """A text table with one header line, and cells as text."""
 
     name: str  # File name, for messages
     rows: NDArray[np.int64]  # Line number in the file of each row, the header being line 1
     columns: Mapping[str, list[str]]  # Column name in lower case to cells
 
 
-def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
+def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
     """Read a tab-separated table by its header names.
 
-    ``path``: the file; blank lines are skipped; ``what``: names the kind of file in messages; ``needs``:
+    ``path``: the file; blank lines are skipped; ``kind``: kind of file, for messages; ``needs``:
     columns, in lower case, without which it is another kind of file.
 
     Raises `FormatError`: Unreadable, binary, without its header line or a needed column, without rows, or
     with rows of another number of cells than the header.
     """
     path = Path(path)
-    text = read_text(path, _MAX_TABLE, MOST_ROWS)
+    text = read_text(path, _MAX_TABLE, MAX_TABLE_ROWS)
     first = text.partition("\n")[0]
     # an older program separates the two columns of a frame index with blanks
     separator = "\t" if "\t" in first else None
@@ -77,7 +75,9 @@ def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
     missing = [name for name in needs if name not in names]
     if missing or len(set(names)) != len(names):
         raise FormatError(
-            f"{path}: a {what} starts with a header that names {list(needs)} once, found {first[:120]!r}"
+            f"{path}: first line {first[:120]!r}",
+            expected=f"the header of a {kind}, which names {list(needs)} once",
+            code="header-wrong",
         )
 
     if separator:
@@ -97,9 +97,9 @@ def read_table(path: str | Path, what: str, *, needs: Sequence[str]) -> Table:
 
 
 def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
-    """Return a table whose lines all have as many tabs as its header, none of them blank; None of another.
+    """Return a table whose lines all have as many tabs as its header; None for blank lines or other counts.
 
-    At a third of the time that line by line takes.
+    Takes a third of the time of reading line by line.
     """
     start, end = text.find("\n") + 1, len(text) - text.endswith("\n")
     columns, rows = PackedColumns(names), 0
@@ -125,7 +125,7 @@ def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
 def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[str]]]) -> Table:
     """Return cells under the names of their columns.
 
-    ``rows``: line number and cells of each, taken one at a time.
+    ``rows``: line number and cells of each row.
 
     Raises `FormatError`: There are no rows, or some have another number of cells than there are names.
     """
@@ -143,14 +143,18 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
             block.clear()
     columns.extend(zip(*block, strict=True))
     if wrong:
-        raise FormatError(f"{path}: {name_rows(wrong)} without {len(names)} cells; mend or delete")
+        raise FormatError(
+            f"{path}: {name_rows(wrong)} without {len(names)} cells",
+            mend="mend or delete",
+            code="length-mismatch",
+        )
     if not numbers:
-        raise FormatError(f"{path}: no rows of {', '.join(names)[:80]}")
+        raise FormatError(f"{path}: no rows of {', '.join(names)[:80]}", code="empty-input")
     return Table(path.name, np.array(numbers, np.int64), columns)
 
 
 def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:
-    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: what a row is."""
+    """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: noun for a row."""
     shown = ", ".join(str(int(number)) for number in rows[:5])
     if len(rows) == 1:
         return f"{row} {shown}"
@@ -168,5 +172,8 @@ def to_integers(table: Table, name: str) -> NDArray[np.int64]:
         return np.array(list(map(int, cells)), np.int64)
     wrong = [int(row) for row, cell in zip(table.rows, cells, strict=True) if not _INTEGER.fullmatch(cell)]
     if wrong:
-        raise FormatError(f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}")
+        raise FormatError(
+            f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}",
+            code="number-unreadable",
+        )
     return np.array([int(cell.partition(".")[0]) for cell in cells], np.int64)

@@ -124,11 +124,11 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     """
     if isinstance(source, xr.Dataset):
         return check_calibration(source)
-    from hyperpaint.io.store import list_groups, load_unverified
+    from hyperpaint.io.store import list_groups, load_group
 
     def load(source: Any, group: str | None) -> xr.Dataset:
         groups = {} if group is not None else {"", "calibration"}.intersection(list_groups(source))
-        return load_unverified(source, "calibration" if groups == {"calibration"} else group)
+        return load_group(source, "calibration" if groups == {"calibration"} else group)
 
     return check_calibration(_read(source, group, "calibration", load), str(source))
 

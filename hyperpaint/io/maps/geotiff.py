@@ -1,7 +1,6 @@
-"""Maps written as GeoTIFF: every band as it is, or a picture in true colours.
+"""Maps written as GeoTIFF: all bands, or a picture in true colours.
 
-Windows are written a row of tiles after another, one at a time; a cloud-optimised file is made of the plain
-one afterwards, by GDAL, in the same streaming way.
+Windows are written one row of tiles at a time; GDAL then streams the plain file into a cloud-optimised one.
 """
 
 from __future__ import annotations
@@ -14,27 +13,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
 
-from hyperpaint.base.errors import FormatError, MissingExtraError, SchemaError
+from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
 
-from .map_grids import RGB_WAVELENGTHS, Grid, grid_of, nearest_bands, product_of, stored_float
+from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, stored_float
 from .rasters import TIFF, open_raster
 
 if TYPE_CHECKING:
     import dask.array as da
-    import xarray as xr
-    from numpy.typing import NDArray
 
 _TILE = 256
+# Rows from which the brightness levels of a picture are computed.
 _SAMPLED = 64
-"""Rows that the levels of a picture are found in."""
 _BLOCK = 64 * 2**20
+# GDAL's default, 5 % of the machine's memory, would fill with bands that are written once.
 _CACHE_MB = 256
-"""GDAL's own would be a twentieth of the machine's memory, and fill up with bands that are written once."""
 
 
 @takes_quantities()
@@ -54,8 +53,8 @@ def write_geotiff(
     Parameters
     ----------
     map
-        With a variable on (y, x, band) or (y, x) in any order, and a place: ``spatial_ref`` with
-        ``GeoTransform`` (any affine, turned or not), or ``x`` and ``y``.
+        With a variable on (y, x, band) or (y, x) in any order, and a position: ``spatial_ref`` with
+        ``GeoTransform`` (any affine, rotated or not), or ``x`` and ``y``.
     path
         The file.
     variable
@@ -66,11 +65,11 @@ def write_geotiff(
     cog
         Write a cloud-optimised GeoTIFF: tiled, with overviews, deflated.
     stretch
-        Percentiles of brightness that become black and white, found in at most 64 rows.
+        Percentiles of brightness that become black and white, computed from at most 64 rows.
     overwrite
         Replace a file that exists.
     progress
-        Called with samples written and samples in all.
+        Called with the number of samples written, and in all.
 
     Returns
     -------
@@ -80,18 +79,15 @@ def write_geotiff(
     Raises
     ------
     SchemaError
-        There is no such variable or band, its dims are others, its place is not known, or ``"rgb"`` has no
+        There is no such variable or band, its dims are others, its position is unknown, or ``"rgb"`` has no
         bands near those wavelengths.
     StoreError
-        A file exists, or cannot be written. What was there stays.
+        A file exists, or cannot be written. An existing file stays.
     MissingExtraError
         rasterio is not installed.
 
-    Notes
-    -----
-    Floats are float32 (places such as ``east`` and ``glt_line`` float64), unknown samples NaN; integers stay
-    what they are. Bands are described by their
-    wavelength, which is a tag of the band too.
+    Notes ----- Floats are float32 (positions such as ``east`` and ``glt_line`` float64), unknown samples NaN;
+    integers keep their type. The wavelength is the description of a band, and a tag.
 
     Examples
     --------
@@ -112,22 +108,28 @@ def write_geotiff(
 
 
 def draw_geotiff(
-    map: xr.Dataset, target: Path, place: Path, variable: str | None = None,
-    bands: Literal["all", "rgb"] | Sequence[int] = "all", cog: bool = True,
-    stretch: tuple[float, float] = (2.0, 98.0), progress: Callable[[int, int], None] | None = None,
-) -> None:  # fmt: skip
-    """Write a map as GeoTIFF to ``target``, which gets its ``place`` later; errors as of `write_geotiff`."""
-    rasterio = _rasterio()
+    map: xr.Dataset,
+    target: Path,
+    place: Path,
+    variable: str | None = None,
+    bands: Literal["all", "rgb"] | Sequence[int] = "all",
+    cog: bool = True,
+    stretch: tuple[float, float] = (2.0, 98.0),
+    progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Write a map as GeoTIFF to ``target``, later moved to ``place``; errors as of `write_geotiff`."""
+    with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
+        import rasterio
+        from rasterio.shutil import copy
     array = product_of(map, variable)
     if "y" not in array.dims:
         raise SchemaError(
-            f"{array.name!r} is {dict(array.sizes)}, expected a map (y, x, band); orthorectify the line first"
+            f"{array.name!r} is {dict(array.sizes)}",
+            expected="a map (y, x, band)",
+            mend="orthorectify the line first",
+            code="dim-missing",
         )
-    grid = grid_of(map)
-    if grid is None:
-        raise SchemaError(
-            "the place of this map is not known: there is no spatial_ref with a GeoTransform, nor x and y"
-        )
+    grid = required_grid(map)
     array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
     array = array.transpose("y", "x", BAND)
     chosen = _chosen(map, array, bands)
@@ -140,13 +142,23 @@ def draw_geotiff(
         with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
             _write(plain, stored, grid, picture, names, tags, progress)
             if cog:
-                _optimise(plain, target, picture)
+                # nearest for spectra, which must not be mixed
+                resampling = "average" if picture else "nearest"
+                options = {"blocksize": _TILE, "bigtiff": "if_safer", "predictor": "yes"}
+                copy(
+                    plain,
+                    target,
+                    driver="COG",
+                    compress="deflate",
+                    overview_resampling=resampling,
+                    **options,
+                )
     except rasterio.errors.RasterioError as error:
         raise unwritable(place, error) from error
 
 
 class GeotiffHeader(NamedTuple):
-    """What a GeoTIFF says of itself; ``overviews`` are the factors that it holds smaller copies by."""
+    """Metadata of a GeoTIFF; ``overviews`` are the reduction factors of its smaller copies."""
 
     shape: tuple[int, int]
     bands: int
@@ -157,13 +169,17 @@ class GeotiffHeader(NamedTuple):
 
 
 def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
-    """Return what a GeoTIFF says of itself; no cell is read.
+    """Return the metadata of a GeoTIFF; no cell is read.
 
     Raises `FormatError`: it is no TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
     """
     with open_input(path, "a GeoTIFF") as file:
         if not file.read(4).startswith(TIFF):
-            raise FormatError(f"{path}: no TIFF, whatever its name says; check what the file is")
+            raise FormatError(
+                f"{path}: no TIFF, whatever its name says",
+                mend="check what the file is",
+                code="format-unknown",
+            )
     with open_raster(path, "reading a GeoTIFF") as raster:
         is_placed = raster.crs is not None or not raster.transform.is_identity
         wkt = None if raster.crs is None else raster.crs.to_wkt()
@@ -171,15 +187,6 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
         texts = tuple(text or "" for text in raster.descriptions)
         factors = tuple(raster.overviews(1))
         return GeotiffHeader(raster.shape, raster.count, raster.dtypes[0], grid, texts, factors)
-
-
-def _rasterio() -> Any:
-    try:
-        import rasterio
-    except ImportError as error:
-        needed = MissingExtraError.of("rasterio", "geo", "writing a GeoTIFF")
-        raise needed from error
-    return rasterio
 
 
 # --- values ------------------------------------------------------------------------------------------------
@@ -192,18 +199,24 @@ def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
         if bands == "all":
             return list(range(count))
         if bands != "rgb":
-            raise SchemaError(f"bands {bands!r:.40}, expected 'all', 'rgb' or indices")
+            raise SchemaError(
+                f"bands {bands!r:.40}", expected="'all', 'rgb' or indices", code="choice-unknown"
+            )
         axis = map.variables.get("wavelength")
         has_axis = axis is not None and axis.dims == (BAND,) and axis.size == count
         nearest = nearest_bands(map["wavelength"].values, RGB_WAVELENGTHS) if has_axis else None
         if nearest is None:
             raise SchemaError(
-                "a picture needs bands within 50 nm of 640, 550 and 460 nm; choose bands by their indices"
+                "a picture needs bands within 50 nm of 640, 550 and 460 nm",
+                mend="choose bands by their indices",
+                code="band-missing",
             )
         return nearest
     chosen = [int(band) for band in bands]
     if not chosen or not all(-count <= band < count for band in chosen):
-        raise SchemaError(f"bands {chosen[:20]}, expected one or more of 0 to {count - 1}")
+        raise SchemaError(
+            f"bands {chosen[:20]}", expected=f"one or more of 0 to {count - 1}", code="value-out-of-range"
+        )
     return [band % count for band in chosen]
 
 
@@ -214,19 +227,25 @@ def _plain(array: xr.DataArray) -> xr.DataArray:
         return array.astype(np.uint8)
     if array.dtype.name in ("uint8", "uint16", "int16", "uint32", "int32"):
         return array
-    raise SchemaError(f"{array.name!r} is {array.dtype}, expected floats or integers of at most 32 bits")
+    raise SchemaError(
+        f"{array.name!r} is {array.dtype}",
+        expected="floats or integers of at most 32 bits",
+        code="type-wrong",
+    )
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
-    """Return 8-bit sRGB (y, x, band); 0 stands for what is unknown."""
-    import xarray as xr
-
+    """Return 8-bit sRGB (y, x, band); 0 where a band is unknown."""
     if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
-        raise SchemaError(f"stretch {stretch}, expected two rising percentiles within 0 and 100")
+        raise SchemaError(
+            f"stretch {stretch}",
+            expected="two rising percentiles within 0 and 100",
+            code="value-out-of-range",
+        )
     step = -(-array.sizes["y"] // _SAMPLED)
     sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
     complete = sample[np.isfinite(sample).all(axis=-1)]
-    # one range for the three keeps the colours
+    # one range for all bands keeps the colours
     low, high = np.percentile(complete, stretch) if complete.size else (0.0, 1.0)
     picture: xr.DataArray = xr.apply_ufunc(
         _encode,
@@ -251,7 +270,7 @@ def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
 
 
 def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[str], list[dict[str, str]]]:
-    """Return what each band is called, and its tags."""
+    """Return the description of each band, and its tags."""
     axis = map.variables.get("wavelength")
     if axis is None or axis.dims != (BAND,) or BAND not in map[name].dims:
         return ([name] if len(chosen) == 1 else [f"band {band + 1}" for band in chosen]), [{} for _ in chosen]
@@ -264,13 +283,12 @@ def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[s
 
 
 class _Target:
-    """A raster that takes blocks (y, x, band) at their places, one at a time."""
+    """A raster that takes blocks (y, x, band) at their positions, one at a time."""
 
     def __init__(self, raster: Any, total: int, progress: Callable[[int, int], None] | None) -> None:
         self.raster, self.total, self.progress, self.done = raster, total, progress, 0
 
     def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
-        """Write one block."""
         from rasterio.windows import Window
 
         raster = self.raster
@@ -295,18 +313,26 @@ def _write(
     tags: list[dict[str, str]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    rasterio = _rasterio()
+    import rasterio
+
     height, width, count = stored.shape
     a, b, c, d, e, f = grid.transform
     profile = {
-        "driver": "GTiff", "height": height, "width": width, "count": count, "dtype": stored.dtype.name,
+        "driver": "GTiff",
+        "height": height,
+        "width": width,
+        "count": count,
+        "dtype": stored.dtype.name,
         "transform": rasterio.Affine(b, c, a, e, f, d),
         "crs": None if grid.wkt is None else rasterio.crs.CRS.from_wkt(grid.wkt),
-        "tiled": True, "blockxsize": _TILE, "blockysize": _TILE, "bigtiff": "if_safer",
+        "tiled": True,
+        "blockxsize": _TILE,
+        "blockysize": _TILE,
+        "bigtiff": "if_safer",
         "interleave": "pixel" if picture else "band",
         "nodata": 0 if picture else np.nan if stored.dtype.kind == "f" else None,
         **({"photometric": "rgb"} if picture else {}),
-    }  # fmt: skip
+    }
     with rasterio.open(path, "w", **profile) as raster:
         for place, (name, about) in enumerate(zip(names, tags, strict=True), start=1):
             raster.set_band_description(place, name)
@@ -322,12 +348,12 @@ def _write(
 
 
 def _write_in_stages(array: da.Array, target: _Target) -> None:
-    """Write the blocks of a lazy map (y, x, band), a row of tiles after another, in this process."""
+    """Write the blocks of a lazy map (y, x, band), one row of tiles after another, in this process."""
     import dask.threaded
 
     from hyperpaint.io.store.stages import in_stages
 
-    lock = threading.Lock()  # a raster is no friend of threads
+    lock = threading.Lock()  # rasterio datasets are not thread-safe
 
     def write(block: NDArray[Any], block_info: Any = None) -> NDArray[Any]:
         rows, columns, bands = (slice(*ends) for ends in block_info[0]["array-location"])
@@ -336,27 +362,14 @@ def _write_in_stages(array: da.Array, target: _Target) -> None:
         return np.zeros((1,) * block.ndim, np.uint8)
 
     places = array.map_blocks(
-        write, dtype=np.uint8, chunks=tuple((1,) * count for count in array.numblocks),
-        meta=np.empty((0,) * array.ndim, np.uint8), name=f"write-{uuid.uuid4().hex}",
-    )  # fmt: skip
+        write,
+        dtype=np.uint8,
+        chunks=tuple((1,) * count for count in array.numblocks),
+        meta=np.empty((0,) * array.ndim, np.uint8),
+        name=f"write-{uuid.uuid4().hex}",
+    )
     axis = 0 if array.numblocks[0] >= array.numblocks[1] else 1
     stages = {(places.name, *index): index[axis] for index in np.ndindex(places.numblocks)}
     graph = dict(places.__dask_optimize__(places.__dask_graph__(), list(stages)))
     for _ in in_stages(dask.threaded.get, graph, stages):
         pass
-
-
-def _optimise(plain: Path, target: Path, picture: bool) -> None:
-    """Make a cloud-optimised file of a plain one."""
-    from rasterio.shutil import copy
-
-    options = {
-        "compress": "deflate",
-        "blocksize": _TILE,
-        "bigtiff": "if_safer",
-        # spectra must not be mixed, a picture is better averaged
-        "overview_resampling": "average" if picture else "nearest",
-        "predictor": "yes",
-    }
-    copy(plain, target, driver="COG", **options)
-    plain.unlink()

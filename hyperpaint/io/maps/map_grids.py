@@ -1,51 +1,55 @@
-"""What of a line or map is exported, and where its pixels lie: an affine grid, from ``spatial_ref``."""
+"""Variable and affine grid of an exported line or map, from ``spatial_ref`` or coordinates."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
 
-from hyperpaint.base.errors import MissingExtraError, Problems, SchemaError
+from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES
 
-if TYPE_CHECKING:
-    import xarray as xr
-    from numpy.typing import ArrayLike
-
+# Wavelengths of the bands shown as red, green and blue [nm].
 RGB_WAVELENGTHS = (640.0, 550.0, 460.0)
-"""Of the bands that are shown as red, green and blue [nm]."""
-_FARTHEST = 50.0
+MAX_BAND_DISTANCE_NM = 50.0
 _PRODUCTS = ("reflectance", "radiance", "counts", "values")
 _GEOMETRIES = ({ALONG_TRACK, CROSS_TRACK}, {"y", "x"})
 
 
 def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
-    """Return the variable to be written: the one named, else the first product there is.
+    """Return the variable to be written: the given one, else the first product present.
 
-    Raises `SchemaError`: There is none, or its dims are not those of a cube or of a plane.
+    Raises `SchemaError`: It is missing, or its dims are not those of a cube or of a plane.
     """
     name = variable or next((name for name in _PRODUCTS if name in dataset.data_vars), None)
     if name is None or name not in dataset.variables:
-        held = ", ".join(map(str, dataset.data_vars)) or "nothing"
+        names = ", ".join(map(str, dataset.data_vars)) or "nothing"
         wanted = "one of " + ", ".join(_PRODUCTS) if name is None else repr(name)
-        raise SchemaError(f"there is no {wanted} to write; the dataset holds {held}: name one with variable=")
+        raise SchemaError(
+            f"there is no {wanted} to write; the dataset holds {names}",
+            mend="name one with variable=",
+            code="variable-missing",
+        )
     array = dataset[name]
     if set(array.dims) - {BAND} not in _GEOMETRIES or not array.size:
         raise SchemaError(
-            f"{name!r} is {dict(array.sizes)}, expected ({ALONG_TRACK}, {BAND}, {CROSS_TRACK}) or "
-            f"(y, x, {BAND}), with or without {BAND}, and no dim of size 0"
+            f"{name!r} is {dict(array.sizes)}",
+            expected=f"({ALONG_TRACK}, {BAND}, {CROSS_TRACK}) or (y, x, {BAND}), with or without {BAND}, and "
+            "no dim of size 0",
+            code="dim-missing",
         )
     return array.reset_coords(drop=True)
 
 
 def stored_float(array: xr.DataArray) -> type[np.floating[Any]]:
-    """Return the type that a variable of floats is written in.
+    """Return the type in which a variable of floats is written.
 
-    That is float32, but for what needs more: map coordinates in float32 are off by decimetres.
+    float32, except for map coordinates, which float32 would round to decimetres.
     """
     row = VARIABLES.get(str(array.name))
     exact = row is not None and row.dtype == "float64" and array.dtype.itemsize >= 8
@@ -62,7 +66,7 @@ def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int]
     """
     nm = np.asarray(wavelength, np.float64)
     away = np.abs(nm[None, :] - np.array(wanted)[:, None])
-    if not nm.size or not np.isfinite(nm).all() or (away.min(axis=1) > _FARTHEST).any():
+    if not nm.size or not np.isfinite(nm).all() or (away.min(axis=1) > MAX_BAND_DISTANCE_NM).any():
         return None
     return [int(band) for band in away.argmin(axis=1)]
 
@@ -70,10 +74,10 @@ def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int]
 Transform = tuple[float, float, float, float, float, float]
 
 SPATIAL_REF = "spatial_ref"
+# Largest deviation from even spacing over the whole grid [pixel].
 _TOLERANCE = 1e-6
-"""Part of a pixel by which steps may differ over the whole grid."""
+# Rounding of map coordinates [map units].
 _ROUNDING = 1e-9
-"""Of map coordinates [map units]."""
 
 
 @dataclass(frozen=True)
@@ -85,25 +89,25 @@ class Grid:
 
     @property
     def mirrored(self) -> bool:
-        """Whether the grid is not seen from above as it lies: rows count towards what is up of columns."""
+        """Whether rows and columns form a mirror image of the ground as seen from above."""
         _, b, c, _, e, f = self.transform
         return b * f - c * e > 0.0
 
     def flipped(self, rows: int) -> Grid:
-        """Return the grid whose first row is the last of this."""
+        """Return the grid with the order of its rows reversed."""
         a, b, c, d, e, f = self.transform
         return replace(self, transform=(a + rows * c, b, -c, d + rows * f, e, -f))
 
 
 def grid_of(dataset: xr.Dataset) -> Grid | None:
-    """Return the grid of a map; None where nothing tells it.
+    """Return the grid of a map; None where its position is unknown.
 
-    ``x`` and ``y`` at pixel centres tell it, since they follow every selection of cells, and ``GeoTransform``
-    of ``spatial_ref`` does not: it counts where they are not there, and for what they do not tell (the step
-    of a single row or column). A grid along the flight has ``east`` and ``north`` (y, x) instead.
+    ``x`` and ``y`` at pixel centres take precedence, since they follow every selection of cells, whereas
+    ``GeoTransform`` of ``spatial_ref`` does not. ``GeoTransform`` is used where they are missing, and for the
+    step of a single row or column. A grid along the flight has ``east`` and ``north`` (y, x) instead.
 
     Raises `SchemaError`: ``GeoTransform`` is not six finite numbers; ``x`` and ``y``, or ``east`` and
-    ``north``, are not evenly spaced; or the grid is turned and ``x`` and ``y`` are not distances along it.
+    ``north``, are not evenly spaced; or the grid is rotated and ``x`` and ``y`` are not distances along it.
     """
     attrs = dataset[SPATIAL_REF].attrs if SPATIAL_REF in dataset.variables else {}
     reference_system = attrs.get("crs_wkt") or attrs.get("spatial_ref")
@@ -121,31 +125,42 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
     if transform is None:
         if any(dataset.sizes[name] < 2 for name in ("x", "y")):
             return None
-        transform = _north_up(dataset, (math.nan, math.nan))
-        return Grid(transform, wkt)
+        (x, width), (y, height) = _windows(dataset, (math.nan, math.nan))
+        return Grid((x, width, 0.0, y, 0.0, height), wkt)
     _, b, c, _, e, f = transform
     if c != 0.0 or e != 0.0:
         computed = _along(dataset, transform)
         if not _same(computed, transform, dataset):
             raise SchemaError(
-                f"GeoTransform of {SPATIAL_REF} is turned, and 'x' and 'y' are not the distances of all its "
-                "cells from its corner, so that nothing tells which cells these are; drop 'x' and 'y' where "
-                "it is the whole grid"
+                f"GeoTransform of {SPATIAL_REF} is rotated, and 'x' and 'y' are not the distances of all "
+                "cells from its corner, so the position of these cells is ambiguous",
+                mend="drop 'x' and 'y' if this is the whole grid",
+                code="place-ambiguous",
             )
     else:
-        computed = _north_up(dataset, (b, f))
-    # numbers that agree keep their bits
+        (x, width), (y, height) = _windows(dataset, (b, f))
+        computed = x, width, 0.0, y, 0.0, height
+    # a transform that agrees keeps its bits
     return Grid(transform if _same(computed, transform, dataset) else computed, wkt)
 
 
-def _north_up(dataset: xr.Dataset, steps: tuple[float, float]) -> Transform:
-    """Return the grid of map coordinates; a single row or column has the step given."""
-    (x, width), (y, height) = _windows(dataset, steps)
-    return x, width, 0.0, y, 0.0, height
+def required_grid(dataset: xr.Dataset) -> Grid:
+    """Return the grid of a map; SchemaError where its position is unknown."""
+    grid = grid_of(dataset)
+    if grid is None:
+        raise SchemaError(
+            "the place of this map is unknown",
+            expected="spatial_ref with a GeoTransform, or x and y",
+            code="place-unknown",
+        )
+    return grid
 
 
 def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
-    """Return the grid whose cells lie where the first row and column say; a single one has the step given."""
+    """Return the grid through ``east`` and ``north`` of the first row and column.
+
+    A single row or column has the step of ``transform``.
+    """
     _, b, c, _, e, f = transform
     size = max(math.hypot(b, e), math.hypot(c, f))
     numbers: list[float] = []
@@ -158,8 +173,9 @@ def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
             even = values[0] + step * np.arange(values.size)
             if not np.abs(values - even).max() <= _TOLERANCE * size + _ROUNDING:
                 raise SchemaError(
-                    f"the place of this map is not known: {name!r} is not evenly spaced",
+                    f"the place of this map is unknown: {name!r} is not evenly spaced",
                     mend="choose cells at even steps",
+                    code="spacing-uneven",
                 )
             steps.append(step)
         numbers += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
@@ -168,7 +184,7 @@ def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
 
 
 def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
-    """Return the grid whose cells lie at the distances ``x`` and ``y`` from its corner."""
+    """Return the grid whose cells lie at the distances ``x`` and ``y`` from the corner of ``transform``."""
     a, b, c, d, e, f = transform
     sizes = math.hypot(b, e), math.hypot(c, f)
     (x, width), (y, height) = _windows(dataset, sizes)
@@ -177,16 +193,24 @@ def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
 
 
 def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:
-    """Return the outer edge of the first pixel, and the step, of x and of y."""
-    problems = Problems("the place of this map is not known", SchemaError)
-    axes = zip("xy", steps, strict=True)
-    edges_and_steps = [_even(name, dataset[name].values, step, problems) for name, step in axes]
+    """Return the outer edge of the first pixel, and the step, of x and y; ``steps`` for single pixels."""
+    problems = Problems("the place of this map is unknown", SchemaError)
+    edges_and_steps = []
+    for name, single in zip("xy", steps, strict=True):
+        centres = np.asarray(dataset[name].values, np.float64)
+        step = (centres[-1] - centres[0]) / (centres.size - 1) if centres.size > 1 else np.float64(single)
+        even = centres[0] + step * np.arange(centres.size)
+        if step == 0.0 or not np.abs(centres - even).max() <= _TOLERANCE * abs(step) + _ROUNDING:
+            problems.add(
+                f"{name!r} is not evenly spaced", mend="choose cells at even steps", code="spacing-uneven"
+            )
+        edges_and_steps.append((float(centres[0] - step / 2.0), float(step)))
     problems.raise_if_any()
     return edges_and_steps
 
 
 def _same(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
-    """Return whether two grids agree over all of a map, but for rounding."""
+    """Return whether two grids agree over a whole map, but for rounding."""
     (a, b, c), (d, e, f) = (
         [one - other for one, other in zip(grid[k : k + 3], reference[k : k + 3], strict=True)]
         for k in (0, 3)
@@ -207,70 +231,60 @@ def _numbers(text: Any) -> Transform:
         a = b = c = d = e = f = math.nan
     if not all(map(math.isfinite, (a, b, c, d, e, f))) or b * f - c * e == 0.0:
         raise SchemaError(
-            f"GeoTransform of {SPATIAL_REF} is {text!r:.80}, expected six numbers in GDAL's order: x of the "
-            "outer corner, its steps a column and a row, then y"
+            f"GeoTransform of {SPATIAL_REF} is {text!r:.80}",
+            expected="six numbers in GDAL's order: x of the outer corner, its steps a column and a row, "
+            "then y",
+            code="transform-wrong",
         )
     return a, b, c, d, e, f
-
-
-def _even(name: str, values: Any, single: float, problems: Problems) -> tuple[float, float]:
-    """Return the outer edge of the first pixel, and the step, which is that given of a single one."""
-    centres = np.asarray(values, np.float64)
-    step = (centres[-1] - centres[0]) / (centres.size - 1) if centres.size > 1 else np.float64(single)
-    even = centres[0] + step * np.arange(centres.size)
-    fits = np.abs(centres - even).max() <= _TOLERANCE * abs(step) + _ROUNDING
-    if step == 0.0 or not fits:
-        problems.add(f"{name!r} is not evenly spaced; choose cells at even steps")
-        return 0.0, 1.0
-    return float(centres[0] - step / 2.0), float(step)
 
 
 # --- in ENVI's words ---------------------------------------------------------------------------------------
 
 
 def envi_map_info(grid: Grid) -> dict[str, str]:
-    """Return the header entries that say where a grid lies, without braces.
+    """Return the ENVI header entries for the position of a grid, without braces.
 
     ENVI writes an angle: a column steps along (cos r, sin r), a row along (sin r, -cos r), r = ``rotation``
     as GDAL reads it.
 
-    Raises `SchemaError`: The grid is sheared, mirrored, or turned with pixels that are not square. Raises
+    Raises `SchemaError`: The grid is sheared, mirrored, or rotated with pixels that are not square. Raises
     `MissingExtraError`: There is a reference system, and pyproj is not installed.
     """
     a, b, c, d, e, f = grid.transform
     width, height = math.hypot(b, e), math.hypot(c, f)
-    problems = Problems("ENVI cannot say where this grid lies", SchemaError)
+    problems = Problems("ENVI cannot describe this grid", SchemaError)
     turned = e != 0.0 or c != 0.0
     if grid.mirrored:
-        problems.add("it is mirrored: turn its rows round")
+        problems.add("it is mirrored", mend="reverse its rows", code="grid-mirrored")
     if abs(b * c + e * f) > 1e-9 * width * height:
-        problems.add("its rows and columns do not cross at right angles")
+        problems.add("its rows and columns do not cross at right angles", code="grid-sheared")
     if turned and abs(width - height) > 1e-9 * width:
-        problems.add(f"it is turned, and its pixels are not square: {width:g} x {height:g}")
+        problems.add(
+            f"it is rotated, and its pixels are not square: {width:g} x {height:g}", code="pixels-not-square"
+        )
     problems.raise_if_any()
     projection, zone, units, entries = _reference_system(grid.wkt)
     place = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
     if turned or b < 0.0:
         angle = math.degrees(math.atan2(e, b))
-        # GDAL takes 180 itself for rows that count upwards, and the number next to it for a half turn
+        # GDAL reads 180 as rows that count upwards, and the next number above as a half turn
         place.append(f"rotation={math.nextafter(180.0, 360.0) if abs(angle) == 180.0 else angle!r}")
     return {"map info": ", ".join(place), **entries}
 
 
 def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, str]]:
-    """Return projection, what follows the pixel size, map units, and the reference system as text."""
+    """Return projection, entries after the pixel size, map units, and the reference system as text."""
     if wkt is None:
         return "Arbitrary", [], "Meters", {}
-    try:
+    with needs_extra("pyproj", "geo", "a map with its reference system"):
         import pyproj
-    except ImportError as error:
-        needed = MissingExtraError.of("pyproj", "geo", "a map with its reference system")
-        raise needed from error
     try:
         crs = pyproj.CRS.from_user_input(wkt).to_2d()
     except pyproj.exceptions.CRSError as error:
         raise SchemaError(
-            f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}"
+            f"{SPATIAL_REF} holds a reference system that PROJ does not know: {wkt[:60]!r}",
+            code="crs-unknown",
         ) from error
     text = {"coordinate system string": crs.to_wkt("WKT1_ESRI")}
     geodetic = crs.geodetic_crs

@@ -1,25 +1,23 @@
-"""What catalogues and other programs read of a map: attributes of GeoZarr, and a STAC item."""
+"""Metadata of maps for catalogues and other programs: attributes of GeoZarr, and a STAC item."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import SchemaError, needs_extra
 from hyperpaint.base.schema import BAND
 
-from .map_grids import SPATIAL_REF, Grid, grid_of
+from .map_grids import SPATIAL_REF, Grid, grid_of, required_grid
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+# Name, repository, identifier and description of the conventions of GeoZarr that maps follow.
 _CONVENTIONS = (
     ("proj", "geo-proj", "f17cb550-5864-4468-aeb7-f3180cfb622f", "Coordinate reference system information"),
     ("spatial", "spatial", "689b58e2-cf7b-45e0-9fff-9cfc0883d6b4", "Spatial coordinate information"),
 )
-"""Name, repository, identifier and description of the conventions of GeoZarr that maps follow."""
 
 _STAC_EXTENSIONS = ("projection/v2.0.0", "eo/v2.0.0")
 _MEDIA_TYPES = {
@@ -29,7 +27,7 @@ _MEDIA_TYPES = {
 
 
 def with_own_transform(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a map whose ``GeoTransform`` is that of the cells it has: a selection carries that of the whole.
+    """Return a map whose ``GeoTransform`` matches its cells; a selection still has that of the whole map.
 
     Raises `SchemaError`: as `grid_of`.
     """
@@ -41,13 +39,13 @@ def with_own_transform(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
-    """Return the attributes of a Zarr group by which GeoZarr knows where a map (y, x) lies.
+    """Return the GeoZarr attributes of a Zarr group for the position of a map (y, x).
 
     They follow the conventions ``proj:`` and ``spatial:``, version 1. netCDF cannot hold the list of them.
 
-    Raises `SchemaError`: nothing tells where it lies; `MissingExtraError`: pyproj is not installed.
+    Raises `SchemaError`: its position is unknown; `MissingExtraError`: pyproj is not installed.
     """
-    grid = _grid(dataset)
+    grid = required_grid(dataset)
     at = "https://{}github{}.com/zarr-conventions/{}"
     conventions = [
         {
@@ -73,19 +71,20 @@ def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
-    """Return the STAC item (version 1.1) of a map that was exported to a file or store (eager: its times).
+    """Return the STAC item (version 1.1) of a map exported to a file or store; its times are computed.
 
-    It has the fields of the extensions projection and eo; ``line_time`` says when the map was recorded.
+    It has the fields of the extensions projection and eo; ``line_time`` gives the time of recording.
 
-    Raises `SchemaError`: nothing tells where the map lies, or when it was recorded; `MissingExtraError`:
-    pyproj is not installed.
+    Raises `SchemaError`: position or time of the map is unknown; `MissingExtraError`: pyproj is not
+    installed.
     """
-    grid = _grid(dataset)
+    grid = required_grid(dataset)
     if grid.wkt is None or "line_time" not in dataset.variables:
+        missing = "reference system" if grid.wkt is None else "line_time"
         raise SchemaError(
-            "a STAC item says where and when, and this map has no "
-            + ("reference system" if grid.wkt is None else "line_time"),
+            f"a STAC item needs position and time, and this map has no {missing}",
             mend="orthorectify a line that has both, with line_time among the variables",
+            code="variable-missing",
         )
     with needs_extra("pyproj", "geo", "a STAC item"):
         import pyproj
@@ -96,7 +95,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     times = dataset["line_time"].values.astype("datetime64[ns]").ravel()
     times = times[~np.isnat(times)]
     if not times.size:
-        raise SchemaError("no cell of this map says when it was recorded")
+        raise SchemaError("no cell of this map has a time in line_time", code="time-missing")
     first, last = times.min(), times.max()
     ring = [list(corner) for corner in zip(longitude, latitude, strict=True)]
     return {
@@ -132,13 +131,6 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     }
 
 
-def _grid(dataset: xr.Dataset) -> Grid:
-    grid = grid_of(dataset)
-    if grid is None:
-        raise SchemaError("nothing tells where this map lies: no spatial_ref with a GeoTransform, no x and y")
-    return grid
-
-
 def _reference_system(grid: Grid) -> dict[str, Any]:
     """Return code or WKT of the reference system, under the names that STAC and GeoZarr share."""
     if grid.wkt is None:
@@ -151,7 +143,7 @@ def _reference_system(grid: Grid) -> dict[str, Any]:
 
 
 def _affine(grid: Grid) -> list[float]:
-    """Return x by column, row and offset, then y: the order of affine, not of GDAL."""
+    """Return x by column, row and offset, then y: the order of the package affine, not of GDAL."""
     a, b, c, d, e, f = map(float, grid.transform)
     return [b, c, a, e, f, d]
 

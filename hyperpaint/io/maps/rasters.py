@@ -1,8 +1,8 @@
-"""Rasters of heights, and what else GDAL reads: few drivers, one file, no network, no more than a window.
+"""Rasters of heights, read by GDAL: few drivers, one file, no network, only the needed window.
 
-GDAL goes by content: text inside a ``.tif`` may be a virtual raster that names other files and URLs, files
-beside one are opened with it, and a tag may name where its overviews are. None of that is followed but the
-``.prj`` of an ASCII grid, which holds its crs.
+GDAL decides by content: text inside a ``.tif`` may be a virtual raster that names other files and URLs, files
+beside it are opened with it, and a tag may name a file of overviews. Only the ``.prj`` of an ASCII grid,
+which holds its crs, is read besides.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from hyperpaint.base.input_files import head_of, open_input
 from hyperpaint.io.files.reading import number
 
 TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-#: What files begin with, and the driver that opens them: of one file each, which names no other.
+#: First bytes of files, and the driver that opens them; all are single-file formats.
 _DRIVERS = ((TIFF, "GTiff"), ((b"UHL1", b"HDR1", b"VOL1"), "DTED"))
-#: What the header of an ASCII grid may begin with, in capitals or not.
+#: First words of the header of an ASCII grid, in either case.
 _GRID = (
     b"ncols",
     b"nrows",
@@ -36,20 +36,20 @@ _GRID = (
     b"dy",
 )
 
-MOST_BYTES = 2**40
-_MOST_PRJ_BYTES = 2**16
-_MOST_AUX_BYTES = 2**20
+MAX_RASTER_BYTES = 2**40
+MAX_PRJ_BYTES = 2**16
+MAX_AUX_BYTES = 2**20
 
-MOST_WHOLE_CELLS = 2**24
-"""Cells of a raster that is read whole; of a larger one a window is read."""
+# Most cells of a raster that is read completely; of a larger one a window is read.
+MAX_WHOLE_CELLS = 2**24
 
-MOST_WINDOW_CELLS = 2**25
-"""Cells of a window: with what is made of them, half a gigabyte."""
+# Most cells of a window: half a gigabyte with all derived arrays.
+MAX_WINDOW_CELLS = 2**25
 
-MOST_BLOCK_BYTES = 2**27
-"""Bytes of a block, tile or strip, which GDAL decodes whole even for one of its cells."""
+# Largest block, tile or strip, which GDAL decodes completely even for one cell [byte].
+MAX_BLOCK_BYTES = 2**27
 
-#: Nothing is looked for beside the file, and nothing that could be named is fetched.
+#: No files beside the raster are searched, and no URLs are fetched.
 _ENVIRONMENT = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
     "GDAL_PAM_ENABLED": "NO",
@@ -62,84 +62,99 @@ _ENVIRONMENT = {
 
 @contextlib.contextmanager
 def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
-    """Yield a raster that rasterio has open; ``purpose`` is what needs rasterio.
+    """Yield a raster opened by rasterio; ``purpose`` names the operation that needs rasterio.
 
-    Of files beside it the ``.prj`` of an ASCII grid alone is read.
+    Of files beside it only the ``.prj`` of an ASCII grid is read.
 
     Raises `FormatError`: It is no plain file, no raster of these kinds, damaged, or names other files; or its
     ``.prj`` is no plain file, or of over 64 KiB.
     Raises `MissingExtraError`: rasterio is not installed.
     """
-    with open_input(path, "a raster", MOST_BYTES) as file:
+    with open_input(path, "a raster", MAX_RASTER_BYTES) as file:
         head, place = file.read(64).lstrip(), os.path.abspath(path)
     driver = next((name for heads, name in _DRIVERS if head.startswith(heads)), "")
     driver = driver or ("AAIGrid" if head.lower().startswith(_GRID) else "")
     driver = driver or ("SRTMHGT" if place.lower().endswith(".hgt") else "")
     if not driver:
         raise FormatError(
-            f"{path}: no TIFF, ASCII grid, SRTM .hgt or DTED, whatever its name says; other rasters become a "
-            "GeoTIFF with gdal_translate"
+            f"{path}: no TIFF, ASCII grid, SRTM .hgt or DTED, whatever its name says",
+            mend="convert other rasters to GeoTIFF with gdal_translate",
+            code="format-unknown",
         )
     for prj in (os.path.splitext(place)[0] + suffix for suffix in (".prj", ".PRJ")):
         if driver == "AAIGrid" and os.path.lexists(prj):
-            open_input(prj, "the crs of an ASCII grid", _MOST_PRJ_BYTES).close()
+            open_input(prj, "the crs of an ASCII grid", MAX_PRJ_BYTES).close()
     with needs_extra("rasterio", "geo", purpose):
         import rasterio
         from rasterio._err import CPLE_BaseError
         from rasterio.errors import CRSError
     try:
         with warnings.catch_warnings(), rasterio.Env(**_ENVIRONMENT):
-            warnings.simplefilter("ignore")  # of a file without a place
+            warnings.simplefilter("ignore")  # about a file without position
             with rasterio.open(place, driver=driver, sharing=False) as raster:
                 if raster.tags(ns="OVERVIEWS"):
-                    raise FormatError(f"{path} names another file for its overviews; translate it anew")
+                    raise FormatError(
+                        f"{path} names another file for its overviews",
+                        mend="translate it anew with gdal_translate",
+                        code="file-not-alone",
+                    )
                 yield raster
     except (rasterio.errors.RasterioError, CRSError, CPLE_BaseError, UnicodeDecodeError) as error:
         raise FormatError(
-            f"{path}: GDAL cannot read it as {driver} ({error!s:.200}); copy it again"
+            f"{path}: GDAL cannot read it as {driver} ({error!s:.200})",
+            mend="copy it again",
+            code="raster-damaged",
         ) from error
 
 
 def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None = None) -> xr.DataArray:
-    """Return a raster of heights (y, x), or of a large one what lies around a flight.
+    """Return a raster of heights (y, x), of a large one the window around a flight.
 
     path: A GeoTIFF, a grid of text (``.asc``), SRTM (``.hgt``) or DTED.
-    around: Longitudes, latitudes [degree] and heights [m] of the flight, (time,) each: of a raster of more
-        than `MOST_WHOLE_CELLS` cells only those are read that lie nearer to it than four times its height
-        above them.
+    around: Longitudes, latitudes [degree] and heights [m] of the flight, (time,) each: a raster of more
+        than `MAX_WHOLE_CELLS` cells is read only within four times the flight height above ground.
 
-    Returns float32, or float64 of what that does not hold: NaN in holes, scale and offset of the file
+    Returns float32, or float64 where float32 is too narrow: NaN in holes, scale and offset of the file
     applied, with coordinates of the cells' centres and `spatial_ref`.
-    Raises FormatError: As `open_raster`; it has several bands, is turned, lacks crs, transform or
-        what a file beside it says, has blocks over `MOST_BLOCK_BYTES`, or needs a window of too many cells.
-    Raises SchemaError: It is large, and where the flight is, is not known.
+    Raises FormatError: As `open_raster`; it has several bands, is rotated, lacks crs, transform or
+        metadata in a file beside it, has blocks over `MAX_BLOCK_BYTES`, or needs a window of too many cells.
+    Raises SchemaError: It is large, and the position of the flight is unknown.
     """
     with open_raster(path, "opening a DEM") as raster:
         if raster.count != 1:
-            raise FormatError(f"{path}: {raster.count} bands, expected one of heights; cut that one out")
+            raise FormatError(
+                f"{path}: {raster.count} bands",
+                expected="one of heights",
+                mend="extract that band with gdal_translate -b",
+                code="band-count",
+            )
         a, b, c, d, e, f = tuple(raster.transform)[:6]
         if b or d or not a or not e:
             raise FormatError(
-                f"{path}: its rows do not run east, by its transform {(a, b, c, d, e, f)}, expected "
-                "north up; gdalwarp in.tif out.tif"
+                f"{path}: its rows do not run east, by its transform {(a, b, c, d, e, f)}",
+                expected="north up",
+                mend="gdalwarp in.tif out.tif",
+                code="grid-rotated",
             )
         _check_alone(raster, path)
         high, wide = raster.block_shapes[0]
         block = high * wide * np.dtype(raster.dtypes[0]).itemsize
-        if block > MOST_BLOCK_BYTES:
+        if block > MAX_BLOCK_BYTES:
             raise FormatError(
-                f"{path}: blocks of {high} x {wide} cells, {block} bytes, expected at most "
-                f"{MOST_BLOCK_BYTES}, read whole for one cell; gdal_translate -co TILED=YES in.tif out.tif"
+                f"{path}: blocks of {high} x {wide} cells, {block} bytes, read whole for one cell",
+                expected=f"at most {MAX_BLOCK_BYTES}",
+                mend="gdal_translate -co TILED=YES in.tif out.tif",
+                code="file-too-large",
             )
         rows, columns = (0, raster.height), (0, raster.width)
-        if raster.height * raster.width > MOST_WHOLE_CELLS:
+        if raster.height * raster.width > MAX_WHOLE_CELLS:
             rows, columns = _window(raster, path, around)
         values = _cells(raster, rows, columns)
         crs = None if raster.crs is None else raster.crs.to_wkt()
         declared = _declared(raster)
     attrs = {"GeoTransform": f"{c} {a} {b} {f} {d} {e}"} | ({} if crs is None else {"crs_wkt": crs})
     coords = {
-        # half a cell is added to the corner first, as rioxarray does it: the same bits
+        # half a cell is added to the corner first, like in rioxarray: the same bits
         "x": ("x", np.arange(*columns) * a + (a * 0.5 + b * 0.5 + c)),
         "y": ("y", np.arange(*rows) * e + (d * 0.5 + e * 0.5 + f)),
         "spatial_ref": ((), 0, attrs),
@@ -147,12 +162,12 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
     return xr.DataArray(values, coords, ("y", "x"), attrs=declared)
 
 
-#: Elements of an ``.aux.xml`` that change what heights are, or where.
-_SAYS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transform", b"<SRS": "a crs"}
+#: Elements of an ``.aux.xml`` that change heights or their positions.
+_POSITION_ELEMENTS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transform", b"<SRS": "a crs"}
 
 
 def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
-    """Refuse a raster without a place, or without what a file beside it says: none of those is read."""
+    """Refuse a raster without a position, or with metadata in files beside it, which are not read."""
     from rasterio.enums import MaskFlags
 
     place = os.path.abspath(path)
@@ -163,38 +178,46 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
         "a transform": raster.transform.is_identity,
         "a crs": raster.crs is None,
     }
-    aux = head_of(f"{place}.aux.xml", _MOST_AUX_BYTES)
-    beside = {what: f"{place}.aux.xml" for element, what in _SAYS.items() if lacks[what] and element in aux}
-    for what, name in (
+    aux = head_of(f"{place}.aux.xml", MAX_AUX_BYTES)
+    beside = {
+        item: f"{place}.aux.xml"
+        for element, item in _POSITION_ELEMENTS.items()
+        if lacks[item] and element in aux
+    }
+    for item, name in (
         ("a nodata", f"{place}.msk"),
         *(("a transform", stem + suffix) for suffix in (".tfw", ".TFW", ".tifw", ".tiffw", ".wld")),
         ("a transform", f"{place}w"),
         ("a crs", f"{stem}.prj"),
     ):
-        if lacks[what] and os.path.exists(name):
-            beside.setdefault(what, name)
+        if lacks[item] and os.path.exists(name):
+            beside.setdefault(item, name)
     if beside:
-        named = ", ".join(f"{what} in {os.path.basename(name)}" for what, name in beside.items())
+        named = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in beside.items())
         srs = f" -a_srs {os.path.basename(stem)}.prj" if beside.get("a crs", "").endswith(".prj") else ""
         raise FormatError(
-            f"{path} is read alone, and what it lacks is beside it: {named}; make one file of them: "
-            f"gdal_translate{srs} in.tif out.tif"
+            f"{path} is read alone, but other files hold part of it: {named}",
+            mend=f"merge them: gdal_translate{srs} in.tif out.tif",
+            code="file-not-alone",
         )
-    missing = [what for what in ("a transform", "a crs") if lacks[what]]
+    missing = [item for item in ("a transform", "a crs") if lacks[item]]
     if missing:
         raise FormatError(
-            f"{path} has no place without {' and '.join(missing)}; give it with gdal_translate "
-            "-a_srs EPSG:<code> -a_ullr <west north east south>"
+            f"{path} has no place without {' and '.join(missing)}",
+            mend="set it with gdal_translate -a_srs EPSG:<code> -a_ullr <west north east south>",
+            code="place-unknown",
         )
     if not np.isfinite(tuple(raster.transform)).all():
         raise FormatError(
-            f"{path}: its transform is {tuple(raster.transform)[:6]}, expected finite numbers; give it with "
-            "gdal_translate -a_ullr <west north east south>"
+            f"{path}: its transform is {tuple(raster.transform)[:6]}",
+            expected="finite numbers",
+            mend="set it with gdal_translate -a_ullr <west north east south>",
+            code="not-finite",
         )
 
 
 def _declared(raster: Any) -> dict[str, Any]:
-    """Return what a raster says of its heights: their unit, and by tags what they are above."""
+    """Return the declared unit of the heights, and their reference surface from tags."""
     tags = raster.tags()
     declared: dict[str, Any] = {"units": raster.units[0]} if raster.units[0] else {}
     if "height_reference" in tags:
@@ -206,7 +229,7 @@ def _declared(raster: Any) -> dict[str, Any]:
 
 
 def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
-    """Return heights of a window as floats, NaN where the raster has none: by its nodata or its own mask."""
+    """Return heights of a window as floats, NaN at nodata values or masked cells."""
     from rasterio.enums import MaskFlags
     from rasterio.windows import Window
 
@@ -216,31 +239,33 @@ def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.n
     values = stored.astype(np.float32 if narrow else np.float64)
     if raster.nodata is not None:
         values[stored == raster.nodata] = np.nan
-    # one inside the file: of one beside it GDAL is not told
+    # a mask inside the file; masks beside it are not opened
     if MaskFlags.per_dataset in raster.mask_flag_enums[0]:
         values[raster.read_masks(1, window=window) == 0] = np.nan
-    # infinities are no heights, and signalling NaNs of a damaged file would warn in every sum
+    # infinities, and signalling NaNs of a damaged file, which would warn in every sum
     values[~np.isfinite(values)] = np.nan
     scale, offset = raster.scales[0], raster.offsets[0]
     if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
         raise FormatError(
-            f"{raster.name}: scale {scale:g} and offset {offset:g}, expected finite ones, no scale of 0; "
-            "set them with gdal_edit -a_scale 1 -a_offset 0"
+            f"{raster.name}: scale {scale:g} and offset {offset:g}",
+            expected="finite ones, no scale of 0",
+            mend="set them with gdal_edit -a_scale 1 -a_offset 0",
+            code="scale-wrong",
         )
     return values if (scale, offset) == (1.0, 0.0) else values * scale + offset
 
 
+# Cells are read up to this distance from the flight, in heights above ground: 76 degrees off nadir.
 _REACH = 4.0
-"""Distance to a flight, in heights above the ground, up to which cells are read: 76 degrees off nadir."""
+# Additional border on each side [cell].
 _BORDER = 64
-"""Cells more on each side."""
 _TRACK_POINTS = 257
 
 
 def _window(
     raster: Any, path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the rows and columns of a raster that lie around a flight."""
+    """Return the rows and columns of a raster around a flight."""
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import CRSError, RasterioError
     from rasterio.warp import transform
@@ -249,23 +274,36 @@ def _window(
     points = None if around is None else np.stack([np.asarray(values, np.float64) for values in around])
     points = None if points is None else points[:, np.isfinite(points).all(axis=0)]
     if points is None or not points.size:
-        raise SchemaError(f"{large}, and the line has no positions to cut it by; cut out what is flown over")
+        raise SchemaError(
+            f"{large}, and the line has no positions to select a window by",
+            mend="cut out the area of the flight",
+            code="positions-missing",
+        )
     if raster.crs is None:
-        raise FormatError(f"{large}, and no crs to find the flight in it; declare it with gdal_edit -a_srs")
+        raise FormatError(
+            f"{large}, and no crs to find the flight in it",
+            mend="declare it with gdal_edit -a_srs",
+            code="crs-missing",
+        )
     step = max(1, points.shape[1] // _TRACK_POINTS)
     longitude, latitude, _ = points[:, ::step]
     try:
         x, y = (np.asarray(each) for each in transform("EPSG:4326", raster.crs, longitude, latitude))
     except (CPLE_BaseError, CRSError, RasterioError) as error:
         raise FormatError(
-            f"{large}, and no longitude has a place in its crs ({error!s:.200}); declare its own with "
-            "gdal_edit -a_srs"
+            f"{large}, and positions cannot be converted to its crs ({error!s:.200})",
+            mend="declare the right one with gdal_edit -a_srs",
+            code="crs-unknown",
         ) from error
     column, row = ~raster.transform * (x, y)
     column, row = (each[np.isfinite(column) & np.isfinite(row)] for each in (column, row))
     inside = (row >= 0) & (row < raster.height) & (column >= 0) & (column < raster.width)
     if not inside.any():
-        raise FormatError(f"{large}, and the flight is outside of it; give the DEM of this place")
+        raise FormatError(
+            f"{large}, and the flight is outside of it",
+            mend="give the DEM of this place",
+            code="flight-outside",
+        )
     below = [
         float(_cells(raster, (int(r), int(r) + 1), (int(k), int(k) + 1))[0, 0])
         for r, k in zip(row[inside], column[inside], strict=True)
@@ -284,9 +322,11 @@ def _window(
         first = max(int(values.min() - cells) - _BORDER, 0)
         sides.append((first, min(int(values.max() + cells) + _BORDER + 1, size)))
     (top, bottom), (left, right) = sides
-    if (bottom - top) * (right - left) > MOST_WINDOW_CELLS:
+    if (bottom - top) * (right - left) > MAX_WINDOW_CELLS:
         raise FormatError(
-            f"{large}, {bottom - top} x {right - left} of them around this flight, expected at most "
-            f"{MOST_WINDOW_CELLS} in all; resample it with gdalwarp -tr"
+            f"{large}, {bottom - top} x {right - left} of them around this flight",
+            expected=f"at most {MAX_WINDOW_CELLS} in all",
+            mend="resample it with gdalwarp -tr",
+            code="file-too-large",
         )
     return sides[0], sides[1]

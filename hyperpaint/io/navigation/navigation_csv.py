@@ -15,7 +15,7 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.reading import numbered_lines
-from hyperpaint.io.files.text_tables import MOST_ROWS, Table, name_rows, read_text, table_of
+from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, Table, name_rows, read_text, table_of
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, instants, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import POSE, PoseRecord, check_poses, limited_numbers
@@ -127,7 +127,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
 
 def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
     """Return comments, header and cells; unused columns are dropped."""
-    text = read_text(path, _MAX_BYTES, MOST_ROWS)
+    text = read_text(path, _MAX_BYTES, MAX_TABLE_ROWS)
     comments: dict[str, str] = {}
     start, head = 0, ""
     for start, line in numbered_lines(text):  # noqa: B007

@@ -29,7 +29,7 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_header import EnviHeader, read_header
 from hyperpaint.io.files.reading import numbered_lines
-from hyperpaint.io.files.text_tables import MOST_ROWS, name_rows, read_text, table_of
+from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, name_rows, read_text, table_of
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, nanoseconds, refuse_backwards, unwrap_weeks
 from .navigation_records import LIMITS, PoseRecord, check_poses, check_seconds, limited_numbers
@@ -113,7 +113,7 @@ def read_lcf(path: str | Path) -> PoseRecord:
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
-    text = read_text(path, _MAX_LCF_BYTES, MOST_ROWS)
+    text = read_text(path, _MAX_LCF_BYTES, MAX_TABLE_ROWS)
     cells = (
         (number, line.replace(",", " ").split(None, _MAX_LCF_CELLS))
         for number, line in numbered_lines(text)

@@ -233,9 +233,9 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 
 def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
     """Return a stored result of `open_navigation`."""
-    from hyperpaint.io.store import load_unverified
+    from hyperpaint.io.store import load_group
 
-    record = load_unverified(path)
+    record = load_group(path)
     problems = Problems(f"{path} holds no navigation record", FormatError)
     for name in (NAVIGATION_TIME, *POSE):
         if name not in record.variables:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, TimeError
-from hyperpaint.io.files.text_tables import MOST_ROWS, read_text
+from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, read_text
 
 from .clocks import NS_PER_S, refuse_backwards
 from .navigation_records import POSE, PoseRecord, check_poses
@@ -59,7 +59,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     Warns PaintWarning: Damaged sentences; no attitude in the whole log.
     """
     path = Path(path)
-    text = read_text(path, _MAX_BYTES, MOST_ROWS)
+    text = read_text(path, _MAX_BYTES, MAX_TABLE_ROWS)
     log = _Log(path)
     for fields in _sound_sentences(path, text):
         log.take(fields)

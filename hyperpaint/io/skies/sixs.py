@@ -1,22 +1,19 @@
-"""Text of 6S: one monochromatic run a wavelength."""
+"""Output of 6S: one monochromatic run a wavelength."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.reading import number, numbers
 
 from .sky_table import sky_dataset, sky_lines
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _WAVELENGTH = re.compile(r"monochromatic calculation at wl\s*[:=]\s*([0-9.]+)\s*micron")
 
@@ -41,7 +38,7 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
     Raises
     ------
     FormatError
-        A file has none of these: runs over a filter are refused, their figures are sums.
+        A file lacks these lines: runs over a filter are refused, because they print sums.
     SchemaError
         The sun is not above the horizon.
 
@@ -61,7 +58,9 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
     (array([1. , 1.4]), array([0.184, 0.104]))
     """
     if not 0.0 <= sun_zenith < 90.0:
-        raise SchemaError(f"sun_zenith is {sun_zenith!r}, expected 0 to below 90 degrees")
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
+        )
     rows = np.array([_run(path) for path in paths], np.float64).reshape(-1, 4)
     micron, direct, diffuse, environment = rows.T
     per_nm = 1e-3
@@ -78,11 +77,20 @@ def _run(path: str | Path) -> tuple[float, ...]:
         raise FormatError(
             f"{path}: no monochromatic run of 6S with its irradiance at ground level",
             mend="run 6S with a single wavelength (IWAVE -1), a file each",
+            code="model-output-wrong",
         )
     micron = number(wavelength)
     if micron is None:
-        raise FormatError(f"{path}: a wavelength of {wavelength[:60]!r}, expected a number [micron]")
+        raise FormatError(
+            f"{path}: a wavelength of {wavelength[:60]!r}",
+            expected="a number [micron]",
+            code="number-unreadable",
+        )
     values = numbers(lines[place + 1].replace("*", " ").split())
     if values is None or len(values) != 3:
-        raise FormatError(f"{path}: line {place + 2}: {lines[place + 1][:60]!r}, expected three irradiances")
+        raise FormatError(
+            f"{path}: line {place + 2}: {lines[place + 1][:60]!r}",
+            expected="three irradiances",
+            code="number-unreadable",
+        )
     return micron, *values

@@ -1,24 +1,21 @@
-"""What the readers of skies return, one labelled Dataset, checked; tables of radiance by direction as CSV."""
+"""Checked dataset of irradiance and sky radiance at the ground, and its CSV reader."""
 
 from __future__ import annotations
 
 import csv
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.reading import read_limited_text
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-MOST_SKY_BYTES = 64 << 20
-"""Bytes of a file of a sky."""
+# Largest file of a sky model [byte].
+MAX_SKY_BYTES = 64 << 20
 
 _COLUMNS = {
     "wavelength": "nm",
@@ -31,8 +28,8 @@ _COLUMNS = {
 
 
 def sky_lines(path: str | Path) -> list[str]:
-    """Return the lines of a text file, at most `MOST_SKY_BYTES`; raises `FormatError`."""
-    content = read_limited_text(Path(path), MOST_SKY_BYTES, "the output of a model of the atmosphere")
+    """Return the lines of a text file, at most `MAX_SKY_BYTES`; raises `FormatError`."""
+    content = read_limited_text(Path(path), MAX_SKY_BYTES, "the output of a model of the atmosphere")
     return content.decode("utf-8", "replace").splitlines()
 
 
@@ -48,7 +45,7 @@ def sky_dataset(
     Parameters
     ----------
     source
-        What it was read from.
+        Name of the file or model.
     wavelength : (wavelength,)
         [nm]
     direct_normal, diffuse : (wavelength,)
@@ -68,35 +65,41 @@ def sky_dataset(
     >>> sky_dataset("by hand", nm, np.array([0.8, 1.2]), np.array([0.05, 0.3])).diffuse.values
     array([0.3 , 0.05])
     """
-    import xarray as xr
-
     problems = Problems(f"{source}: no light at the ground", FormatError)
     order = np.argsort(wavelength, kind="stable")
     if wavelength.size < 2 or not (np.diff(wavelength[order]) > 0.0).all():
-        problems.add("fewer than two wavelengths, or some are there twice")
+        problems.add(
+            "wavelengths are fewer than two, or repeated",
+            expected="two or more different wavelengths",
+            code="wavelength-repeated",
+        )
     arrays = {"direct_normal": direct_normal, "diffuse": diffuse}
     if radiance is not None:
         arrays["sky_radiance"] = radiance[2]
     for name, values in {"wavelength": wavelength, **arrays}.items():
         if not (np.isfinite(values).all() and (values >= 0.0).all()):
-            problems.add(f"{name} has values that are negative or not finite")
+            problems.add(
+                f"{name} has values that are negative or not finite",
+                expected="finite values, 0 or above",
+                code="value-out-of-range",
+            )
     if radiance is not None and not all(np.isfinite(angles).all() for angles in radiance[:2]):
-        problems.add("directions of the sky have angles that are not finite")
+        problems.add("directions of the sky have angles that are not finite", code="not-finite")
     problems.raise_if_any()
     units = {"units": "W m-2 nm-1"}
-    made = xr.Dataset(
+    light = xr.Dataset(
         {name: ("wavelength", arrays[name][order], units) for name in ("direct_normal", "diffuse")},
         {"wavelength": ("wavelength", wavelength[order], {"units": "nm"})},
         {"source": source},
     )
     if radiance is not None:
         dims = ("wavelength", "sky_zenith", "sky_azimuth")
-        made["sky_radiance"] = (dims, radiance[2][order], {"units": "W m-2 sr-1 nm-1"})
+        light["sky_radiance"] = (dims, radiance[2][order], {"units": "W m-2 sr-1 nm-1"})
         degree = {"units": "degree"}
-        made = made.assign_coords(
+        light = light.assign_coords(
             sky_zenith=("sky_zenith", radiance[0], degree), sky_azimuth=("sky_azimuth", radiance[1], degree)
         )
-    return made
+    return light
 
 
 def read_sky_csv(path: str | Path) -> xr.Dataset:
@@ -131,22 +134,24 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     try:
         rows = list(csv.reader(lines))
     except csv.Error as error:
-        raise FormatError(f"{path}: no table of commas: {error}") from error
+        raise FormatError(f"{path}: no table of commas: {error}", code="text-unreadable") from error
     problems = Problems(f"{path}: no table of a sky", FormatError)
     names = [cell.split("[")[0].strip() for cell in rows[0]] if rows else []
     needed = {"wavelength", "direct_normal", "diffuse"}
     by_direction = "radiance" in names
     needed |= {"zenith", "azimuth", "radiance"} if by_direction else set()
     if needed - set(names):
-        problems.add(f"columns {sorted(needed - set(names))} are missing, found {names}")
+        problems.add(
+            f"columns {sorted(needed - set(names))} are missing, found {names}", code="column-missing"
+        )
     if len(set(names)) < len(names):
-        problems.add(f"columns {names}: some are there twice")
+        problems.add(f"columns {names}: some are repeated", code="column-repeated")
     ragged = [number for number, row in enumerate(rows) if len(row) != len(names)]
     if ragged or len(rows) < 2:
         found = (
             f"row {ragged[0] + 1} of {len(rows[ragged[0]])} cells" if ragged else "no row below the headings"
         )
-        problems.add(f"{found}, expected rows of {len(names)}")
+        problems.add(found, expected=f"rows of {len(names)}", code="length-mismatch")
     problems.raise_if_any()
     try:
         table = np.array(rows[1:], np.float64)
@@ -156,13 +161,17 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         ]
     except (ValueError, KeyError) as error:
         raise FormatError(
-            f"{path}: rows must be numbers, headings among {list(_COLUMNS)}: {error}"
+            f"{path}: {error}",
+            expected=f"rows of numbers below headings among {list(_COLUMNS)}",
+            code="number-unreadable",
         ) from error
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # checked below
         table = table * factors
     if not np.isfinite(table).all():
         place = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
-        raise FormatError(f"{path}: row {place + 2} {rows[place + 1]}: expected finite numbers")
+        raise FormatError(
+            f"{path}: row {place + 2} {rows[place + 1]}", expected="finite numbers", code="not-finite"
+        )
     columns = dict(zip(names, table.T, strict=True))
     wavelength, first = np.unique(columns["wavelength"], return_index=True)
     light = columns["direct_normal"][first], columns["diffuse"][first]
@@ -171,14 +180,16 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     zenith, azimuth = np.unique(columns["zenith"]), np.unique(columns["azimuth"])
     shape = wavelength.size, zenith.size, azimuth.size
     order = np.lexsort((columns["azimuth"], columns["zenith"], columns["wavelength"]))
-    is_grid = math.prod(shape) == order.size  # before a grid is made: that of scattered rows has no bounds
+    is_grid = math.prod(shape) == order.size  # checked first: the grid of scattered rows would be huge
     if is_grid:
         grid = np.stack(np.meshgrid(wavelength, zenith, azimuth, indexing="ij")).reshape(3, -1)
         rows_of_grid = np.stack([columns[name][order] for name in ("wavelength", "zenith", "azimuth")])
         is_grid = np.array_equal(rows_of_grid, grid)
     if not is_grid:
         raise FormatError(
-            f"{path}: {order.size} rows, expected every direction once at every wavelength, {shape}"
+            f"{path}: {order.size} rows",
+            expected=f"every direction once at every wavelength, {shape}",
+            code="grid-mismatch",
         )
     return sky_dataset(
         str(path), wavelength, *light, (zenith, azimuth, columns["radiance"][order].reshape(shape))

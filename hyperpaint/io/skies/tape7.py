@@ -1,11 +1,11 @@
-"""Radiance of MODTRAN's ``tape7``: what a grey ground of known reflectance sends up says what it got."""
+"""Irradiance from MODTRAN's ``tape7``, by the radiance of a grey ground of known reflectance."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.base.units import takes_quantities
@@ -13,18 +13,15 @@ from hyperpaint.io.files.reading import numbers
 
 from .sky_table import sky_dataset, sky_lines
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 _NEEDED = ("FREQ", "TOT_TRANS", "GRND_RFLT", "DRCT_RFLT")
-#: Names of two words in MODTRAN 4 and 5, of one in 6.
+#: Column names of two words in MODTRAN 4 and 5, of one word in 6.
 _TWO_WORDS = (
     "TOT TRANS", "PTH THRML", "THRML SCT", "THRML EM", "SURF EMIS", "SOL SCAT", "SING SCAT", "SNGL SCAT",
     "MULT SCAT", "GRND RFLT", "DRCT RFLT", "TOTAL RAD", "REF SOL", "DIR EM", "TOA SUN",
 )  # fmt: skip
 
+# Mark below the last row.
 _END = -9999.0
-"""What stands alone below the last row."""
 
 
 @takes_quantities(sun_zenith="degree")
@@ -76,15 +73,19 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
     """
     if not 0.0 <= sun_zenith < 90.0 or not 0.0 < ground <= 1.0:
         raise SchemaError(
-            f"sun_zenith is {sun_zenith!r} and ground {ground!r}, expected 0 to below 90 degrees and 0 to 1"
+            f"sun_zenith is {sun_zenith!r} and ground {ground!r}",
+            expected="0 to below 90 degrees and 0 to 1",
+            code="value-out-of-range",
         )
     lines = sky_lines(path)
     place, names = next(((n, _names(line)) for n, line in enumerate(lines) if "FREQ" in line), (0, []))
     if not set(_NEEDED) <= set(names):
         raise FormatError(
-            f"{path}: no line of names with {', '.join(_NEEDED)}, expected a tape7 over wavenumbers",
-            mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; "
-            "a .7sc is not read: give direct and diffuse light as CSV",
+            f"{path}: no line of names with {', '.join(_NEEDED)}",
+            expected="a tape7 over wavenumbers",
+            mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; give direct and "
+            "diffuse light as CSV instead of a .7sc",
+            code="model-output-wrong",
         )
     rows = []
     for count, line in enumerate(lines[place + 1 :], place + 2):
@@ -93,24 +94,32 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
             break
         if row is None or len(row) < len(names):
             raise FormatError(
-                f"{path}: line {count}: {line[:60]!r}, expected {len(names)} numbers or {_END:g}"
+                f"{path}: line {count}: {line[:60]!r}",
+                expected=f"{len(names)} numbers or {_END:g}",
+                code="number-unreadable",
             )
         rows.append(row[: len(names)])
     else:
-        raise FormatError(f"{path} ends without the mark {_END:g}: it was cut short; copy it again")
+        raise FormatError(
+            f"{path} ends without the mark {_END:g}: it was cut short",
+            mend="copy it again",
+            code="file-truncated",
+        )
     table = dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T, strict=True))
     lit = (table["FREQ"] > 0.0) & (table["TOT_TRANS"] > 1e-6)
     wavenumber, transmitted = table["FREQ"][lit], table["TOT_TRANS"][lit]
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+    with np.errstate(over="ignore", invalid="ignore"):  # checked by sky_dataset
         scale = np.pi * 1e-3 * wavenumber**2 / (ground * transmitted)
         whole, direct = scale * table["GRND_RFLT"][lit], scale * table["DRCT_RFLT"][lit]
-        diffuse = np.where(np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct)  # digits of the file
+        diffuse = np.where(
+            np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct
+        )  # rounding of the file
         normal, wavelength = direct / np.cos(np.radians(sun_zenith)), 1e7 / wavenumber
     return sky_dataset(str(path), wavelength, normal, diffuse)
 
 
 def _names(line: str) -> list[str]:
-    """Return the names of the columns, each one word."""
+    """Return the column names, each as one word."""
     for name in _TWO_WORDS:
         line = line.replace(name, name.replace(" ", "_"))
     return line.split()

@@ -173,14 +173,14 @@ def is_store(path: Any) -> bool:
 
 def stored_series(path: Any) -> xr.Dataset:
     """Return the dataset with the series: the root, or the group irradiance of a collect."""
-    from hyperpaint.io.store import list_groups, load_unverified
+    from hyperpaint.io.store import list_groups, load_group
     from hyperpaint.io.store.reader import is_zarr
 
     try:
         if not is_zarr(path):
             return _of_hypernets(load_netcdf(input_path(path, "an irradiance series")))
         group = "irradiance" if "irradiance" in list_groups(path) else None
-        return _of_hypernets(load_unverified(path, group))
+        return _of_hypernets(load_group(path, group))
     except IncompleteStoreError:
         raise
     except Exception as error:  # h5py and xarray leak classes of their own on damaged files

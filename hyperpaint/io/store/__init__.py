@@ -1,14 +1,13 @@
-"""Zarr stores: written whole or not at all, readable with plain `xarray.open_zarr`.
+"""Zarr stores: written completely or not at all, readable with plain `xarray.open_zarr`.
 
 In: datasets and trees of them (`to_store`), or a store's path. Out: a store with a checksum for every chunk,
-its groups opened lazily and checked as they are read, a report of `verify`. Called by io, workflows and the
-user.
+groups opened lazily and checked as they are read, a report of `verify`. Called by io, workflows and the user.
 """
 
 from __future__ import annotations
 
 from .layout import encoding
-from .reader import is_complete, list_groups, load_unverified, open_group, open_store, open_unverified
+from .reader import is_complete, list_groups, load_group, open_group, open_store, open_unverified
 from .verification import StoreReport, verify
 from .writer import to_store
 
@@ -17,7 +16,7 @@ __all__ = [
     "encoding",
     "is_complete",
     "list_groups",
-    "load_unverified",
+    "load_group",
     "open_group",
     "open_store",
     "open_unverified",

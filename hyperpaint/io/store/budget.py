@@ -1,7 +1,7 @@
 """The memory plan of a run, made before it starts.
 
 A model gives the memory: a fixed share, the calibration and matched spectra that every task reads, and for
-every thread the slabs of lines that it holds; `MARGIN` comes on top. The figures of merit (docs) compare the
+every thread its slabs of lines; `MARGIN` is added. The figures of merit (docs) compare the
 model with measured peaks.
 
 A limit of the address space (``ulimit -v``, some batch systems) counts more than resident memory: stacks, and
@@ -21,55 +21,52 @@ from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, IRRADIANCE_TIME
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+# Memory that kernels, codecs and the writer add to a process with an open collect [byte].
 RUNNING = 100 * 10**6
-"""Bytes that kernels, codecs and the writer add to the resident memory of an open collect."""
 
+# Memory of a fresh process after compiling the kernels, without any slab [byte].
 PROCESS = 330 * 10**6
-"""Bytes of a process that did nothing else before, kernels compiled in it, without any slab."""
 
+# Memory of a worker of dask.distributed, without any slab [byte].
 WORKER = 380 * 10**6
-"""Bytes of a worker of dask.distributed, without any slab."""
 
+# Slabs of a thread: one is computed while another waits for its last chunk to be stored.
 SLABS_IN_HAND = 2
-"""Slabs of a thread: one is made while another waits for its last chunk to be stored."""
 
+# Memory for encoding a chunk, over the chunk's size: worst case, and a copy of the result.
 ENCODED_COPIES = 1.5
-"""Sizes of a chunk that encoding it takes: room for the worst case, and a copy of the result."""
 
+# Memory of the dask graph of one slab [byte].
 TASK_BYTES = 16_000
-"""Graph of one slab."""
 
+# Planned memory over modelled memory.
 MARGIN = 1.1
-"""Needed memory over modelled memory."""
 
+# Memory of a process with all modules that read, calibrate and survey lines, without any slab [byte].
 LOADED = 390 * 10**6
-"""Bytes of a process with the modules loaded that read, calibrate and survey lines, without any slab."""
 
+# Share of the available memory that a run uses if the user sets no limit.
 USABLE = 0.8
-"""Share of the available memory that a run takes if the user gives no limit."""
 
+# Address space of each of zarr's file threads beyond its resident memory [byte]; zarr starts up to four more
+# than there are processors.
 HELPER_SPACE = 48 * 2**20
-"""Address space of each thread that zarr starts for its files, beyond its resident memory.
 
-zarr starts up to four more than there are processors.
-"""
-
+# Address space of a computing thread beyond its slabs: a stack of 8 MiB, an arena of 64 MiB [byte].
 THREAD_SPACE = 72 * 2**20
-"""Address space of a thread that computes, beyond its slabs: a stack of 8 MiB, an arena of 64 MiB."""
 
+# Parameter number of ``malloc.h``.
 _M_ARENA_MAX = -8
-"""Of ``malloc.h``."""
 
+# Spacing of the shifts at which matched irradiance is stored [nm].
 SMILE_STEP = 0.5
-"""Distance of the shifts at which matched irradiance is kept [nm]."""
 
 
 @dataclass(frozen=True)
@@ -91,13 +88,10 @@ class Load:
 
     @classmethod
     def of(cls, line: xr.Dataset) -> Load:
-        """Return the load of a flight line as `open_flightline` returns it."""
-        import numpy as np
-
         cube = next(line[name] for name in ("counts", "radiance", "reflectance") if name in line)
         samples = cube.sizes[BAND] * cube.sizes[CROSS_TRACK]
         single = np.dtype(np.float32).itemsize
-        # pieces that the smile is cut into; many where it is not at hand
+        # cells of the smile; many where the smile is not in memory
         cells, shift = 1, line.variables.get("wavelength_shift")
         if shift is not None and shift.chunks is not None:
             cells = 16
@@ -109,19 +103,19 @@ class Load:
             scan_line=samples * (cube.dtype.itemsize + single),
             light=4 * cubic,
             encoded=int(ENCODED_COPIES * min(CHUNK_LINES, cube.sizes[ALONG_TRACK]) * samples * single),
-            # once as it was read, once as the tasks take it
+            # as read, and as passed to the tasks
             shared=2 * (small + line.sizes.get(IRRADIANCE_TIME, 0) * cubic),
             lines=cube.sizes[ALONG_TRACK],
         )
 
     @property
     def a_thread(self) -> int:
-        """Memory of a thread that reads slabs of the lines of a storage chunk [byte]."""
+        """Memory of a thread with slabs as high as a storage chunk [byte]."""
         slab = min(CHUNK_LINES, self.lines) * (self.scan_line + self.light)
         return SLABS_IN_HAND * slab + self.encoded // 2
 
     def peak(self, *, lines: int, threads: int, fixed: int) -> int:
-        """Return the modelled peak [byte] at ``lines`` a task; ``fixed`` is there without any slab."""
+        """Return the modelled peak [byte] at ``lines`` a task; ``fixed``: memory without any slab."""
         slabs = math.ceil(self.lines / lines)
         slab = min(lines, self.lines) * (self.scan_line + self.light)
         a_thread = min(SLABS_IN_HAND, slabs) * slab + self.encoded
@@ -130,7 +124,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Demand:
-    """How a run is done so that it stays within its memory."""
+    """Lines a task and threads with which a run stays within its memory."""
 
     lines: int  # Scan lines a task
     threads: int  # Threads at once, in one process
@@ -180,9 +174,11 @@ def fit(
         mend = "fewer threads a worker, " if least_threads > 1 else ""
         which = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
         raise StoreError(
-            f"/{worst} needs {size_text(plan.needed)} of memory with {counted(plan.threads, 'thread')} "
-            f"and {plan.lines} lines a task, the fewest possible, but {size_text(limit)} may be taken; "
-            f"{mend}end other programs, raise {which}, or take a larger machine"
+            f"/{worst} needs {size_text(plan.needed)} of memory with {counted(plan.threads, 'thread')} and "
+            f"{plan.lines} lines a task, the fewest possible",
+            expected=f"at most {size_text(limit)}",
+            mend=f"{mend}end other programs, raise {which}, or take a larger machine",
+            code="memory-short",
         )
     return plan
 
@@ -192,9 +188,9 @@ _LIMIT: ContextVar[int | None] = ContextVar("memory_limit", default=None)
 
 @contextlib.contextmanager
 def memory_limit(size: str | int | None) -> Iterator[None]:
-    """Let nothing in this process plan with more memory than that; None leaves 80 % of the available.
+    """Limit the memory that this process plans with; None restores 80 % of the available memory.
 
-    Raises `SchemaError`: this is no size.
+    Raises `SchemaError`: not a size.
     """
     share_one_heap()
     token = _LIMIT.set(None if size is None else parse_size(size))
@@ -206,16 +202,16 @@ def memory_limit(size: str | int | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0) -> Iterator[None]:
-    """Compute on as many threads as stay within the memory that may be taken; all of a cluster's.
+    """Limit the number of threads to the memory limit; on a cluster, change nothing.
 
     ``a_thread``: memory of a thread; ``fixed``: memory without any thread; ``least``: memory needed at
     another time, whatever the threads; all in bytes.
 
-    Raises `StoreError`: not even one thread stays within; the figures are given.
+    Raises `StoreError`: not even one thread stays within the limit.
     """
     from dask.base import get_scheduler
 
-    # nobody who has not imported distributed has a client
+    # without distributed imported there is no client
     scheduler = get_scheduler() if "distributed" in sys.modules else None
     if hasattr(getattr(scheduler, "__self__", None), "scheduler_info"):
         yield
@@ -230,9 +226,10 @@ def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0)
     threads = _threads_within(limit, needed)
     if needed(threads) > limit:
         raise StoreError(
-            f"{subject} needs {size_text(needed(threads))} of memory with {counted(threads, 'thread')}, but "
-            f"{size_text(limit)} may be taken; end other programs, raise the memory limit, take fewer lines, "
-            "or a larger machine"
+            f"{subject} needs {size_text(needed(threads))} of memory with {counted(threads, 'thread')}",
+            expected=f"at most {size_text(limit)}",
+            mend="end other programs, raise the memory limit, take fewer lines, or a larger machine",
+            code="memory-short",
         )
     with limited_threads(threads):
         yield
@@ -252,22 +249,24 @@ def parse_size(size: str | int) -> int:
     from dask.utils import parse_bytes
 
     try:
-        # without a number dask would take one
+        # dask would read text without a number as one
         number = int(parse_bytes(size)) if any(map(str.isdigit, str(size))) else 0
     except (ValueError, OverflowError, TypeError, AttributeError):
         number = 0
     if number <= 0:
         raise SchemaError(
-            f"{size!r} is no size of memory; expected bytes, or text such as '2 GiB' or '500 MB'"
+            f"memory size {size!r}",
+            expected="bytes above 0, or text such as '2 GiB' or '500 MB'",
+            code="size-unreadable",
         )
     return number
 
 
 def available_memory(system: Path = Path("/")) -> int:
-    """Return the memory that can still be taken [byte]; ``system`` is where ``proc`` and ``sys`` are.
+    """Return the memory that can still be allocated [byte]; ``system``: root of ``proc`` and ``sys``.
 
-    The machine, its container and the limit of the address space of this process each leave some: this is
-    the least. The reserve of helper threads is taken off the address space first.
+    The least of the memory left by the machine, its container and the address space limit of this process.
+    The reserve of helper threads is subtracted from the address space first.
     """
     space, limit = _address_space(), _LIMIT.get()
     shared = _shared_memory(system)
@@ -277,18 +276,18 @@ def available_memory(system: Path = Path("/")) -> int:
 
 
 def _shared_memory(system: Path) -> int:
-    """Return the memory that the machine and its container leave; other programs share it."""
+    """Return the memory left by the machine and its container, which other programs share."""
     import psutil
 
-    # with the cache of files, which gives way
+    # includes the file cache, which is freed on demand
     return min([int(psutil.virtual_memory().available), *_container_memory(system)])
 
 
 def process_limit(resident: int, limit: int | None = None) -> int:
-    """Return the most memory that this process, which holds ``resident`` bytes, may take [byte].
+    """Return the memory that this process, which holds ``resident`` bytes, may take at most [byte].
 
-    ``limit`` of the user stands in place of `USABLE` of what is available; a limit of the address space,
-    which no other program shares, holds besides.
+    ``limit`` of the user replaces `USABLE` of the available memory; a limit of the address space,
+    which no other program shares, applies as well.
     """
     limit = _LIMIT.get() if limit is None else limit
     if limit is None:
@@ -298,7 +297,7 @@ def process_limit(resident: int, limit: int | None = None) -> int:
 
 
 def thread_space() -> int:
-    """Return the address space that a computing thread takes besides its slabs [byte]; 0 without a limit."""
+    """Return the address space of a computing thread besides its slabs [byte]; 0 without a limit."""
     return 0 if _address_limit() is None else THREAD_SPACE
 
 
@@ -312,20 +311,20 @@ def _address_limit() -> int | None:
 
 
 def _address_space() -> int | None:
-    """Return the address space that is left to slabs; None without a limit."""
+    """Return the address space left for slabs; None without a limit."""
     limit = _address_limit()
     if limit is None:
         return None
     import psutil
 
-    # zarr's threads are threads of asyncio; running ones have their space already
+    # zarr's threads are threads of asyncio; running ones have their space reserved
     running = sum(thread.name.startswith(("asyncio_", "zarr_io")) for thread in threading.enumerate())
     helpers = max(0, min(32, (os.cpu_count() or 1) + 4) + 1 - running)
     return limit - int(psutil.Process().memory_info().vms) - helpers * HELPER_SPACE
 
 
 def _container_memory(system: Path) -> Iterator[int]:
-    """Yield the memory that the control groups of this process (version 2 or 1), and those above them, leave.
+    """Yield the memory left by each control group (version 2 or 1) of this process, and by those above.
 
     psutil knows no control groups, and distributed only the limit of the innermost one.
     """
@@ -345,7 +344,7 @@ def _container_memory(system: Path) -> Iterator[int]:
         for folder in (inside, *(above for above in inside.parents if above.is_relative_to(base))):
             with contextlib.suppress(OSError, ValueError):  # no such group, or no limit ("max")
                 left = int((folder / limit).read_text()) - int((folder / used).read_text())
-                # cached files give way
+                # the file cache is freed on demand
                 with contextlib.suppress(OSError):
                     cached = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.M)
                     left += int(cached[1]) if cached else 0
@@ -353,18 +352,17 @@ def _container_memory(system: Path) -> Iterator[int]:
 
 
 def resident_memory() -> int:
-    """Return the memory this process holds now [byte]."""
+    """Return the resident memory of this process [byte]."""
     import psutil
 
     return int(psutil.Process().memory_info().rss)
 
 
 def share_one_heap() -> None:
-    """Let threads that start later allocate from one heap, if the allocator is that of glibc.
+    """Let threads that start later allocate from one heap, if the allocator is glibc's.
 
-    By itself it gives each thread a heap of its own, which stays as large as the most that the thread ever
-    held, and takes address space before any plan. The setting lasts as long as the process; the user decides
-    by ``MALLOC_ARENA_MAX`` or ``GLIBC_TUNABLES``.
+    By default each thread has a heap, which stays as large as its peak, and takes address space before any
+    plan. The setting lasts as long as the process; ``MALLOC_ARENA_MAX`` or ``GLIBC_TUNABLES`` override it.
     """
     if not {"MALLOC_ARENA_MAX", "GLIBC_TUNABLES"} & set(os.environ):
         with contextlib.suppress(OSError, AttributeError, TypeError):  # not of glibc
@@ -375,7 +373,7 @@ def share_one_heap() -> None:
 
 
 def thread_count() -> int:
-    """Return how many threads dask would take here."""
+    """Return the number of threads that dask would use."""
     import dask
     from dask.system import CPU_COUNT
 
@@ -387,7 +385,7 @@ def thread_count() -> int:
 
 @contextlib.contextmanager
 def limited_threads(count: int | None) -> Iterator[None]:
-    """Let dask take no more threads than that; None leaves them as they are."""
+    """Limit the number of dask threads; None leaves it unchanged."""
     import dask
 
     saved = count is not None and count < thread_count()
@@ -396,14 +394,14 @@ def limited_threads(count: int | None) -> Iterator[None]:
 
 
 def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
-    """Return how many threads may store a dataset at once; refuse one of which not even one block fits.
+    """Return the number of threads that may store a dataset; StoreError if not even one block fits.
 
     The dask chunks cannot be changed here, only the number of threads. No value is read. Dask arrays count:
     cubes along the flight are computed together, line by line, other arrays one by one.
 
-    ``subject`` names the dataset in errors. Returns None where nothing is known against any number.
+    ``subject`` names the dataset in errors. None where any number will do.
 
-    Raises `StoreError`: One block is larger than the memory that is available; the figures are given.
+    Raises `StoreError`: one block is larger than the available memory.
     """
     share_one_heap()
     available, fixed = available_memory(), thread_space()
@@ -417,8 +415,9 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
             block = math.prod(sizes) * variable.dtype.itemsize + fixed
             if block > available:
                 problems.add(
-                    f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}; take "
-                    "smaller chunks, end other programs, or raise the memory limit"
+                    f"{name!r} needs {size_text(block)} for one dask chunk of {sizes}",
+                    mend="take smaller chunks, end other programs, or raise the memory limit",
+                    code="memory-short",
                 )
     problems.raise_if_any()
     if not cubes or not all(v.size for v in cubes):
@@ -430,11 +429,13 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     surely = lines * sum(a_line) + encoded + fixed
     if surely > available:
         raise StoreError(
-            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {counted(lines, 'line')}, "
-            f"but {size_text(available)} are available; take fewer lines a chunk (chunks={{'{ALONG_TRACK}': "
-            f"{CHUNK_LINES}}}), end other programs, or raise the memory limit"
+            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {counted(lines, 'line')}",
+            expected=f"at most {size_text(available)}",
+            mend=f"take fewer lines a chunk (chunks={{'{ALONG_TRACK}': {CHUNK_LINES}}}), end other programs, "
+            "or raise the memory limit",
+            code="memory-short",
         )
-    # a cube alone is taken to be made from one half as large: 16-bit counts of a float32 product
+    # a single cube is assumed to be computed from one half as large: 16-bit counts
     alone = sum(size > max(a_line) // 4 for size in a_line) == 1
     load = Load(sum(a_line) + alone * max(a_line) // 2, 0, encoded, 0, length)
     resident = resident_memory()
@@ -447,7 +448,7 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
 
 
 def _threads_within(limit: int, needed: Callable[[int], float]) -> int:
-    """Return the most threads, at least one, that need no more memory than the limit."""
+    """Return the largest number of threads, at least one, within a memory limit."""
     threads = thread_count()
     while threads > 1 and needed(threads) > limit:
         threads -= 1
@@ -458,7 +459,7 @@ def _threads_within(limit: int, needed: Callable[[int], float]) -> int:
 
 
 def size_text(size: int) -> str:
-    """Return a size for reading: MiB below one GiB.
+    """Return a size in MiB, or in GiB from one GiB on.
 
     Examples
     --------
@@ -469,5 +470,5 @@ def size_text(size: int) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """Return a number of things, in the singular or plural."""
+    """Return a number with its noun, in the singular or plural."""
     return f"{number} {noun}{'' if number == 1 else 's'}"

@@ -1,7 +1,7 @@
 """Chunk files of a group under construction: written from dask blocks, resumed by the next run.
 
-A chunk file ends in the crc32c of all bytes before it, and gets its name when it is whole. A power failure
-may leave it without its content, so the next run uses only chunks with the right checksum.
+A chunk file ends in the crc32c of all bytes before it, and gets its name when complete. A power failure may
+leave it empty, so the next run keeps only chunks with the right checksum.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import xarray as xr
+
 from hyperpaint.base.errors import PaintError
 
 from .disk import at_once
@@ -25,8 +28,6 @@ from .location import Location, replace_file
 
 if TYPE_CHECKING:
     import dask.array as da
-    import numpy as np
-    import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -39,22 +40,24 @@ class Target:
     shape: tuple[int, ...]
     dtype: np.dtype[Any]  # On disk
     chunk: tuple[int, ...]  # Storage chunk
-    fill: Any  # Fills what an edge chunk lacks
+    fill: Any  # Pads edge chunks
     codec: Codec = "compact"
 
     @classmethod
     def of(cls, name: str, variable: xr.Variable, place: Location, codec: Codec) -> Target:
-        """Return where the blocks of a variable go."""
-        import numpy as np
-
         dtype = np.dtype("<i8") if variable.dtype.kind in "mM" else variable.dtype.newbyteorder("<")
         return cls(
-            place, name, tuple(map(str, variable.dims)), variable.shape, dtype, chunks_of(variable),
-            fill_value(variable.dtype), codec,
-        )  # fmt: skip
+            place,
+            name,
+            tuple(map(str, variable.dims)),
+            variable.shape,
+            dtype,
+            chunks_of(variable),
+            fill_value(variable.dtype),
+            codec,
+        )
 
     def key(self, position: tuple[int, ...]) -> str:
-        """Return the key of a chunk within the array."""
         return "/".join(("c", *map(str, position)))
 
     def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
@@ -63,8 +66,6 @@ class Target:
         At the far edges of the array chunks may be cut. Return the crc32c of the encoded chunks (uint32), in
         the shape of the block's grid.
         """
-        import numpy as np
-
         # times are stored as int64 nanoseconds
         if block.dtype.kind in "mM":
             block = block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
@@ -88,15 +89,14 @@ class Target:
 
 
 def write_chunk(folder: Path, key: str, parts: Sequence[bytes]) -> None:
-    """Write the file ``key`` of an array's folder."""
-    # step by step from the array's folder: a task that outlives its run must not make that again
+    # not parents=True: a task that outlives its run must not create the array's folder again
     for parent in reversed((folder / key).relative_to(folder).parents[:-1]):
         (folder / parent).mkdir(exist_ok=True)
     replace_file(folder / key, parts, durable=False)
 
 
 def is_streamed(variable: xr.Variable) -> bool:
-    """Return whether a variable is written block by block; xarray writes the others, which are small."""
+    """Return whether a variable is written block by block; xarray writes the small ones."""
     import dask
 
     if variable.dtype.kind not in "biufcmM" or not variable.ndim or not variable.size:
@@ -105,7 +105,7 @@ def is_streamed(variable: xr.Variable) -> bool:
 
 
 def placeholder(variable: xr.Variable) -> xr.Variable:
-    """Return a variable of the same form, from which xarray makes the metadata; it is never computed."""
+    """Return a variable of the same shape and dtype from which xarray makes the metadata; never computed."""
     import dask.array as da
 
     chunks = tuple((size,) for size in variable.shape)
@@ -115,13 +115,12 @@ def placeholder(variable: xr.Variable) -> xr.Variable:
 def lazy_checksums(
     variable: xr.Variable, target: Target, finished: Mapping[tuple[int, ...], int] | None = None
 ) -> da.Array:
-    """Return the checksums of a variable's chunks; to compute them is to store the variable in ``target``.
+    """Return the lazy checksums of a variable's chunks; computing them stores the variable in ``target``.
 
-    A block of which all chunks are ``finished`` (position in the grid to checksum) is not computed.
+    A block whose chunks are all ``finished`` (position in the grid to checksum) is not computed.
     """
     import dask
     import dask.array as da
-    import numpy as np
     from dask.highlevelgraph import HighLevelGraph
 
     if dask.is_dask_collection(variable):
@@ -143,16 +142,18 @@ def lazy_checksums(
     )
     if not finished:
         return sums
-    # values stand in the place of blocks whose chunks are finished; dask drops their tasks
+    # blocks with finished chunks become values; dask drops their tasks
     name = f"resumed-{uuid.uuid4().hex}"
     layer: dict[tuple[Any, ...], Any] = {}
     for index in np.ndindex(sums.numblocks):
         first = tuple(starts[i] for starts, i in zip(offsets, index, strict=True))
         shape = tuple(pieces[i] for pieces, i in zip(sums.chunks, index, strict=True))
-        found = [finished.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(shape)]
+        checksums = [
+            finished.get(tuple(map(sum, zip(first, step, strict=True)))) for step in np.ndindex(shape)
+        ]
         layer[(name, *index)] = (sums.name, *index)
-        if None not in found:
-            layer[(name, *index)] = np.array(found, dtype=np.uint32).reshape(shape)
+        if None not in checksums:
+            layer[(name, *index)] = np.array(checksums, dtype=np.uint32).reshape(shape)
     graph = HighLevelGraph.from_collections(name, layer, dependencies=[sums])
     return da.Array(graph, name, chunks=sums.chunks, meta=sums._meta)
 
@@ -163,17 +164,15 @@ def _write_block(
     block: np.ndarray[Any, Any],
     block_id: tuple[int, ...] = (),
 ) -> np.ndarray[Any, Any]:
-    """Write a block of dask, where ``offsets`` are the first chunks of all blocks along each dim."""
+    """Write a block of dask; ``offsets`` are the first chunks of all blocks along each dim."""
     return target.write(block, tuple(starts[i] for starts, i in zip(offsets, block_id, strict=True)))
 
 
 def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
-    """Move finished chunks of an earlier run's array into the array's own folder; add them to ``finished``.
+    """Move finished chunks of an earlier run's array into the array's folder; add them to ``finished``.
 
-    ``leftover`` need not exist. A chunk is added, by its position in the grid, where its checksum is right.
+    ``leftover`` need not exist. A chunk is added, by its position in the grid, if its checksum is right.
     """
-    import numpy as np
-
     if target.place.local is None or leftover.is_symlink() or not leftover.is_dir():
         return
     folder = target.place.local / target.name
@@ -200,9 +199,9 @@ def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) 
 
 
 def whole_chunk(encoded: bytes, decoded_bytes: int | None = None) -> int | None:
-    """Return the crc32c that ends a chunk, None where it does not match the rest.
+    """Return the crc32c at the end of a chunk; None where it does not match the rest.
 
-    ``decoded_bytes``: size that its blosc frame must declare, where it is known.
+    ``decoded_bytes``: size that its blosc frame must declare, where known.
 
     Examples
     --------
@@ -220,9 +219,9 @@ def whole_chunk(encoded: bytes, decoded_bytes: int | None = None) -> int | None:
 
 
 def is_mendable(error: BaseException) -> bool:
-    """Return whether the same run may succeed later, so that its finished chunks are worth their room.
+    """Return whether the same run may succeed later, so that its finished chunks are kept.
 
-    It may after an interruption, a full disk or memory, or lost workers. An error in the data comes again, or
+    It may after an interruption, a full disk or memory, or lost workers. An error in the data recurs, or
     is mended by other data.
     """
     if isinstance(error, PaintError):

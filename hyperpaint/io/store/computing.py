@@ -1,8 +1,8 @@
 """Compute blocks on threads or a cluster; errors name the block, a bar shows the progress.
 
 A cluster repeats a task whose worker died, and `RETRIES` times one that raised: a file system shared by many
-nodes fails for a moment now and then. The result of a block is fetched as soon as it is done, so that the
-death of a worker costs only the blocks it had in hand.
+nodes may fail for a moment. The result of a block is fetched as soon as it is computed, so that a dying
+worker loses only its current blocks.
 """
 
 from __future__ import annotations
@@ -17,20 +17,22 @@ from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import numpy as np
+
 from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
 
 from .disk import RUN_AGAIN
+from .stages import in_stages
 
 if TYPE_CHECKING:
     import dask.array as da
-    import numpy as np
     from distributed import Client
 
     from .chunks import Target
 
+# Number of times a cluster repeats a task that raised an error.
 RETRIES = 3
-"""How often a cluster repeats a task that raised an error, before the error counts."""
 
 _SAME_FILES = "; every worker must see the same files, under the same paths"
 _CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
@@ -41,26 +43,23 @@ Found = Generator[tuple[Key, Any], None, None]
 
 @dataclass(frozen=True)
 class _Block:
-    """One block to compute."""
-
     array: str
     sums: tuple[slice, ...]  # Its place among the checksums of the array
-    words: str  # Name its lines in messages
+    words: str  # Its lines, for messages
     stage: int  # Stages are computed one after the other
 
 
 def compute(
     lazy: Mapping[str, da.Array], targets: Mapping[str, Target], *, group: str, progress: bool
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """Compute lazy checksums (`chunks.lazy_checksums`) together: what two arrays share is computed once.
+    """Compute lazy checksums (`chunks.lazy_checksums`) together: tasks shared by two arrays run once.
 
     Raises
     ------
     StoreError
         A block could not be read, computed or written, or the cluster was lost; the message names group and
-        block. Other errors of a task are raised as they are, with a note that names it.
+        block. Other errors of a task are raised unchanged, with a note that names it.
     """
-    import numpy as np
     from dask.array.core import slices_from_chunks
     from dask.highlevelgraph import HighLevelGraph
 
@@ -82,7 +81,7 @@ def compute(
             blocks[(array.name, *index)] = _Block(name, region, words, stage)
     arrays = list(lazy.values())
     merged = HighLevelGraph.merge(*(array.__dask_graph__() for array in arrays))
-    # together: apart, what two arrays share would be fused into both
+    # optimised together: else shared tasks would be fused into both arrays
     graph = dict(arrays[0].__dask_optimize__(merged, list(blocks)))
     sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
     client = client_in_force()
@@ -99,7 +98,7 @@ def compute(
 
 
 def client_in_force() -> Client | None:
-    """Return the client of dask.distributed in force; None without a cluster."""
+    """Return the current client of dask.distributed; None without a cluster."""
     client = getattr(scheduler_in_force(), "__self__", None)
     return client if hasattr(client, "scheduler_info") else None
 
@@ -120,15 +119,15 @@ def scheduler_in_force() -> Any:
 
 
 @contextlib.contextmanager
-def errors_of_the_cluster(what: str) -> Iterator[None]:
-    """Turn lost workers, and a lost scheduler, into a StoreError; ``what`` opens the message."""
+def errors_of_the_cluster(subject: str) -> Iterator[None]:
+    """Turn lost workers, and a lost scheduler, into a StoreError; ``subject`` opens the message."""
     try:
         yield
     except (Exception, *_CANCELLED) as error:
         reason = _cluster_failure(error)
         if reason is None:
             raise
-        raise StoreError(f"{what}: {reason}; {RUN_AGAIN}") from error
+        raise StoreError(f"{subject}: {reason}", mend=RUN_AGAIN, code="cluster-lost") from error
 
 
 def _on_threads(
@@ -138,8 +137,6 @@ def _on_threads(
     from dask.callbacks import Callback
     from dask.core import get_deps
     from dask.local import execute_task
-
-    from .stages import in_stages
 
     def count(key: Any, *_: Any) -> None:
         if bar is not None and key in blocks:
@@ -165,7 +162,6 @@ def _on_threads(
 def _on_cluster(
     client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
 ) -> Found:
-    """Yield keys and checksums as they come."""
     from distributed import as_completed
 
     with errors_of_the_cluster(f"cannot store /{group}"):
@@ -174,27 +170,26 @@ def _on_cluster(
     del futures
     try:
         for future, result in as_completed(wanted.values(), with_results=True, raise_errors=False):
-            # not the future's status: it may be lost again, with its worker, since the result was fetched
+            # the future's status may have changed since the result was fetched, if its worker died
             if isinstance(result, tuple | BaseException):
-                # a task's error comes with its type and traceback, a cancellation as it is
+                # a task's error comes as a tuple with type and traceback, a cancellation as an exception
                 error = result[1] if isinstance(result, tuple) else result
                 hint = _SAME_FILES if isinstance(error, FileNotFoundError | PermissionError) else ""
                 _raise_named(error, group, [blocks[future.key]], hint)
-            # the cluster forgets what is fetched: a worker that dies takes no finished block with it
+            # fetched results are released: a dying worker loses no finished block
             del wanted[future.key]
             if bar is not None:
                 bar.advance()
             yield future.key, result
     finally:
-        # the cluster would remember failed tasks for as long as a traceback holds their futures, and another
-        # run would fail with them
+        # a traceback holds the futures of failed tasks, and another run would fail with them
         if wanted:
             with contextlib.suppress(Exception):  # of a scheduler that is lost
                 client.cancel(list(wanted.values()), force=True)
 
 
 def _cluster_failure(error: BaseException) -> str | None:
-    """Return words for a failure of the cluster, None for any other error."""
+    """Return a description of a failure of the cluster; None for any other error."""
     if type(error).__name__ == "KilledWorker":
         times = getattr(error, "allowed_failures", 0) + 1
         last = getattr(getattr(error, "last_worker", None), "address", "unknown")
@@ -209,26 +204,26 @@ def _cluster_failure(error: BaseException) -> str | None:
 
 
 def _raise_named(error: BaseException, group: str, blocks: Sequence[_Block], hint: str = "") -> NoReturn:
-    """Raise the error of a task so that it names the blocks; of system, memory or cluster as StoreError."""
+    """Raise a task's error with the names of its blocks; of system, memory or cluster as StoreError."""
     # one block an array; the group alone where many blocks need the task
     words = dict.fromkeys(block.words for block in blocks)
     few = 0 < len(words) == len({block.array for block in blocks})
     place = f"/{group}, {' and '.join(words)}" if few else f"/{group}"
     reason = _cluster_failure(error)
     if reason is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
-        reason = f"{type(error).__name__}: {error}{hint}; mend this"
+        reason = f"{type(error).__name__}: {error}{hint}"
     if reason is None:
         error.add_note(f"while storing {place}")
         raise error
-    raise StoreError(f"cannot store {place}: {reason}; {RUN_AGAIN}") from error
+    raise StoreError(f"cannot store {place}: {reason}", mend=RUN_AGAIN, code="block-failed") from error
 
 
 _WIDTH = 40
-_FEWEST = 0.02  # share that must be done before the rest is guessed
+_MIN_SHARE = 0.02  # share finished before the remaining time is estimated
 
 
 class BlockBar:
-    """A bar on stdout over ``total`` blocks, as dask draws it, with the time that is left."""
+    """A progress bar on stdout over ``total`` blocks, in dask's style, with the remaining time."""
 
     def __init__(self, total: int) -> None:
         self._total, self._done, self._shown = total, 0, 0
@@ -243,7 +238,7 @@ class BlockBar:
         sys.stdout.flush()
 
     def advance(self, blocks: int = 1) -> None:
-        """Count blocks that are done, and draw."""
+        """Count finished blocks, and draw."""
         from dask.utils import format_time
 
         self._done += blocks
@@ -251,9 +246,9 @@ class BlockBar:
         share = self._done / max(self._total, 1)
         bar, percent = "#" * int(_WIDTH * share), int(100 * share)
         text = f"[{bar:<{_WIDTH}}] | {percent}% Completed | {format_time(elapsed)}"
-        if _FEWEST <= share < 1.0:
+        if _MIN_SHARE <= share < 1.0:
             text += f", {format_time(elapsed / share - elapsed).strip()} left"
-        # blanks first: the end of a longer text would stay
+        # blanks first, to erase the end of a longer text
         sys.stdout.write("\r" + " " * self._shown + "\r" + text)
         sys.stdout.flush()
         self._shown = len(text)

@@ -1,8 +1,8 @@
-"""The disk under a store: its free space, files that survive a power failure, folders that change places.
+"""The disk of a store: free space, files that survive a power failure, folders exchanged in one step.
 
-The kernel keeps written files in memory for half a minute or so. All files and folders of a group are
-therefore flushed before it gets its place. The disk begins to write each chunk at once, so that little is
-left to wait for at the end.
+The kernel holds written files in memory for about half a minute. All files and folders of a group are
+therefore flushed before it is published. Each chunk is scheduled for writing at once, so that little is left
+to wait for at the end.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
+
+import xarray as xr
 
 from hyperpaint.base.errors import PaintError, StoreError
 
@@ -25,27 +27,24 @@ from .budget import MARGIN, size_text, thread_space
 from .layout import Codec, chunks_of
 from .location import Location, sync
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+# Disk space of a cube beyond the bits that can differ, over its size in memory: headers, and bits that do not
+# compress. White noise of 12 bits in uint16 took 0.76, of 16 bits 1.00.
 NOISE_SHARE = 0.03
-"""Share of its bytes in memory that a cube takes on disk beyond the bits that can differ: headers, and what
-the compressor cannot pack. White noise of 12 bits in uint16 took 0.76, of 16 bits 1.00."""
 
 _SIGN_AND_EXPONENT = 9
 
+# Smallest disk space of a file or folder [byte]; a chunk takes a file and two folders.
 _BLOCK = 4096
-"""Least room of a file or folder [byte]; a chunk takes a file and two folders."""
 
-RUN_AGAIN = "run again: the chunks that are finished will be taken up"
+RUN_AGAIN = "run again: finished chunks are kept"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
-    """Return the bytes a group takes on disk at the most, margin included: as if it were all noise.
+    """Return an upper bound of the bytes a group takes on disk, margin included: as if it were all noise.
 
-    Of a sample only the bits that can differ count: those up to the saturation of the counts, and the
-    mantissa that is kept of a rounded float, in whole bytes where these are shuffled (``"fast"``). Data that
+    Only the bits of a sample that can differ count: those up to the saturation of the counts, and the
+    mantissa bits of a rounded float, in whole bytes where these are shuffled (``"fast"``). Data that
     are not noise take less: real counts of 12 bits about half.
 
     Examples
@@ -73,10 +72,10 @@ def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
 
 
 def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
-    """Refuse a store whose disk has less free space than ``needed`` bytes, with the figures.
+    """Raise StoreError if the disk of a store has less free space than ``needed`` bytes.
 
     Neither the store nor the folders above need exist. The size of the folders ``begun``, which an
-    interrupted run left and this one resumes, is taken off.
+    interrupted run left and this one resumes, is subtracted.
     """
     free, left = _free(store), needed
     for file in (file for folder in begun for file in folder.rglob("*")):
@@ -84,13 +83,15 @@ def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
             left -= file.stat().st_size if file.is_file() else 0
     if free is not None and left > free:
         raise StoreError(
-            f"cannot write {store}: {size_text(left)} of disk are needed, {size_text(free)} are free; make "
-            "room, choose another disk, or leave reflectance to be computed from counts (reflectance='none')"
+            f"cannot write {store}: {size_text(left)} of disk are needed, {size_text(free)} are free",
+            mend="make room, choose another disk, or leave reflectance to be computed from counts "
+            "(reflectance='none')",
+            code="disk-short",
         )
 
 
 def _free(store: Path) -> int | None:
-    """Return the free bytes of the disk on which a store is, or will be; None where it is not known."""
+    """Return the free bytes of the disk of a store that may not exist yet; None where unknown."""
     for folder in store.absolute().parents:
         with contextlib.suppress(OSError):
             return shutil.disk_usage(folder).free
@@ -99,57 +100,58 @@ def _free(store: Path) -> int | None:
 
 @contextlib.contextmanager
 def errors_of_the_system(location: Location, groups: Mapping[str, xr.Dataset]) -> Iterator[None]:
-    """Turn a full disk or memory, and files that cannot be used, into one readable error."""
+    """Turn a full disk, exhausted memory and unusable files into one readable StoreError."""
 
-    def room() -> str:
+    def needs() -> str:
         needed = size_text(sum(map(disk_needed, groups.values())))
         free = None if location.local is None else _free(location.local)
         available = "" if free is None else f", {size_text(free)} are free now"
-        return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{available}; make room"
+        return f"{', '.join(f'/{group}' for group in groups)} may take {needed} in all{available}"
 
     try:
         yield
     except PaintError as error:
         cause = error.__cause__  # the error of a block, which names the block
         if isinstance(cause, OSError) and cause.errno in _FULL:
-            raise StoreError(f"{error}; {room()}") from cause
+            raise StoreError(
+                f"{error.problem.found}: {needs()}", mend=f"make room, then {RUN_AGAIN}", code="disk-full"
+            ) from cause
         raise
     except OSError as error:
-        reason, file = error.strerror or str(error), error.filename
+        found, file = f"cannot write {location.url}: {error.strerror or error}", error.filename
         if error.errno in _FULL:
-            reason += f"; {room()}"
-        elif file and location.local is not None and not _is_beside(file, location.local):
-            reason += f": {file}, which it is made from; mend this"
-        else:
-            reason += f"{f' ({file})' if file else ''}; mend this"
-        raise StoreError(f"cannot write {location.url}: {reason} and {RUN_AGAIN}") from error
+            mend = f"make room, then {RUN_AGAIN}"
+            raise StoreError(f"{found}; {needs()}", mend=mend, code="disk-full") from error
+        if isinstance(file, str | bytes) and location.local is not None:
+            # a file outside of the store and its staging folder is an input
+            store, name = os.path.abspath(location.local.parent), location.local.name
+            inside = os.path.relpath(os.path.abspath(os.fsdecode(file)), store).split(os.sep)[0]
+            is_input = inside not in (name, f".partial-{name}")
+            found += f": {os.fsdecode(file)}, an input" if is_input else f" ({os.fsdecode(file)})"
+        elif file:
+            found += f" ({file})"
+        raise StoreError(found, mend=f"mend this, then {RUN_AGAIN}", code="file-unusable") from error
     except (MemoryError, RuntimeError) as error:
         # threads that cannot be started raise a RuntimeError
         if isinstance(error, RuntimeError) and "start new thread" not in str(error):
             raise
         raise StoreError(
-            f"cannot write {location.url}: memory ran out ({str(error) or 'nothing can be allocated'}); take "
-            f"fewer lines a dask chunk or fewer threads, end other programs, or raise the limit; {RUN_AGAIN}"
+            f"cannot write {location.url}: memory ran out ({str(error) or 'an allocation failed'})",
+            mend="take fewer lines a dask chunk or fewer threads, end other programs, or raise the limit; "
+            + RUN_AGAIN,
+            code="memory-short",
         ) from error
-
-
-def _is_beside(file: object, store: Path) -> bool:
-    """Return whether a file is in a store, or in the folder where it is staged."""
-    if not isinstance(file, str | bytes):
-        return False
-    inside = os.path.relpath(os.path.abspath(os.fsdecode(file)), os.path.abspath(store.parent))
-    return inside.split(os.sep)[0] in (store.name, f".partial-{store.name}")
 
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
+# Number of files flushed at a time: disks process several requests at once.
 _AT_ONCE = 8
-"""Files flushed at a time: disks take several orders at once."""
 
 
 def flush_group(folder: Path, expected: Iterable[Path]) -> None:
-    """Flush all files of a folder, then all its folders; return when the disk has them.
+    """Flush all files of a folder, then all its folders, to the disk.
 
     FileNotFoundError where one of the files ``expected`` is missing: another process may have removed it.
     """
@@ -163,10 +165,10 @@ def flush_group(folder: Path, expected: Iterable[Path]) -> None:
 
 
 def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: int) -> list[_Result]:
-    """Return the results of a function that waits for the disk, for all items, some at a time.
+    """Return the results of a function that waits for the disk, for all items, ``most`` at a time.
 
     One after the other where the address space is limited: a thread would reserve some 70 MiB of it, which
-    the plan of a run has given to its computing threads.
+    the memory plan of a run has assigned to its computing threads.
     """
     if thread_space():
         return [function(item) for item in items]
@@ -176,12 +178,12 @@ def at_once(function: Callable[[_Item], _Result], items: Sequence[_Item], most: 
 
 _HERE = -100  # AT_FDCWD
 _EXCHANGE = 2  # RENAME_EXCHANGE
-#: Answers of kernels, sandboxes and file systems that do not know it.
+#: Errors of kernels, sandboxes and file systems without this call.
 _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
 
 
 def exchange(one: Path, other: Path) -> bool:
-    """Let two existing paths change places; return False, with nothing done, where system or disk cannot.
+    """Exchange two existing paths in one step; return False, with nothing done, where the system cannot.
 
     Linux can, on most local disks.
     """
@@ -189,7 +191,7 @@ def exchange(one: Path, other: Path) -> bool:
         rename = ctypes.CDLL(None, use_errno=True).renameat2
     except (OSError, AttributeError, TypeError):  # not Linux
         return False
-    # as `os.rename` does: this is one
+    # raise the audit event of `os.rename`
     sys.audit("os.rename", os.fspath(one), os.fspath(other), -1, -1)
     if rename(_HERE, os.fsencode(one), _HERE, os.fsencode(other), _EXCHANGE) == 0:
         return True

@@ -1,4 +1,4 @@
-"""The groups of a store: their metadata, the list of all in the root, and what writing one would lose."""
+"""Groups of a store: metadata, the list of all nodes in the root, and checks before a group is written."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import functools
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from hyperpaint.base.errors import IncompleteStoreError, StoreError
+import xarray as xr
+
+from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
 from .location import MANIFEST_NODE, METADATA, Location, joined
 from .manifest import OWN_ATTRS, Manifest, content_of, entry_of
+from .reader import check_entry
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+# Attributes of the time of writing, which do not change the content.
 VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", *OWN_ATTRS)
-"""Attributes that say when, not what: they do not make another content."""
 
 LISTED = {"kind": "inline", "must_understand": False}
 
 
 def groups_above(group: str) -> list[str]:
-    """Return the groups that a group is in, the root first."""
+    """Return the ancestors of a group, the root first."""
     parts = group.split("/") if group else []
     return ["/".join(parts[:depth]) for depth in range(len(parts))]
 
@@ -47,7 +47,6 @@ def stamped(attrs: Mapping[Any, Any], action: str) -> dict[str, Any]:
 
 @functools.cache
 def version_of_program() -> str:
-    """Return the version of hyperpaint that is running."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -57,13 +56,12 @@ def version_of_program() -> str:
 
 
 def group_document(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the ``zarr.json`` of a group."""
     plain = json.loads(json.dumps(attributes, default=lambda value: value.tolist()))
     return {"attributes": plain, "zarr_format": 3, "node_type": "group"}
 
 
 def ensure_groups(groups: Iterable[str], location: Location) -> None:
-    """Write the metadata of groups where they are missing or damaged; what is in the groups stays."""
+    """Write the metadata of groups where they are missing or damaged; contents stay."""
     for group in groups:
         try:
             if location.metadata(group) is not None:
@@ -74,7 +72,6 @@ def ensure_groups(groups: Iterable[str], location: Location) -> None:
 
 
 def set_attributes(group: str, wanted: Mapping[str, Any], location: Location) -> None:
-    """Set attributes of a group without arrays, unless it has them."""
     stored = location.attributes(group)
     if not has_attributes(group, wanted, location):
         attributes = {**stored, **stamped({**stored, **wanted}, "to_store")}
@@ -82,7 +79,7 @@ def set_attributes(group: str, wanted: Mapping[str, Any], location: Location) ->
 
 
 def has_attributes(group: str, wanted: Mapping[str, Any], location: Location) -> bool:
-    """Return whether a group is there with these attributes, those of the time of writing left out."""
+    """Return whether a group exists with these attributes, apart from `VOLATILE_ATTRS`."""
     if not location.has(group, METADATA):
         return False
     stored, plain = location.attributes(group), group_document(wanted)["attributes"]
@@ -91,7 +88,7 @@ def has_attributes(group: str, wanted: Mapping[str, Any], location: Location) ->
 
 
 def listed_documents(location: Location) -> dict[str, Any]:
-    """Return the metadata of nodes by path that the root lists; none where it lists none."""
+    """Return the metadata of nodes by path that the root lists; empty without a list."""
     try:
         root = location.read_json("", METADATA) or {}
     except IncompleteStoreError:
@@ -112,46 +109,48 @@ def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[s
     return {**root, "consolidated_metadata": {**LISTED, "metadata": listed}}
 
 
-# --- what writing a group would lose -----------------------------------------------------------------------
+# --- checks before a group is written ----------------------------------------------------------------------
 
 
-def problems_above(groups: Iterable[str], location: Location, *, overwrite: bool) -> list[str]:
-    """Return why groups cannot be written below ``groups``, one line each; empty where they can.
+def check_above(groups: Iterable[str], location: Location, problems: Problems, *, overwrite: bool) -> None:
+    """Add the reasons why nothing can be written below ``groups`` to the problems.
 
     With ``overwrite``, damaged metadata may be written anew.
     """
     entries = location.entries("")
     file = location.local is not None and location.local.is_file()
-    # without the root's metadata it is still a store where it has a manifest
+    # a store may lack the root's metadata but has a manifest
     if file or (entries and METADATA not in entries and MANIFEST_NODE not in entries):
-        return ["it exists and is not a Zarr v3 store; choose another path"]
+        mend = "choose another path"
+        problems.add("it exists and is not a Zarr v3 store", mend=mend, code="store-foreign")
+        return
     parents = [] if location.local is None else location.local.absolute().parents
     if outer := [str(parent) for parent in parents if (parent / METADATA).is_file()]:
-        return [f"it lies in the store {outer[0]}; write a group of that, or choose another path"]
-    problems = []
+        mend = "write a group of that, or choose another path"
+        problems.add(f"it lies in the store {outer[0]}", mend=mend, code="path-inside-store")
+        return
     for group in groups:
         try:
-            # a writer that was killed at once leaves its manifest alone
+            # a writer killed at its start leaves only its manifest
             damaged = location.metadata(group) is None and not group and bool({*entries} - {MANIFEST_NODE})
         except IncompleteStoreError:
             damaged = True
         if damaged and not overwrite:
-            problems.append(
-                f"the metadata of group {'/' + group!r} are missing or damaged; pass overwrite=True to write "
-                "them anew, the groups in it stay"
+            problems.add(
+                f"the metadata of group {'/' + group!r} are missing or damaged",
+                mend="pass overwrite=True to write them anew; the groups in it stay",
+                option="pass --overwrite to write them anew; the groups in it stay",
+                code="metadata-damaged",
             )
-    return problems
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
-    """Return the state of a group's place; ``content`` names what will be written there.
+    """Return the state of the place of a group; ``content``: of the group to be written there.
 
     ``""``: empty. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
     ``"parent"``: holds other groups or foreign files. ``"array"``: it, or a group above, is an array. Any
     other text describes a group that only ``overwrite`` replaces.
     """
-    from .reader import check_entry
-
     kinds = [location.kind(each) for each in (*groups_above(group)[1:], group)]
     if "array" in kinds:
         return "array"
@@ -168,7 +167,7 @@ def occupant(group: str, content: str, location: Location, manifest: Manifest | 
             return "same"
         except StoreError:
             lacks = True
-    # arrays, damaged ones too, are parts of the group; all else would be lost
+    # overwriting would lose everything but the group's arrays, damaged ones included
     children = {name: location.kind(joined(group, name)) for name in location.folders(group)}
     children.pop("" if group else MANIFEST_NODE, None)
     arrays = {
@@ -187,12 +186,12 @@ def occupant(group: str, content: str, location: Location, manifest: Manifest | 
     return "with other content" if stored else "was not written by this version of hyperpaint"
 
 
-#: Where arrays that wrap others keep them: xarray's adapters, its zarr wrapper, ours.
+#: Attributes in which xarray's adapters, its zarr wrapper and ours hold the wrapped array.
 _INNER = ("array", "_array", "variable", "_data")
 
 
 def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
-    """Return the variables that are still read, lazily, from a group of a store or store object of zarr."""
+    """Return the variables that are read lazily from a group of a store or store object of zarr."""
     return [
         str(name)
         for name, variable in dataset.variables.items()
@@ -203,72 +202,62 @@ def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
 def is_named_by_content(variable: xr.Variable) -> bool:
     """Return whether dask's name for a variable changes with the content of the Zarr arrays it reads.
 
-    Names follow the URL and the time of the root folder; those of `named_stores` follow the content.
+    Usual names follow the URL and the time of the root folder; those of `named_stores` follow the content.
     """
     return all(getattr(array.store_path.store, "content", "") for array in _zarr_arrays(variable))
 
 
 def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:
+    """Yield the Zarr arrays that a lazy variable reads."""
     import dask
     import zarr
-
-    if variable._in_memory:
-        return
-    seen: set[int] = set()
-    pending: list[Any] = list(_graph_values(variable)) if dask.is_dask_collection(variable) else [variable]
-    while pending:
-        thing = pending.pop()
-        if id(thing) in seen:
-            continue
-        seen.add(id(thing))
-        if isinstance(thing, zarr.Array):
-            yield thing
-        else:
-            pending.extend(_parts(thing))
-
-
-def _graph_values(variable: xr.Variable) -> Iterator[Any]:
-    """Yield what the layers of a graph hold, without making their tasks."""
     from dask.blockwise import Blockwise
 
-    for layer in variable.__dask_graph__().layers.values():  # type: ignore[union-attr]
-        if isinstance(layer, Blockwise):
-            yield layer.task
-            yield from (argument for argument, index in layer.indices if index is None)
-        elif hasattr(layer, "mapping"):
-            yield from layer.mapping.values()
+    pending: list[Any] = [] if variable._in_memory else [variable]
+    # a graph: the values in its layers, without creating their tasks
+    if pending and dask.is_dask_collection(variable):
+        pending = []
+        for layer in variable.__dask_graph__().layers.values():  # type: ignore[union-attr]
+            if isinstance(layer, Blockwise):
+                pending += [layer.task, *(value for value, index in layer.indices if index is None)]
+            else:
+                pending += getattr(layer, "mapping", {}).values()
+    # descend into wrappers
+    visited: set[int] = set()
+    while pending:
+        value = pending.pop()
+        if id(value) not in visited:
+            visited.add(id(value))
+            if isinstance(value, zarr.Array):
+                yield value
+            else:
+                pending.extend(_parts(value))
 
 
-def _parts(thing: Any) -> Iterable[Any]:
-    if isinstance(thing, Mapping):
-        return thing.values()
-    if isinstance(thing, list | tuple | set):
-        return thing
-    module = type(thing).__module__.partition(".")[0]
+def _parts(value: Any) -> Iterable[Any]:
+    if isinstance(value, Mapping):
+        return value.values()
+    if isinstance(value, list | tuple | set):
+        return value
+    module = type(value).__module__.partition(".")[0]
     if module == "dask":  # Task, DataNode, Alias
-        return (getattr(thing, name) for name in ("args", "kwargs", "value") if hasattr(thing, name))
+        return (getattr(value, name) for name in ("args", "kwargs", "value") if hasattr(value, name))
     if module in ("xarray", "hyperpaint"):
-        return (getattr(thing, name) for name in _INNER if name in _names(thing))
+        names = {slot for kind in type(value).__mro__ for slot in getattr(kind, "__slots__", ())}
+        names |= set(getattr(value, "__dict__", ()))
+        return (getattr(value, name) for name in _INNER if name in names)
     return ()
-
-
-def _names(thing: Any) -> set[str]:
-    slots = {slot for kind in type(thing).__mro__ for slot in getattr(kind, "__slots__", ())}
-    return slots | set(getattr(thing, "__dict__", ()))
 
 
 def _lies_in(array: Any, location: Any, group: str) -> bool:
     place = array.store_path
     if not isinstance(location, Location):
         return bool(place.store == location) and f"{place.path}/".startswith(f"{group}/" if group else "")
-    root = getattr(place.store, "root", None)  # local stores
-    if location.local is not None:
-        if root is None:
-            return False
+    root, base = getattr(place.store, "root", None), getattr(place.store, "path", None)
+    if location.local is not None:  # local stores
         target = (location.local / group).resolve()
-        return bool((Path(root) / place.path).resolve().is_relative_to(target))
-    base = getattr(place.store, "path", None)  # fsspec stores
-    if base is None or root is not None:
+        return root is not None and (Path(root) / place.path).resolve().is_relative_to(target)
+    if base is None or root is not None:  # fsspec stores
         return False
     source = "/".join(part.strip("/") for part in (str(base), place.path) if part)
     return (source + "/").startswith(location.key(group).strip("/") + "/")

@@ -1,12 +1,12 @@
 """Layout on disk: chunks, codec, fill values and encodings of every variable.
 
-One rule for every group, so that a chunk of `xarray.open_zarr` is the chunk that one task computes on:
+One rule for every group, so that a chunk of `xarray.open_zarr` is the chunk of one task:
 
-* an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines, and for
-  looking at, `"explore"`, a cube into groups of bands as well; for pages, `"web"`, into small tiles;
+* an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines; with
+  `"explore"`, a cube also into groups of bands; with `"web"`, into small tiles;
 * a map (`y`, `x`, ...) is cut in tiles of 128 x 128 cells, all bands;
-* means of blocks of a line (`coarse_y`, ...), for looking at, are cut every 128 rows and in groups of bands;
-* anything else is one chunk, unless it is larger than 64 MiB.
+* means of blocks of a line (`coarse_y`, ...), for display, are cut every 128 rows and in groups of bands;
+* any other array is one chunk, unless it is larger than 64 MiB.
 """
 
 from __future__ import annotations
@@ -15,38 +15,38 @@ import functools
 import itertools
 import math
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, TIME_UNITS
 
-if TYPE_CHECKING:
-    import numpy as np
-    import xarray as xr
-
+# Cells along each side of a map tile: 18 MB of float32 at 272 bands.
 TILE = 128
-"""Cells along each side of a map tile: 18 MB of float32 at 272 bands."""
 
+# Largest array without lines that is stored in one chunk [byte].
 LARGEST_SINGLE_CHUNK = 64 * 2**20
-"""Bytes of an array without lines that is still stored in one piece."""
 
+# Size of the chunks of a larger one [byte].
 SPLIT_CHUNK = 16 * 2**20
-"""Bytes of the pieces of one that is not."""
 
-#: Sentinel of small integers: no 12- or 14-bit camera counts to it, and as quality it sets every flag.
+#: Fill value of small integers: above all 12- and 14-bit counts; as quality it sets every flag.
 _INTEGER_FILL = 65535
 
+# A chunk of a cube holds all bands ("cube"), so that one task computes on one chunk; an eighth of them
+# ("explore"), so that a picture of one band reads an eighth; or all bands of a few pixels ("web"), so that a
+# spectrum reads little.
 Layout = Literal["cube", "explore", "web"]
-"""Whether a chunk of a cube holds all bands, so that one task computes on one chunk; or an eighth of them, so
-that a picture of one band reads an eighth; or all bands of a few pixels, so that a spectrum reads little."""
 
 BAND_GROUPS = 8
 
+# Side of a tile of the web layout [pixel]: 280 kB of float32 at 272 bands; 130 kB of flags.
 WEB_CUBE, WEB_PLANE = 16, 256
-"""Pixels along each side of a tile of the web: 280 kB of float32 at 272 bands; 130 kB of flags."""
 
+# Samples are shuffled before lz4 by bits (smallest) or by bytes (in half the time).
 Codec = Literal["compact", "fast"]
-"""How samples are shuffled before lz4: by bits, which takes least room, or by bytes, in half the time."""
 
 _SHUFFLES: Mapping[Codec, tuple[str, int]] = {"compact": ("bitshuffle", 2), "fast": ("shuffle", 1)}
 _LZ4 = {"cname": "lz4", "clevel": 5}
@@ -69,7 +69,7 @@ def storage_chunks(
     (272, 640)
     """
     sizes = dict(zip(dims, shape, strict=True))
-    # the largest size along each dim; all of it along others
+    # largest size along some dims; other dims are not cut
     most: dict[Hashable, int] = {}
     if layout == "web" and ({ALONG_TRACK, CROSS_TRACK} <= sizes.keys() or {"y", "x"} <= sizes.keys()):
         side = WEB_CUBE if BAND in sizes else WEB_PLANE
@@ -88,7 +88,7 @@ def storage_chunks(
 
 
 def chunks_of(variable: xr.Variable) -> tuple[int, ...]:
-    """Return the storage chunk of a variable, in the layout that `with_layout` gave it."""
+    """Return the storage chunk of a variable, in its layout (`with_layout`)."""
     itemsize = variable.dtype.itemsize if variable.dtype.kind in "biufcmM" else 1
     return storage_chunks(variable.dims, variable.shape, itemsize, variable.encoding.get(_LAYOUT, "cube"))
 
@@ -97,14 +97,16 @@ _LAYOUT = "hyperpaint_layout"
 
 
 def layouts_of(dataset: xr.Dataset) -> dict[Hashable, Layout]:
-    """Return the layouts that `with_layout` gave variables."""
+    """Return the layouts of the variables that have one (`with_layout`)."""
     return {name: v.encoding[_LAYOUT] for name, v in dataset.variables.items() if _LAYOUT in v.encoding}
 
 
 def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
-    """Return a dataset that will be stored in a layout; `SchemaError` where that is none."""
+    """Return a dataset whose variables are marked for a layout; `SchemaError` for an unknown layout."""
     if layout not in get_args(Layout):
-        raise SchemaError(f"layout={layout!r}, expected {' or '.join(map(repr, get_args(Layout)))}")
+        raise SchemaError(
+            f"layout={layout!r}", expected=" or ".join(map(repr, get_args(Layout))), code="choice-unknown"
+        )
     marked = dataset.copy(deep=False)
     for variable in marked.variables.values():
         if layout != "cube" or _LAYOUT in variable.encoding:
@@ -115,8 +117,8 @@ def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
 def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
     """Return dask chunks along one dim that start at multiples of the storage chunk.
 
-    Borders move down to the next multiple of ``step``; borders that meet become one. Aligned chunks come back
-    unchanged, so nothing is recomputed or moved without need. ``pieces``: dask chunks along the
+    Borders move down to the next multiple of ``step``; equal borders merge. Aligned chunks are returned
+    unchanged, so that nothing is recomputed or moved without need. ``pieces``: dask chunks along the
     dim; ``step``: storage chunk along it.
 
     Examples
@@ -134,13 +136,11 @@ def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
 
 
 def fill_value(dtype: np.dtype[Any]) -> Any:
-    """Return the value that a missing chunk reads as: where possible one that cannot be taken for data.
+    """Return the value of samples in a missing chunk: where possible one that is not valid data.
 
     NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers; booleans
-    and strings have no such value, for them `hyperpaint.verify` is the only protection.
+    and strings have no such value, and only `hyperpaint.verify` detects their loss.
     """
-    import numpy as np
-
     if dtype.kind in "fc":
         return dtype.type(np.nan)
     if dtype.kind in "mM":
@@ -151,10 +151,10 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
 
 
 def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, dict[str, Any]]:
-    """Return the xarray encoding `to_store` uses, for writers that know nothing of hyperpaint.
+    """Return the xarray encoding that `to_store` uses, for writers other than hyperpaint.
 
-    With it, `Dataset.to_zarr` into any Zarr v3 store (an icechunk session, say) keeps chunks of 32 whole
-    lines, fill values that cannot be taken for data, and the crc32c that lets every later reader notice a
+    With it, `Dataset.to_zarr` into any Zarr v3 store (such as an icechunk session) uses chunks of 32 whole
+    lines, fill values that are not valid data, and the crc32c by which every later reader notices a
     damaged chunk; Zarr's default has none.
 
     Parameters
@@ -162,7 +162,7 @@ def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, di
     dataset
         The dataset to write; only dims, shapes and dtypes are read.
     codec
-        As that of `to_store`.
+        As in `to_store`.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def encoding_of(variable: xr.Variable, codec: Codec = "compact") -> dict[str, An
     if fill is not None:
         encoding["fill_value"] = fill
     if dtype.kind in "fc":
-        # NaN stands for itself: a `_FillValue` would only cost each reader one more pass
+        # NaN needs no `_FillValue`, which would cost each reader one more pass
         encoding["_FillValue"] = None
     elif dtype.kind == "M":
         encoding |= {"units": TIME_UNITS, "dtype": "int64"}
@@ -206,13 +206,11 @@ def encoding_of(variable: xr.Variable, codec: Codec = "compact") -> dict[str, An
 
 
 def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
-    """Return ``dataset`` as it will be stored: no stale encodings, strings as objects, aligned dask chunks.
+    """Return a dataset ready for storage: without old encodings, strings as objects, dask chunks aligned.
 
     StoreError where names, dtypes or attributes cannot be stored; all are listed.
     """
     import dask.array as da
-    import numpy as np
-    import xarray as xr
 
     problems = Problems(f"the dataset cannot be stored as group {'/' + group!r}", StoreError)
     owners = {f"{name!r}": variable.attrs for name, variable in dataset.variables.items()}
@@ -220,22 +218,38 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
         for key, value in attrs.items():
             if not isinstance(key, str) or not _is_plain(value):
                 problems.add(
-                    f"attribute {key!r} of {owner} is a {type(value).__name__}; expected text, numbers, "
-                    "lists or dicts of them (write times as ISO text)"
+                    f"attribute {key!r} of {owner} is a {type(value).__name__}",
+                    expected="text, numbers, lists or dicts of them",
+                    mend="write times as ISO text",
+                    code="attribute-type",
                 )
     for name, variable in dataset.variables.items():
         if not isinstance(name, str) or not name or "/" in name or name.startswith((".", "__")):
-            problems.add(f"variable name {name!r}; expected text without '/' that starts with no '.' or '__'")
+            problems.add(
+                f"variable name {name!r}",
+                expected="text without '/' that does not start with '.' or '__'",
+                code="variable-name",
+            )
         if variable.dtype.kind not in "biufcmMUOT":
-            problems.add(f"{name!r} has dtype {variable.dtype}; expected numbers, booleans, times or text")
+            problems.add(
+                f"{name!r} has dtype {variable.dtype}",
+                expected="numbers, booleans, times or text",
+                code="type-wrong",
+            )
         elif variable.dtype.kind == "O" and variable._in_memory:
             wrong = {type(each).__name__ for each in np.ravel(variable.values) if not isinstance(each, str)}
             if wrong:
-                found = ", ".join(sorted(wrong))
-                problems.add(f"{name!r} holds Python objects ({found}); expected text, or a numeric dtype")
+                kinds = ", ".join(sorted(wrong))
+                problems.add(
+                    f"{name!r} holds Python objects ({kinds})",
+                    expected="text, or a numeric dtype",
+                    code="type-wrong",
+                )
     multi = xr.indexes.PandasMultiIndex
     for name in sorted({str(index.dim) for index in dataset.xindexes.values() if isinstance(index, multi)}):
-        problems.add(f"{name!r} has a multi-index; call .reset_index({name!r}) first")
+        problems.add(
+            f"{name!r} has a multi-index", mend=f"call .reset_index({name!r}) first", code="index-multiple"
+        )
     problems.raise_if_any()
     layouts = layouts_of(dataset)
     prepared = dataset.drop_encoding()
@@ -244,7 +258,7 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
         if name in layouts:
             variable.encoding = {_LAYOUT: layouts[name]}
         if variable.dtype.kind in "UT":
-            # fixed-length text has no place in the Zarr v3 specification
+            # the Zarr v3 specification has no fixed-length text
             replaced[name] = variable.astype(object)
         elif is_at_hand(variable) and isinstance(variable.data, da.Array) and variable.size:
             # dask chunks that begin at storage chunks
@@ -268,15 +282,13 @@ def with_variables(
 
 
 def is_at_hand(variable: xr.Variable) -> bool:
-    """Return whether ``variable.data`` costs nothing: a lazy file-backed array would be read whole."""
+    """Return whether ``variable.data`` is free to access; a lazy file-backed array would be read."""
     import dask
 
     return dask.is_dask_collection(variable) or bool(variable._in_memory)
 
 
 def _is_plain(value: Any, depth: int = 0) -> bool:
-    import numpy as np
-
     if isinstance(value, np.ndarray):
         return value.dtype.kind in "biufU"
     if isinstance(value, Mapping):
@@ -288,9 +300,9 @@ def _is_plain(value: Any, depth: int = 0) -> bool:
 
 @functools.cache
 def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], bytes]:
-    """Return a function that makes a blosc frame of an array: of the package ``blosc``, or else numcodecs.
+    """Return a function that makes a blosc frame of an array, by the package ``blosc`` or else numcodecs.
 
-    Both make the same bytes; the first has the wider instructions of newer processors. Many tasks encode at
+    Both make the same bytes; the first uses wider instructions of newer processors. Many tasks encode at
     once, one thread each.
     """
     import numcodecs.blosc
@@ -314,14 +326,13 @@ def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], byte
 def encode_chunk(
     block: np.ndarray[Any, Any], chunk: tuple[int, ...], fill: Any, codec: Codec = "compact"
 ) -> tuple[bytes, bytes]:
-    """Return a storage chunk as its bytes on disk: blosc, then the crc32c that follows it.
+    """Return a storage chunk as its bytes on disk: the blosc frame, and the crc32c that follows it.
 
-    The very bytes that zarr-python makes with the codecs of `encoding_of`, without its copies and its one
+    The bytes equal those of zarr-python with the codecs of `encoding_of`, without its copies and its single
     event loop, which cost as much again as the compression. ``block`` is C-contiguous and little-endian; at
     the far edge of an array, where it is smaller than ``chunk``, ``fill`` completes it.
     """
     import google_crc32c
-    import numpy as np
 
     if block.shape != chunk:
         padded = np.full(chunk, fill, dtype=block.dtype)

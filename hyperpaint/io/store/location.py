@@ -1,4 +1,4 @@
-"""Where a store lies: a local folder, a zip file, a URL of fsspec, or a store object of zarr."""
+"""The location of a store: a local folder, a zip file, a URL of fsspec, or a store object of zarr."""
 
 from __future__ import annotations
 
@@ -16,30 +16,32 @@ from hyperpaint.base.errors import IncompleteStoreError, MissingExtraError, Stor
 
 METADATA = "zarr.json"
 
+# Group of the root whose attributes are the manifest; see `manifest`.
 MANIFEST_NODE = "hyperpaint"
-"""Group of the root whose attributes are the manifest; see `manifest`."""
 
+# Largest metadata document [byte]: the root of a collect of 60 lines has 2 MB, one of 1000 lines 30.
 MAX_METADATA_BYTES = 32 * 2**20
-"""Largest metadata document: a collect of 60 lines has 2 MB of them in its root, one of 1000 lines 30."""
 
+# Most objects, lists and separators of a metadata document; each takes many times its size in memory.
 MAX_VALUES = 1_000_000
-"""Objects, lists and separators of a metadata document; each costs many times its size in memory."""
 
+# Deepest nesting of groups; `process` nests two.
 MAX_DEPTH = 16
-"""Groups within groups; `process` nests two."""
 
+# Largest number of groups and arrays of a store; a store of 1,600 flight lines has about as many.
 MAX_NODES = 50_000
-"""Largest number of groups and arrays of a store; a store of 1,600 flight lines has about as many."""
 
 
 def clean_group(group: str | None) -> str:
-    """Return a group's path without slashes around it (the root is ``""``), or raise a StoreError."""
+    """Return a group's path without outer slashes (the root is ``""``); StoreError for bad names."""
     parts = [part for part in (group or "").split("/") if part]
     wrong = any(part.startswith((".", "__")) or part == METADATA or "\\" in part for part in parts)
     if wrong or parts[:1] == [MANIFEST_NODE]:
         raise StoreError(
-            f"group {group!r}: expected names without a leading '.' or '__' between slashes, the first of "
-            f"them not {MANIFEST_NODE!r}"
+            f"group {group!r}",
+            expected="names between slashes, without a leading '.' or '__', the first of them not "
+            f"{MANIFEST_NODE!r}",
+            code="group-name",
         )
     return "/".join(parts)
 
@@ -51,19 +53,19 @@ def joined(*parts: str) -> str:
 
 @dataclass(frozen=True)
 class Location:
-    """A store's place: metadata and chunks are read and written by their keys."""
+    """Location of a store; metadata and chunks are read and written by their keys."""
 
-    url: str  # What zarr and xarray open
+    url: str  # Argument for zarr and xarray
     root: str  # Path inside the file system ``fs``
     fs: Any
     local: Path | None  # The folder, where the store is on a local disk
 
     @classmethod
     def of(cls, path: str | os.PathLike[str]) -> Location:
-        """Return the place named by a path or a URL.
+        """Return the location for a path or a URL.
 
         Raises `MissingExtraError`: The package for this kind of URL is not installed; its name is given.
-        Raises `StoreError`: The URL is of no known kind, or what it leads to cannot be opened.
+        Raises `StoreError`: The URL is of no known kind, or cannot be opened.
         """
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
@@ -71,22 +73,33 @@ class Location:
             text = os.fspath(path)
         except TypeError:
             raise StoreError(
-                f"a store is named by its folder or URL here, not by {type(path).__name__}",
+                f"store given as {type(path).__name__}",
+                expected="a folder or URL",
                 mend="open it by open_store(store, group) or xarray.open_zarr(store, group=group)",
+                code="type-wrong",
             ) from None
         if "::" in text or "\0" in text:
-            # dask:: would start a cluster, and others copy or unpack what they are given
-            what = "a chained URL" if "::" in text else "a name with a NUL character"
-            raise StoreError(f"{text!r:.200}: {what}, expected a folder or a plain URL; check the path")
+            # dask:: would start a cluster, others copy or unpack files
+            kind = "a chained URL" if "::" in text else "a name with a NUL character"
+            raise StoreError(
+                f"{text!r:.200}: {kind}",
+                expected="a folder or a plain URL",
+                mend="check the path",
+                code="path-not-plain",
+            )
         try:
             fs, root = url_to_fs(text)
         except ImportError as error:
             raise MissingExtraError(
-                f"{text:.200} cannot be opened: {error}; install that package with python -m pip install"
+                f"{text:.200} cannot be opened: {error}",
+                mend="install that package with python -m pip install",
+                code="dependency-missing",
             ) from error
         except Exception as error:  # each file system of fsspec has its own
             raise StoreError(
-                f"{text:.200} cannot be opened: {error!s:.200}; expected a folder, or a URL that fsspec knows"
+                f"{text:.200} cannot be opened: {error!s:.200}",
+                expected="a folder, or a URL that fsspec knows",
+                code="url-unusable",
             ) from error
         if "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,)):
             folder = Path(root)
@@ -94,30 +107,29 @@ class Location:
         return cls(text.rstrip("/"), str(root).rstrip("/"), fs, None)
 
     def key(self, *parts: str) -> str:
-        """Return a path inside the file system."""
         return joined(self.root, *parts)
 
     def group_url(self, group: str) -> str:
-        """Return what zarr opens for a group."""
         return joined(self.url, group)
 
     def has(self, *parts: str) -> bool:
-        """Return whether a file or folder is there."""
         if self.local is not None:
             return os.path.exists(self.key(*parts))
         return bool(self.fs.exists(self.key(*parts)))
 
     def read(self, *parts: str, limit: int | None = MAX_METADATA_BYTES) -> bytes | None:
-        """Return a file's bytes, None where there is none; `StoreError` above ``limit`` bytes."""
+        """Return a file's bytes; None where there is no file. `StoreError` above ``limit`` bytes."""
         key = self.key(*parts)
         try:
             if self.local is not None:
                 mode = os.stat(key).st_mode
                 if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a pipe would wait for ever
-                    raise IncompleteStoreError(f"{key:.200} is no plain file")
+                    raise IncompleteStoreError(f"{key:.200} is no plain file", code="file-not-plain")
             size = os.path.getsize(key) if self.local is not None else self.fs.size(key)
             if limit is not None and size > limit:
-                raise IncompleteStoreError(f"{key} has {size} bytes, expected metadata of at most {limit}")
+                raise IncompleteStoreError(
+                    f"{key} has {size} bytes", expected=f"metadata of at most {limit}", code="file-too-large"
+                )
             if self.local is not None:
                 return Path(key).read_bytes()
             return bytes(self.fs.cat_file(key))
@@ -126,7 +138,23 @@ class Location:
         except OSError as error:
             if isinstance(error, StoreError):
                 raise
-            raise StoreError(f"{key:.200} cannot be read: {error.strerror or error}") from error
+            raise StoreError(
+                f"{key:.200} cannot be read: {error.strerror or error}", code="file-unreadable"
+            ) from error
+
+    def end_of(self, *parts: str) -> bytes:
+        """Return the last 4 bytes of a chunk, its crc32c; IncompleteStoreError without such a chunk."""
+        key = self.key(*parts)
+        try:
+            if self.local is None:
+                return bytes(self.fs.tail(key, 4))
+            with open(key, "rb") as file:
+                file.seek(-4, os.SEEK_END)
+                return file.read()
+        except OSError as error:
+            raise IncompleteStoreError(
+                f"the chunk {key} is missing or empty", mend="write the group again", code="chunk-missing"
+            ) from error
 
     def read_json(self, *parts: str) -> dict[str, Any] | None:
         """Return a JSON object; None without such a file, IncompleteStoreError where it is damaged."""
@@ -134,13 +162,19 @@ class Location:
         if raw is None:
             return None
         if len(raw) > 2**20 and sum(map(raw.count, (b"{", b"[", b","))) > MAX_VALUES:
-            raise IncompleteStoreError(f"{self.key(*parts)} has more than {MAX_VALUES} values")
+            raise IncompleteStoreError(
+                f"{self.key(*parts)} has more than {MAX_VALUES} values", code="file-too-large"
+            )
         try:
             document = json.loads(raw)
         except (ValueError, RecursionError) as error:
-            raise IncompleteStoreError(f"{self.key(*parts)} is damaged: {error!s:.200}") from None
+            raise IncompleteStoreError(
+                f"{self.key(*parts)} is damaged: {error!s:.200}", code="metadata-damaged"
+            ) from None
         if not isinstance(document, dict):
-            raise IncompleteStoreError(f"{self.key(*parts)} is damaged: expected a JSON object")
+            raise IncompleteStoreError(
+                f"{self.key(*parts)} is damaged", expected="a JSON object", code="metadata-damaged"
+            )
         return document
 
     def metadata(self, path: str) -> dict[str, Any] | None:
@@ -149,7 +183,10 @@ class Location:
         if document is not None:
             document.pop("consolidated_metadata", None)
             if not isinstance(document.get("attributes", {}), dict):
-                raise IncompleteStoreError(f"{self.key(path, METADATA)} is damaged: attributes are no object")
+                raise IncompleteStoreError(
+                    f"{self.key(path, METADATA)} is damaged: attributes are no object",
+                    code="metadata-damaged",
+                )
         return document
 
     def kind(self, path: str) -> str:
@@ -161,14 +198,14 @@ class Location:
         return "" if document is None else str(document.get("node_type"))
 
     def attributes(self, group: str) -> dict[str, Any]:
-        """Return the attributes of a group; none where its metadata are missing or damaged."""
+        """Return the attributes of a group; empty where its metadata are missing or damaged."""
         try:
             return dict((self.metadata(group) or {}).get("attributes", {}))
         except StoreError:
             return {}
 
     def write_json(self, document: Mapping[str, Any], *parts: str) -> None:
-        """Write a JSON object: on a local disk it is there whole or not at all, also after a power cut."""
+        """Write a JSON object; on a local disk atomically and flushed."""
         content = json.dumps(document).encode()
         if self.local is None:
             self.fs.pipe_file(self.key(*parts), content)
@@ -176,7 +213,10 @@ class Location:
         path = self.local.joinpath(*(part for part in parts if part))
         for folder in path.parents[: len(path.relative_to(self.local).parts) - 1]:
             if folder.is_symlink():
-                raise StoreError(f"{folder} is a link; nothing is written through links inside a store")
+                raise StoreError(
+                    f"{folder} is a link; nothing is written through links inside a store",
+                    code="link-refused",
+                )
         fresh = not path.parent.exists()
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, [content], durable=True)
@@ -184,7 +224,7 @@ class Location:
             sync(path.parent.parent)
 
     def write_files(self, files: Mapping[str, bytes]) -> None:
-        """Write small files by their paths; they are not flushed to the disk yet."""
+        """Write small files by their paths, without flushing them."""
         if self.local is None:
             self.fs.pipe({self.key(path): content for path, content in files.items()})
             return
@@ -211,7 +251,9 @@ class Location:
                 if len(kinds) > MAX_NODES or path.count("/") > MAX_DEPTH:
                     raise StoreError(
                         f"{self.url}: more than {MAX_NODES} groups and arrays, or groups more than "
-                        f"{MAX_DEPTH} deep ({path:.80}); open a group by its own path"
+                        f"{MAX_DEPTH} deep ({path:.80})",
+                        mend="open a group by its own path",
+                        code="nodes-too-many",
                     )
         return kinds
 
@@ -226,15 +268,18 @@ class Location:
                 with os.scandir(self.key(group)) as entries:
                     listed = {entry.name: entry.is_dir() for entry in entries}
             else:
-                found = self.fs.ls(self.key(group), detail=True)
+                details = self.fs.ls(self.key(group), detail=True)
                 listed = {
-                    each["name"].rstrip("/").rpartition("/")[2]: each["type"] == "directory" for each in found
+                    each["name"].rstrip("/").rpartition("/")[2]: each["type"] == "directory"
+                    for each in details
                 }
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as error:
-            raise StoreError(f"{self.key(group):.200} cannot be listed: {error.strerror or error}") from error
-        # hidden and half-written files do not count
+            raise StoreError(
+                f"{self.key(group):.200} cannot be listed: {error.strerror or error}", code="file-unreadable"
+            ) from error
+        # without hidden and half-written files
         return {
             name: folder
             for name, folder in listed.items()
@@ -242,11 +287,10 @@ class Location:
         }
 
     def folders(self, group: str) -> list[str]:
-        """Return the names of the folders in a group, sorted."""
         return sorted(name for name, folder in self.entries(group).items() if folder)
 
     def strays(self, group: str) -> list[str]:
-        """Return what lies in a group's folder and is no node of the store."""
+        """Return the entries of a group's folder that are not nodes of the store."""
         return [
             name
             for name, folder in sorted(self.entries(group).items())
@@ -254,7 +298,7 @@ class Location:
         ]
 
     def files(self, path: str) -> set[str]:
-        """Return the paths of all files below a node, relative to it."""
+        """Return the relative paths of all files below a node."""
         if self.local is None:
             prefix = self.key(path).rstrip("/") + "/"
             return {file.removeprefix(prefix) for file in self.fs.find(self.key(path))}
@@ -267,7 +311,7 @@ _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
 
 
 def temporaries(folder: Path) -> Iterator[Path]:
-    """Yield the half-written files that a killed writer left in a group's own folder."""
+    """Yield the half-written files that a killed writer left in a group's folder."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if _TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
@@ -275,7 +319,7 @@ def temporaries(folder: Path) -> Iterator[Path]:
 
 
 def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
-    """Write a file so that it is there whole or not at all; ``durable``: even after a power failure.
+    """Write a file atomically; ``durable``: flush it, so that it survives a power failure.
 
     Without ``durable`` the disk begins to write it at once, but is not waited for.
     """
@@ -288,10 +332,10 @@ def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
             if durable:
                 os.fsync(file.fileno())
             elif hasattr(os, "posix_fadvise"):
-                # Linux starts to write what will not be needed; what is on its way stays in memory
+                # Linux starts to write these pages; pages being written stay in memory
                 os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         os.replace(temporary, path)
-    except OSError:  # on a full disk its room is needed
+    except OSError:  # frees its space on a full disk
         temporary.unlink(missing_ok=True)
         raise
     if durable:
@@ -299,7 +343,7 @@ def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
 
 
 def sync(path: str | Path) -> None:
-    """Make a file, or renames in a folder, outlive a power failure."""
+    """Flush a file, or renames in a folder, to the disk."""
     if os.name != "posix" and os.path.isdir(path):
         return
     descriptor = os.open(path, os.O_RDONLY)

@@ -1,15 +1,16 @@
-"""The manifest of a store: which groups belong together, what each is made from, and what their files hold.
+"""The manifest of a store: its groups, their contents, and checksums of their files.
 
-It stands in the attributes of the group ``hyperpaint`` in the root, a plain Zarr group without arrays, and is
-written last. For every group it names
+It is stored in the attributes of the group ``hyperpaint`` in the root, a plain Zarr group without arrays, and
+is written last. For every group it records
 
-* ``content``: its path, its inputs and settings, as the group's own attribute `CONTENT` repeats them;
-* ``metadata``: the crc32c of its ``zarr.json``, read as JSON, and that of each of its arrays;
-* for each array the number of its chunks, and a digest over their keys and the crc32c that ends each chunk.
+* ``content``: path, inputs and settings, equal to the group's attribute `CONTENT`;
+* ``metadata``: the crc32c of its ``zarr.json``, read as JSON, and those of its arrays;
+* for each array the number of its chunks, and a digest over their keys and the crc32c at the end of each
+chunk.
 
-A writer first notes which groups it is about to put in their places (`Write`), so that a store whose writer
-was killed is known to be unfinished. Everything can be made again from the files: nothing but the order of
-events needs the manifest. Groups and arrays that others add are not in it.
+A writer first records the groups it is about to publish (`Write`), so that a store whose writer
+was killed is known to be unfinished. All else can be derived from the files; only the
+order of events needs the manifest. Groups and arrays added by other programs are not in it.
 """
 
 from __future__ import annotations
@@ -27,39 +28,44 @@ from shlex import join, split
 from typing import Any, NamedTuple
 
 from hyperpaint.base.constants import NUMERICS_VERSION
-from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.base.errors import IncompleteStoreError, Problem, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 
 from .budget import counted
 from .location import MANIFEST_NODE, METADATA, Location, clean_group, joined
 
+# Attribute of a group: its path, inputs and settings.
 CONTENT = "hyperpaint_content"
-"""Attribute of a group: its path and what it is made from."""
 
+# Attribute of a group: a digest over the entries of its arrays, valid before the manifest is written.
 SEAL = "hyperpaint_seal"
-"""Attribute of a group: a digest over the entries of its arrays, until and beside the manifest."""
 
+# Attribute of groups of `process`: digest of inputs and parameters. Datasets derived by a user have other
+# inputs and are stored without it.
 INPUTS = "inputs_digest"
-"""Attribute of what `process` writes: names the inputs and parameters. What a user makes of that has other
-inputs, and is stored without it."""
 
+# Attribute of a dataset that a run is about to store: the settings of the run.
 SETTINGS = "hyperpaint_settings"
-"""Attribute of a dataset that a run is about to store: names the settings of the run."""
 
+# Attributes of a stored group that do not apply to datasets derived from it.
 OWN_ATTRS = (
-    CONTENT, SEAL, SETTINGS,
-    "hyperpaint_complete", "hyperpaint_attributes", "hyperpaint_set", "hyperpaint_group",  # format 2 and 1
-)  # fmt: skip
-"""Attributes of a stored group that say nothing of a dataset made from it."""
+    CONTENT,
+    SEAL,
+    SETTINGS,
+    "hyperpaint_complete",
+    "hyperpaint_attributes",
+    "hyperpaint_set",
+    "hyperpaint_group",  # format 2 and 1
+)
 
+# File of checksums in an array's folder in formats 1 and 2.
 OLD_RECORD = "hyperpaint-chunks.json"
-"""File in an array's folder that formats 1 and 2 kept checksums in."""
 
+# Most unfinished writes, each of a killed writer.
 MAX_WRITES = 100
-"""Writes that have not ended: each is of a writer that was killed."""
 
+# Most chunks of an array: 32 million lines.
 MAX_CHUNKS = 1_000_000
-"""Chunks of an array: 32 million lines."""
 
 MAX_MESSAGES = 20
 MAX_MESSAGE_CHARS = 2000
@@ -69,8 +75,6 @@ _NUMERICS = re.compile(r"\bnumerics=(\d{1,9})\b")
 
 
 class ArrayEntry(NamedTuple):
-    """One array of a group."""
-
     metadata: int  # crc32c of its ``zarr.json``
     chunks: int
     digest: str  # See `chunk_digest`
@@ -86,14 +90,14 @@ class GroupEntry(NamedTuple):
 
 
 class Write(NamedTuple):
-    """What a writer that has not finished is about to put in place."""
+    """The groups that an unfinished writer is about to publish."""
 
     contents: Mapping[str, str]  # By group
     command: str = ""  # On the command line, with ``{store}`` for the store's path
 
     @property
     def source(self) -> list[str]:
-        """The words of the command that say what the store is made of, without its options."""
+        """The first words of the command, which name the source of the store, without options."""
         try:
             return split(self.command)[:3]
         except ValueError:  # unbalanced quotes: not of hyperpaint
@@ -102,20 +106,21 @@ class Write(NamedTuple):
 
 @dataclass(frozen=True)
 class Manifest:
-    """The groups of a store, by path, and the writes that have not ended."""
+    """The groups of a store, by path, and its unfinished writes."""
 
     groups: Mapping[str, GroupEntry] = field(default_factory=dict)
     writes: tuple[Write, ...] = ()
     command: str = ""  # Of the last run, which made the store
 
     def document(self) -> dict[str, Any]:
-        """Return the ``zarr.json`` of the manifest's group."""
         content = json.loads(
             json.dumps({"groups": self.groups, "writes": self.writes, "command": self.command})
         )
         attributes = {
-            "hyperpaint_format": FORMAT_VERSION, "crc32c": document_checksum(content), "manifest": content
-        }  # fmt: skip
+            "hyperpaint_format": FORMAT_VERSION,
+            "crc32c": document_checksum(content),
+            "manifest": content,
+        }
         return {"zarr_format": 3, "node_type": "group", "attributes": attributes}
 
     @classmethod
@@ -136,7 +141,7 @@ class Manifest:
                 Write({name: str(each) for name, each in names.items()}, str(command))
                 for names, command in content["writes"]
             )
-            # names lead to no place outside the store
+            # refuse names that lead out of the store
             named = {*groups, *(name for write in writes for name in write.contents)}
             arrays = {name for entry in groups.values() for name in entry.arrays}
             wrong = [name for name in named if clean_group(name) != name]
@@ -151,7 +156,8 @@ class Manifest:
             raise IncompleteStoreError(
                 f"the manifest {where} is damaged ({error!s:.100})",
                 mend="write all groups of the store with overwrite=True",
-                option="run its command again with --overwrite; groups that are whole stay",
+                option="run its command again with --overwrite; complete groups stay",
+                code="manifest-damaged",
             ) from None
 
     @classmethod
@@ -167,18 +173,17 @@ class Manifest:
             raise
 
     def write(self, location: Location) -> None:
-        """Write the manifest, whole or not at all."""
         location.write_json(self.document(), MANIFEST_NODE, METADATA)
 
     def allowed(self, group: str) -> set[str]:
-        """Return the contents that a group may have: of before, and of writes that have not ended."""
+        """Return the valid contents of a group: the recorded one, and those of unfinished writes."""
         contents = {write.contents[group] for write in self.writes if group in write.contents}
         return (contents | ({self.groups[group].content} if group in self.groups else set())) - {""}
 
     def lacking(self, write: Write, contents: Callable[[str], str]) -> list[str]:
-        """Return the groups that an unfinished write has still to put in place; ``contents`` of a group.
+        """Return the groups that an unfinished write has still to publish; ``contents`` of a group.
 
-        None where all are there, where all are still what they were before, and of a write of one group.
+        Empty where all are published, where all are unchanged, and for a write of one group.
         """
         lacking = [name for name, content in write.contents.items() if contents(name) != content]
         untouched = all(
@@ -187,9 +192,9 @@ class Manifest:
         return [] if untouched or len(write.contents) == 1 else lacking
 
     def settled(self, location: Location) -> Manifest:
-        """Return the manifest without the writes that are done or changed nothing.
+        """Return the manifest without the writes that are finished or changed nothing.
 
-        The groups that such a write has put in place are taken up as they lie on the disk.
+        Groups that such a write has published are recorded from the disk.
         """
         contents = functools.cache(lambda name: content_of(location, name, self))
         groups, writes = dict(self.groups), []
@@ -199,7 +204,7 @@ class Manifest:
                 continue
             for name, content in write.contents.items():
                 if contents(name) == content:
-                    with contextlib.suppress(IncompleteStoreError):  # it is written again
+                    with contextlib.suppress(IncompleteStoreError):  # it will be written again
                         groups[name] = entry_of(location, name)
         return replace(self, groups=groups, writes=tuple(writes))
 
@@ -208,22 +213,28 @@ class Manifest:
 class StoreState:
     """How the groups of a store agree with its manifest."""
 
-    problems: tuple[str, ...] = ()
+    faults: tuple[Problem, ...] = ()
     notes: tuple[str, ...] = ()
-    resume: str = ""  # What finishes it on the command line, where that is known
+    resume: str = ""  # Command that finishes the store, where known
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """The faults, one line each."""
+        return tuple(map(str, self.faults))
 
 
 def store_state(location: Location, groups: Iterable[str] | None = None) -> StoreState:
-    """Compare the manifest of a store with its groups: those with arrays are ``groups``, where listed."""
+    """Compare the manifest of a store with its groups; ``groups``: those with arrays, if listed already."""
     present = list(location.groups() if groups is None else groups)
     try:
         manifest = Manifest.read(location)
     except IncompleteStoreError as error:
-        return StoreState((str(error),))
+        return StoreState((error.problem,))
     contents = functools.cache(lambda name: content_of(location, name, manifest))
     if manifest is None:
         return _state_without_manifest(location, {name: contents(name) for name in present})
-    problems, notes, resume = [], [], ""
+    faults: list[Problem] = []
+    notes, resume = [], ""
     # writes that were cut short
     for write in manifest.writes:
         if not (lacking := manifest.lacking(write, contents)):
@@ -236,8 +247,8 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         there = f"{len(write.contents) - len(lacking)} of {counted(len(write.contents), 'group')} are there"
         named = ", ".join(f"/{name}" for name in lacking[:5]) + (" ..." if len(lacking) > 5 else "")
         mend = f"to finish it: {resume}" if resume else "write it again as it was begun"
-        problems.append(f"unfinished: {there}, not yet: {named}; {mend}")
-    # groups that are not what was written
+        faults.append(Problem(f"unfinished: {there}, not yet: {named}", mend=mend, code="store-unfinished"))
+    # groups that differ from the manifest
     mend = "write it again" + (", or run its command with --overwrite" if manifest.command else "")
     for name, entry in manifest.groups.items():
         if (
@@ -248,9 +259,11 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
                 for write in manifest.writes
             )
         ):
-            changed = "changed: its content differs from the manifest"
-            state = changed if location.has(name, METADATA) else "deleted"
-            problems.append(f"/{name}: {state}; {mend}")
+            if location.has(name, METADATA):
+                found, code = "changed: its content differs from the manifest", "group-changed"
+            else:
+                found, code = "deleted", "group-deleted"
+            faults.append(Problem(f"/{name}: {found}", mend=mend, code=code))
     notes += [
         f"/{name}: added by another program, not in the manifest"
         for name in present
@@ -261,16 +274,27 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         f"made by numerics {version}, this is {NUMERICS_VERSION}: --overwrite computes it again"
         for version in sorted(filter(None, versions))
     ]
-    return StoreState(_bounded(problems), tuple(notes), resume)
+    # limited and printable: group names may hold any character
+    shown = [
+        replace(
+            fault,
+            found="".join(c if c.isprintable() else "\ufffd" for c in fault.found[:MAX_MESSAGE_CHARS]),
+        )
+        for fault in faults[:MAX_MESSAGES]
+    ]
+    if len(faults) > MAX_MESSAGES:
+        shown.append(Problem(counted(len(faults) - MAX_MESSAGES, "more problem")))
+    return StoreState(tuple(shown), tuple(notes), resume)
 
 
 def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> StoreState:
-    """Return what is known of a Zarr store without a manifest."""
     if any(content.startswith(f"/{name} ") for name, content in contents.items()):
-        return StoreState((
-            f"{location.url} has lost its manifest, the group {MANIFEST_NODE!r} of its root; write it again "
-            "by the command that made it, groups that are whole stay",
-        ))  # fmt: skip
+        lost = Problem(
+            f"{location.url} has lost its manifest, the group {MANIFEST_NODE!r} of its root",
+            mend="write it again by the command that made it; complete groups stay",
+            code="manifest-lost",
+        )
+        return StoreState((lost,))
     if any(contents.values()):
         note = "a part of a store of hyperpaint, without its manifest"
     elif any("hyperpaint_complete" in location.attributes(name) for name in contents):
@@ -278,43 +302,30 @@ def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> 
     else:
         note = "not written by hyperpaint"
     return StoreState(
-        (), (f"{note}: whether groups or chunks are missing or exchanged is unknown; what is there was read",)
+        (), (f"{note}: whether groups or chunks are missing or exchanged is unknown; all chunks were read",)
     )
 
 
 def check_state(location: Location) -> None:
-    """Refuse a store that is unfinished, or whose groups are not those of its manifest."""
-    problems = Problems(
-        f"{location.url} is not whole; hyperpaint.io.store.open_group(path, group) opens what is finished",
-        IncompleteStoreError,
-    )
-    for text in store_state(location).problems:
-        problems.add(text)
-    problems.raise_if_any()
+    """Raise IncompleteStoreError if a store is unfinished, or its groups differ from its manifest."""
+    if faults := store_state(location).faults:
+        raise IncompleteStoreError(
+            f"{location.url} is incomplete; hyperpaint.io.store.open_group(path, group) opens the others",
+            problems=faults,
+        )
 
 
-def _bounded(problems: list[str]) -> tuple[str, ...]:
-    """Return problems so that a terminal shows them: names of groups may be anything."""
-    shown = [
-        "".join(sign if sign.isprintable() else "\ufffd" for sign in text[:MAX_MESSAGE_CHARS])
-        for text in problems[:MAX_MESSAGES]
-    ]
-    more = len(problems) - MAX_MESSAGES
-    return (*shown, *([f"{counted(more, 'more problem')}"] if more > 0 else []))
-
-
-# --- what lies on the disk ---------------------------------------------------------------------------------
+# --- state of the disk -------------------------------------------------------------------------------------
 
 
 def content_text(group: str, identity: str, settings: str = "") -> str:
-    """Return the attribute `CONTENT` of a group."""
     return " ".join(part for part in (f"/{group}", identity, settings) if part)
 
 
 def content_of(location: Location, group: str, manifest: Manifest | None = None) -> str:
-    """Return what a group is made from; empty where that is unknown, or the group is not there.
+    """Return the content name of a group; empty where unknown or where there is no group.
 
-    With a ``manifest``, a group whose attributes another program replaced is what the manifest names.
+    With a ``manifest``, a group whose attributes another program replaced keeps the recorded content.
     """
     entry = manifest.groups.get(group) if manifest is not None else None
     if entry is not None and attributes_replaced(location, group, entry):
@@ -341,7 +352,7 @@ def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bo
 
 
 def changed_attributes(location: Location, group: str, entry: GroupEntry) -> list[str]:
-    """Return the attributes of a group that are not those written; what others added does not count."""
+    """Return the attributes of a group that changed since it was written; additions do not count."""
     document = location.metadata(group) or {}
     attributes = document.get("attributes", {})
     changed = [key for key, value in entry.attributes.items() if attributes.get(key) != value]
@@ -350,20 +361,20 @@ def changed_attributes(location: Location, group: str, entry: GroupEntry) -> lis
 
 
 def numerics_of(content: str) -> int | None:
-    """Return the version of the numerics that a content or settings name."""
+    """Return the version of the numerics in a content or settings text; None without one."""
     match = _NUMERICS.search(content)
     return None if match is None else int(match[1])
 
 
 def document_checksum(document: Any) -> int:
-    """Return the crc32c of a JSON value, whatever its spacing and the order of its keys."""
+    """Return the crc32c of a JSON value, independent of spacing and of the order of keys."""
     import google_crc32c
 
     return int(google_crc32c.value(json.dumps(document, sort_keys=True).encode()))
 
 
 def chunk_digest(group: str, name: str, chunks: Iterable[tuple[str, bytes]]) -> str:
-    """Return the digest over the keys of an array's chunks and the 4 bytes that end each, its crc32c."""
+    """Return the digest over the keys of an array's chunks and their last 4 bytes, the crc32c."""
     digest = hashlib.blake2b(f"/{group}/{name}".encode(), digest_size=16)
     for key, checksum in chunks:
         digest.update(key.encode() + b"\0" + checksum)
@@ -373,7 +384,7 @@ def chunk_digest(group: str, name: str, chunks: Iterable[tuple[str, bytes]]) -> 
 def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
     """Return the keys of an array's chunks, in C order, from its ``zarr.json`` as `layout` writes it.
 
-    Raises `IncompleteStoreError`: There is no grid, or one of more chunks than any array has.
+    Raises `IncompleteStoreError`: the grid is missing, or has more than `MAX_CHUNKS` chunks.
     """
     try:
         chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
@@ -386,6 +397,7 @@ def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
         f"{name}: chunk grid missing or too large",
         expected=f"at most {MAX_CHUNKS} chunks",
         mend="write the group again",
+        code="metadata-damaged",
     )
 
 
@@ -398,7 +410,7 @@ def seal_of(arrays: Mapping[str, ArrayEntry]) -> str:
 def entry_of(location: Location, group: str) -> GroupEntry:
     """Return the entry of a group from its files, without arrays whose chunks do not end in a crc32c.
 
-    Raises `IncompleteStoreError`: Chunks are missing, or the digest over the arrays differs from `SEAL`.
+    Raises `IncompleteStoreError`: chunks are missing, or the digest over the arrays differs from `SEAL`.
     """
     entries = {}
     for name in location.folders(group):
@@ -406,26 +418,14 @@ def entry_of(location: Location, group: str) -> GroupEntry:
         # arrays of other programs have no crc32c at the end of each chunk
         if document.get("node_type") == "array" and "crc32c" in str(document.get("codecs"))[-40:]:
             keys = chunk_keys(document, joined(group, name))
-            ends = [(key, _last_bytes(location, group, name, key)) for key in keys]
-            digest = chunk_digest(group, name, ends)
+            digest = chunk_digest(group, name, [(key, location.end_of(group, name, key)) for key in keys])
             entries[name] = ArrayEntry(document_checksum(document), len(keys), digest)
-    own = location.metadata(group) or {}
-    attributes = own.get("attributes", {}) if entries else {}
+    metadata = location.metadata(group) or {}
+    attributes = metadata.get("attributes", {}) if entries else {}
     if attributes.get(SEAL, seal_of(entries)) != seal_of(entries):
         raise IncompleteStoreError(
-            f"the arrays of {location.group_url(group)} are not those that were written"
+            f"the arrays of {location.group_url(group)} are not those that were written",
+            mend="write the group again",
+            code="group-changed",
         )
-    return GroupEntry(content_of(location, group), document_checksum(own), entries, attributes)
-
-
-def _last_bytes(location: Location, *parts: str) -> bytes:
-    """Return the crc32c at the end of a chunk."""
-    key = location.key(*parts)
-    try:
-        if location.local is None:
-            return bytes(location.fs.tail(key, 4))
-        with open(key, "rb") as file:
-            file.seek(-4, 2)
-            return file.read()
-    except OSError as error:
-        raise IncompleteStoreError(f"the chunk {key} is missing or empty; write the group again") from error
+    return GroupEntry(content_of(location, group), document_checksum(metadata), entries, attributes)

@@ -1,4 +1,4 @@
-"""Stores of zarr that dask names by their content: a group that is written again gives other tasks."""
+"""Zarr stores whose dask name follows their content: a rewritten group gives other tasks."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ class _NamedByContent:
 
 
 class NamedLocalStore(_NamedByContent, LocalStore):  # type: ignore[misc]
-    """A folder."""
+    ...
 
 
 class NamedFsspecStore(_NamedByContent, FsspecStore):  # type: ignore[misc]
-    """A place behind a URL."""
+    ...

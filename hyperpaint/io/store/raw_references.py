@@ -1,12 +1,12 @@
-"""Virtual stores: groups whose cube stays in the camera's raw files, referred to slab by slab.
+"""Virtual stores: groups whose cube stays in the camera's raw files, referenced slab by slab.
 
 A virtual store is a repository of icechunk, a folder; everything but the cube is stored in it. The root's
-attribute `RAW_FILES` names the raw files of every group.
+attribute `RAW_FILES` lists the raw files of every group.
 
-Repositories come from anywhere, so nothing in one is trusted: not its configuration (the containers and
-credentials are ours), not its record (it names files, but only the user says below which folders files may be
-read), not its references (each is compared with the record and with the size of the file), not its folder
-(links in it are refused). References of kerchunk (JSON) are refused by name: what reads them runs templates.
+Repositories may come from anyone, so none of their parts is trusted. Configuration, containers and
+credentials are ours. The list of raw files names files, but only the user says below which folders files may
+be read. Each reference is compared with the list and with the size of the file. Links in the folder are
+refused. References of kerchunk (JSON) are refused by name: their readers run templates.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import quote, unquote
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import (
@@ -46,18 +47,15 @@ from .layout import encoding, prepare
 from .location import clean_group
 from .manifest import INPUTS
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+# Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs.
 RAW_FILES = "raw_files"
-"""Attribute of the root: the raw files of every group, with size and time, and a digest of its inputs."""
 
 _FILL = 65535
 _MAX_JSON_BYTES = 2**26
-_MAX_READS = 64
-"""Chunks that are looked at at a time."""
+# Number of chunks checked at a time.
+MAX_PARALLEL_READS = 64
 _ZARR_2 = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")
-# a host without user and port (icechunk leaves ports out), a path that all programs read alike
+# a host without user and port (icechunk ignores ports), a path that all programs read alike
 _REMOTE = re.compile(r"(s3|https?)://[A-Za-z0-9_.-]+(/(?!.*::)[^%?#\\]*)?")
 _AGAIN = "write it again: hyperpaint virtual COLLECT.toml --out STORE --overwrite"
 
@@ -66,7 +64,7 @@ Allow = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 @dataclass(frozen=True)
 class RawFile:
-    """A raw file as it was when it was referred to."""
+    """A raw file as it was when it was referenced."""
 
     url: str
     size: int
@@ -75,7 +73,7 @@ class RawFile:
 
     @classmethod
     def of(cls, url: str) -> RawFile:
-        """Return the present state of a file; it is read with the credentials of the environment.
+        """Return the present state of a file, read with the credentials of the environment.
 
         Raises `StoreError`: it cannot be reached, or icechunk could not read it.
         """
@@ -84,9 +82,14 @@ class RawFile:
             try:
                 status = os.stat(_local_path(url))
             except OSError as error:
-                raise StoreError(f"{url}: {error.strerror}") from error
+                raise StoreError(f"{url}: {error.strerror}", code="file-unreadable") from error
             if not stat.S_ISREG(status.st_mode):
-                raise StoreError(f"{url} is no plain file")
+                raise StoreError(
+                    f"{url} is no plain file",
+                    expected="a raw file",
+                    mend="check the path",
+                    code="file-not-plain",
+                )
             return cls(url, status.st_size, status.st_mtime_ns)
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
@@ -96,10 +99,14 @@ class RawFile:
             etag = info.get("ETag")
             return cls(url, int(info["size"]), etag=None if etag is None else str(etag).strip('"'))
         except Exception as error:  # each file system of fsspec has its own
-            raise StoreError(f"{url}: {type(error).__name__}: {error!s:.200}") from error
+            raise StoreError(
+                f"{url}: {type(error).__name__}: {error!s:.200}",
+                mend="check the URL and the credentials of the environment",
+                code="file-unreadable",
+            ) from error
 
     def difference(self) -> str:
-        """Return in words how the file of today differs from this one; empty where it does not."""
+        """Return how the present file differs from this one; empty where it does not."""
         try:
             now = RawFile.of(self.url)
         except StoreError as error:
@@ -120,7 +127,7 @@ def _local_path(url: str) -> str:
 
 @dataclass(frozen=True)
 class VirtualCube:
-    """A cube in raw files: the slab ``k`` is the lines from ``k * lines`` on."""
+    """A cube in raw files: slab ``k`` begins at line ``k * lines``."""
 
     name: str
     dims: tuple[str, ...]  #: In the order of the files, lines first
@@ -142,7 +149,7 @@ Groups = Mapping[str, tuple["xr.Dataset", VirtualCube]]
 
 
 def summary_of(groups: Groups) -> dict[str, dict[str, Any]]:
-    """Return the digest of the inputs of every group, and its raw files, as `virtual_groups` finds them."""
+    """Return the inputs digest of every group, and its raw files, in the form of `virtual_groups`."""
     return {
         name: {INPUTS: dataset.attrs.get(INPUTS), RAW_FILES: list(cube.files)}
         for name, (dataset, cube) in groups.items()
@@ -150,9 +157,10 @@ def summary_of(groups: Groups) -> dict[str, dict[str, Any]]:
 
 
 def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> None:
-    """Write groups, each the cube's companions and the cube, into a new repository of icechunk.
+    """Write groups (the cube's companions, and the cube as references) into a new repository of icechunk.
 
-    Raises `MissingExtraError`: icechunk is not installed; `StoreError`: raw files lie where it cannot read.
+    Raises `MissingExtraError`: icechunk is not installed; `StoreError`: it cannot read the raw files'
+    locations.
     """
     import zarr
     from zarr.codecs import BytesCodec
@@ -167,10 +175,16 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
         rest = prepare(dataset, name)
         rest.to_zarr(session.store, group=name, encoding=encoding(rest), consolidated=False, mode="a")
         array = zarr.open_group(session.store, path=name).create_array(
-            cube.name, shape=cube.shape, chunks=cube.chunk, dtype=cube.dtype, compressors=None,
+            cube.name,
+            shape=cube.shape,
+            chunks=cube.chunk,
+            dtype=cube.dtype,
+            compressors=None,
             serializer=BytesCodec(endian="big" if cube.dtype.str.startswith(">") else "little"),
-            fill_value=_FILL, dimension_names=cube.dims, attributes=dict(cube.attrs),
-        )  # fmt: skip
+            fill_value=_FILL,
+            dimension_names=cube.dims,
+            attributes=dict(cube.attrs),
+        )
         slabs, size = [], math.prod(cube.chunk) * cube.dtype.itemsize
         for number, file, offset in cube.slabs:
             raw, changed = cube.files[file], None
@@ -179,9 +193,14 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
             if raw.changed_ns is not None:  # icechunk compares whole seconds
                 changed = datetime.datetime.fromtimestamp(-(-raw.changed_ns // 10**9), datetime.UTC)
             slabs.append(icechunk.VirtualChunkSpec([number, 0, 0], url, offset, size, raw.etag, changed))
-        # references that it does not take would be read as missing
+        # rejected references would be read as missing chunks
         if session.store.set_virtual_refs(f"/{name}/{cube.name}", slabs):
-            raise StoreError(f"icechunk does not reach {cube.files[0].url}")
+            raise StoreError(
+                f"icechunk does not reach {cube.files[0].url}",
+                expected="raw files below a folder or URL that icechunk reads",
+                mend="copy the raw files to a local disk",
+                code="file-unreadable",
+            )
         for number, block in cube.copies.items():
             array[number * cube.lines : number * cube.lines + len(block)] = block
     session.commit("references to raw cubes")
@@ -190,7 +209,7 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
 def _icechunk() -> Any:
     with needs_extra("icechunk", "virtual", "a virtual store"):
         import icechunk
-    # a repository is written once here: its warning of two writers on a local disk says nothing
+    # icechunk warns of two writers on a local disk; here a repository is written once
     icechunk.set_logs_filter("error")
     return icechunk
 
@@ -205,13 +224,14 @@ def check_url(url: str) -> None:
         raise StoreError(
             f"icechunk reads no raw files from {url!r:.200}",
             expected="a local path, or a URL with s3, or http or https without a port",
+            code="url-unusable",
         )
 
 
 def _own_config(urls: Sequence[str]) -> Any:
     """Return a configuration of icechunk with the containers of raw files, and no others.
 
-    S3 is reached as the environment says.
+    S3 is configured by the environment.
     """
     icechunk = _icechunk()
     config = icechunk.RepositoryConfig.default()
@@ -253,11 +273,11 @@ def is_virtual(path: str | os.PathLike[str]) -> bool:
 
 
 def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> None:
-    """Refuse references of kerchunk, a JSON file or a folder of parquet; nothing in them is used.
+    """Refuse references of kerchunk, a JSON file or a folder of parquet; their content is not used.
 
-    ``write``: whether the path is to be written, and its name decides.
+    ``write``: the path is to be written, and its name decides.
 
-    Raises `StoreError`: they are; parts that programs run are named.
+    Raises `StoreError`: they are kerchunk references; parts that programs execute are named.
     """
     place = Path(path)
     file = place / ".zmetadata" if place.is_dir() else place
@@ -268,10 +288,10 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
     elif head_of(file, 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         try:
             keys = set(json.loads(read_limited(file, _MAX_JSON_BYTES, "references")))
-        except FormatError:  # longer
+        except FormatError:  # larger than the limit
             keys = {"refs"}
         except (ValueError, RecursionError):
-            pass  # another text
+            pass  # not JSON
     of_zarr_2 = not place.is_dir() and any(key.endswith(_ZARR_2) for key in keys)
     if of_zarr_2 or keys & {"refs", "gen", "templates", "record_size"}:
         parts = "".join(
@@ -282,12 +302,13 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
             expected="a repository of icechunk, a folder",
             mend="convert references that you trust with tools that you trust, such as virtualizarr, or "
             "write a repository with `hyperpaint virtual COLLECT.toml --out lot.icechunk`",
+            code="kerchunk-refused",
         )
 
 
 @contextlib.contextmanager
 def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn errors of icechunk and zarr about a damaged or forged repository into our error."""
+    """Turn errors of icechunk and zarr about a damaged or forged repository into IncompleteStoreError."""
     try:
         yield
     except PaintError:
@@ -295,18 +316,30 @@ def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
     except Exception as error:  # each library has its own; icechunk names the cause in the last line
         cause = str(error).rstrip("\n |`->").rpartition("\n")[2].strip(" |`->")
         raise IncompleteStoreError(
-            f"{os.fspath(path)} is no whole virtual store: {type(error).__name__}: {cause:.300}", mend=_AGAIN
+            f"{os.fspath(path)} is damaged: {type(error).__name__}: {cause:.300}",
+            expected="a virtual store",
+            mend=_AGAIN,
+            code="store-damaged",
         ) from error
 
 
 def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[Any, Any]:
-    """Return a repository and a session that reads it; it may read raw files in the folders of ``urls``."""
+    """Return a repository and a read-only session, with access to raw files in the folders of ``urls``."""
     refuse_kerchunk(path)
     if not is_virtual(path):
-        raise StoreError(f"{os.fspath(path)} is no virtual store", expected="one of `hyperpaint virtual`")
+        raise StoreError(
+            f"{os.fspath(path)} is no virtual store",
+            expected="one of `hyperpaint virtual`",
+            code="store-unreadable",
+        )
     for entry in Path(path).rglob("*"):
         if entry.is_symlink():
-            raise StoreError(f"{os.fspath(entry)!r} is a link, which no repository holds")
+            raise StoreError(
+                f"{os.fspath(entry)!r} is a link",
+                expected="plain files and folders",
+                mend=_AGAIN,
+                code="link-refused",
+            )
     icechunk = _icechunk()
     config = _own_config(urls)
     access = {
@@ -322,9 +355,9 @@ def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[An
 
 
 def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the digest of the inputs of every group, and its raw files; these are not read.
+    """Return the inputs digest of every group, and its raw files, which are not read.
 
-    Raises `StoreError`: there is no such store, it is damaged, or its record is none.
+    Raises `StoreError`: there is no such store, it is damaged, or its list of raw files is invalid.
     """
     import zarr
 
@@ -336,17 +369,28 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
                 f"{os.fspath(path)} does not name its raw files",
                 expected="a store of `hyperpaint virtual`",
                 mend="open others with icechunk and xarray.open_zarr",
+                code="raw-files-unnamed",
             )
         groups: dict[str, Any] = json.loads(text)
         for name, about in groups.items():
             if not name or clean_group(name) != name or not name.isprintable():
-                raise StoreError(f"{os.fspath(path)} names a group {name!r:.200}")
+                raise StoreError(
+                    f"{os.fspath(path)} names a group {name!r:.200}",
+                    expected="a path such as 'flightlines/raw_0'",
+                    mend=_AGAIN,
+                    code="group-name",
+                )
             about[RAW_FILES] = [RawFile(**row) for row in about[RAW_FILES]]
             for raw in about[RAW_FILES]:
                 check_url(raw.url)
                 numbers = isinstance(raw.size, int) and isinstance(raw.changed_ns, int | None)
                 if not (numbers and isinstance(raw.etag, str | None)):
-                    raise StoreError(f"{os.fspath(path)} describes a raw file by {raw!r:.200}")
+                    raise StoreError(
+                        f"{os.fspath(path)} describes a raw file by {raw!r:.200}",
+                        expected="size and time as whole numbers, the etag as text",
+                        mend=_AGAIN,
+                        code="type-wrong",
+                    )
     return groups
 
 
@@ -358,7 +402,7 @@ def outside(
     Files may be read below the folder that holds the repository and below ``allow``, links resolved.
     """
     home = os.path.dirname(os.path.realpath(path))
-    prefixes = [] if home == os.path.dirname(home) else [f"file://{home}/"]  # a root holds everything
+    prefixes = [] if home == os.path.dirname(home) else [f"file://{home}/"]  # not the root of the file system
     for each in [allow] if isinstance(allow, str | os.PathLike) else allow:
         text = os.fspath(each)
         if "://" not in text or text.startswith("file://"):
@@ -377,25 +421,26 @@ def outside(
         common = posixpath.commonpath(folders)
         if root != "file://":
             needed.append(f"{root}{common}".rstrip("/"))
-        else:  # one folder for all, but never the root of the machine
+        else:  # the common folder, but not the root of the file system
             needed += sorted(folders) if common == "/" else [common]
     return refused, needed
 
 
 async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence[str], place: str) -> None:
-    """Refuse a group with chunks that do not lie in the files of ``urls``; ``place`` names it in errors.
+    """Refuse a group with chunks outside the files of ``urls``; ``place`` names it in errors.
 
-    Of each chunk the first and the last two bytes are read: icechunk fails beyond the end of a file.
+    The first and the last two bytes of each chunk are read: icechunk fails beyond the end of a file.
     """
     import zarr
     from zarr.abc.store import RangeByteRequest, SuffixByteRequest
     from zarr.core.buffer import default_buffer_prototype
 
-    def error(fault: str) -> IncompleteStoreError:
-        return IncompleteStoreError(f"{place}: /{name} {fault}", mend=_AGAIN)
+    def error(fault: str, expected: str = "") -> IncompleteStoreError:
+        return IncompleteStoreError(
+            f"{place}: /{name} {fault}", expected=expected, mend=_AGAIN, code="reference-wrong"
+        )
 
-    # icechunk lists the references of all groups: those of this one are left when the others are deleted,
-    # which happens in memory and is never committed
+    # icechunk lists the references of all groups: delete the others in memory, without a commit
     own, above = repository.writable_session("main"), ""
     for part in name.split("/"):
         for other in [each async for each in own.store.list_dir(above)]:
@@ -404,18 +449,18 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
         above += f"{part}/"
     foreign = {unquote(url) for url in own.all_virtual_chunk_locations()} - set(urls)
     if foreign:
-        raise error(f"refers to {min(foreign)!r:.200}, which the record does not name")
-    limit = asyncio.Semaphore(_MAX_READS)
+        raise error(f"refers to {min(foreign)!r:.200}", "a raw file that the root names")
+    limit = asyncio.Semaphore(MAX_PARALLEL_READS)
 
     async def check(key: str, size: int | None) -> None:
         async with limit:
             length = await session.store.getsize(key)
             if size is not None and length != size:
-                raise error(f"has {length} bytes in {key}, expected {size}")
+                raise error(f"has {length} bytes in {key}", str(size))
             some = min(2, length)
             for part in (RangeByteRequest(0, some), SuffixByteRequest(some)) if some else ():
                 content = await session.store.get(key, default_buffer_prototype(), part)
-                if content is None or len(content) != some:  # an offset near 2**64 wraps around
+                if content is None or len(content) != some:  # offsets near 2**64 wrap around
                     raise error(f"lacks bytes in {key}")
 
     group = await zarr.api.asynchronous.open_group(session.store, path=name, mode="r")
@@ -429,7 +474,7 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
             size = math.prod(array.chunks) * array.dtype.itemsize
             codecs = [type(codec).__name__ for codec in array.metadata.codecs]
             if codecs != ["BytesCodec"] or len(places) != math.prod(array.cdata_shape):
-                raise error(f"has other chunks of {array.basename} than `hyperpaint virtual` writes")
+                raise error(f"has chunks of {array.basename} that `hyperpaint virtual` does not write")
         keys = [f"{path}/{array.metadata.encode_chunk_key(at)}" for at in places]
         await asyncio.gather(*(check(key, size) for key in keys))
 
@@ -443,20 +488,20 @@ def open_virtual(
 ) -> xr.Dataset:
     """Open a flight line whose cube stays in the raw files, as `hyperpaint virtual` writes it, lazily.
 
-    A store may come from anybody, and names the files that are read as counts. So a raw file is read only if
+    A store may come from anyone, and names the files that are read as counts. So a raw file is read only if
     it lies below the folder that holds the store, or below a folder or URL of ``allow``, after links are
-    resolved; if the store's record names it, with the size and the time of change (or etag) that it has; and
-    if every reference lies inside it. Nothing is read over the network, and no credentials of the environment
-    are used, but for URLs of ``allow``.
+    resolved; if the store lists it, with its present size and time of change (or etag); and if every
+    reference lies inside it. Only for URLs of ``allow`` is the network read, and are credentials of the
+    environment used.
 
     Parameters
     ----------
     path
         A repository of icechunk, a folder.
     group
-        Such as ``"flightlines/raw_0"``; may be left out where there is one.
+        Such as ``"flightlines/raw_0"``; may be omitted where there is one.
     allow
-        Folders, or URLs (s3, http, https), below which raw files may be read besides; one or several. S3
+        More folders, or URLs (s3, http, https), below which raw files may be read; one or several. S3
         takes region, endpoint and keys from the environment.
     **kwargs
         Passed to `xarray.open_zarr`, such as ``chunks={"along_track": 256}``.
@@ -470,8 +515,10 @@ def open_virtual(
     ------
     StoreError
         There is no such store or group; raw files lie elsewhere (the message says what to allow), are
-        missing, or others than those referred to, all of which are listed; references lead to other files or
+        missing, or differ from those referenced, all of which are listed; references lead to other files or
         beyond the end of one; the store is damaged, holds links, or is references of kerchunk.
+    MissingExtraError
+        icechunk is not installed.
 
     Examples
     --------
@@ -485,14 +532,16 @@ def open_virtual(
     Traceback (most recent call last):
     hyperpaint.base.errors.StoreError: ...lot.json: kerchunk references, with `gen`, which programs run, ...
     """
-    import xarray as xr
-
     groups = virtual_groups(path)
     name = (group or "").strip("/")
     if not name and len(groups) == 1:
         (name,) = groups
     if name not in groups:
-        raise StoreError(f"group {name!r} of {os.fspath(path)}", expected=f"one of {', '.join(groups)}")
+        raise StoreError(
+            f"group {name!r} of {os.fspath(path)}",
+            expected=f"one of {', '.join(groups)}",
+            code="group-unknown",
+        )
     # raw files: all are allowed, and are the files that the record describes
     refused, needed = outside(path, groups, allow)
     if refused:
@@ -503,11 +552,12 @@ def open_virtual(
             expected=f"files below {os.path.dirname(os.path.realpath(path))}",
             mend=f"pass allow={shown!r} if these are your raw files",
             option=f"pass {options} if these are your raw files",
+            code="raw-file-not-allowed",
         )
-    problems = Problems(f"{os.fspath(path)} refers to raw files that are not what they were", StoreError)
+    problems = Problems(f"{os.fspath(path)} refers to raw files that have changed", StoreError)
     for raw in groups[name][RAW_FILES]:
         if difference := raw.difference():
-            problems.add(difference, mend=_AGAIN)
+            problems.add(difference, mend=_AGAIN, code="raw-file-changed")
     problems.raise_if_any()
     urls = [raw.url for raw in groups[name][RAW_FILES]]
     # references: each lies in one of these files

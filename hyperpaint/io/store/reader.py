@@ -1,7 +1,7 @@
-"""Any Zarr that xarray opens: what must not be read is refused before a value is decoded.
+"""Any Zarr that xarray opens, checked before a value is decoded.
 
-The reader is `xarray.open_zarr`. Before it, metadata are looked at once: codecs that run code are refused by
-name, and so are sizes that no memory holds. A group that is in its store's manifest must be as it was written
+The reader is `xarray.open_zarr`. Metadata are checked first: codecs that run code are refused by
+name, and sizes that exceed memory. A group in its store's manifest must be unchanged
 and have all its chunks; each carries a crc32c, which zarr checks as it reads.
 """
 
@@ -15,7 +15,10 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, stamp_means
@@ -30,7 +33,7 @@ from .location import (
     Location,
     clean_group,
     joined,
-)  # fmt: skip
+)
 from .manifest import (
     CONTENT,
     MAX_CHUNKS,
@@ -46,18 +49,15 @@ from .manifest import (
     entry_of,
 )
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-# Bytes of all arrays of a group that is loaded at once.
+# Largest group that is loaded at once [byte].
 MAX_LOADED_BYTES = 2**30
-# Decoded bytes of a chunk; `layout` makes none above a tenth of it for any camera there is.
+# Largest decoded chunk [byte]; `layout` stays below a tenth of it for any camera.
 MAX_CHUNK_BYTES = 2**30
-# Bytes of an array with one dim, or of a chunk of texts or times: xarray loads them when it opens a group.
+# Largest array with one dim, or chunk of texts or times, which xarray loads on opening [byte].
 MAX_INDEX_BYTES = 64 * 2**20
-# Bytes that a text takes in memory.
+# Memory of a text [byte].
 TEXT_BYTES = 32
-# A group that is loaded, and declares more bytes, must have at least a thousandth of them on its disk.
+# A loaded group that declares more than SMALL_BYTES must have a thousandth of them on disk.
 SMALL_BYTES, MAX_RATIO = 64 * 2**20, 1000
 # Parts of the names of codecs that run code from a file.
 CODE_CODECS = ("pickle",)
@@ -73,7 +73,9 @@ def list_groups(path: Any) -> list[str]:
     Raises
     ------
     StoreError
-        There is no Zarr store, or its metadata are more than any store has.
+        There is no Zarr store, or its metadata are too large.
+    MissingExtraError
+        The package for this kind of URL is not installed.
     """
     import zarr
 
@@ -82,7 +84,7 @@ def list_groups(path: Any) -> list[str]:
     if location is not None and is_format_3(location):
         return location.groups()
     # format 2, or a store object of zarr: level by level
-    found: list[str] = []
+    with_arrays: list[str] = []
     pending, nodes = [""], 0
     while pending:
         name = pending.pop()
@@ -93,14 +95,19 @@ def list_groups(path: Any) -> list[str]:
             raise StoreError(
                 f"{path} is not a Zarr store ({type(error).__name__}: {error!s:.200})",
                 expected="a folder, zip file or URL with a zarr.json or .zgroup",
+                code="store-unreadable",
             ) from error
         groups = [joined(name, key) for key, node in members.items() if isinstance(node, zarr.Group)]
-        found += [name] if len(groups) < len(members) else []
+        with_arrays += [name] if len(groups) < len(members) else []
         pending += groups
         nodes += len(members)
         if nodes > MAX_NODES or name.count("/") >= MAX_DEPTH:
-            raise StoreError(f"{path}: more than {MAX_NODES} nodes, or groups more than {MAX_DEPTH} deep")
-    return sorted(found)
+            raise StoreError(
+                f"{path}: more than {MAX_NODES} nodes, or groups more than {MAX_DEPTH} deep",
+                mend="open a group by its own path",
+                code="nodes-too-many",
+            )
+    return sorted(with_arrays)
 
 
 def is_format_3(location: Location) -> bool:
@@ -109,7 +116,7 @@ def is_format_3(location: Location) -> bool:
 
 
 def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
-    """Return whether a group is in its store's manifest, and its metadata and chunk files are those written.
+    """Return whether a group is in its store's manifest, with unchanged metadata and all chunk files.
 
     No chunk is read: `hyperpaint.verify` does.
     """
@@ -135,10 +142,10 @@ def open_store(path: Any, group: None = None, **kwargs: Any) -> Any: ...
 def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     """Open a group lazily, like `xarray.open_zarr`, or all of a collect's store.
 
-    Any Zarr that xarray opens will do. Where the store has a manifest, it must hold the groups that it names:
-    none unfinished, deleted or exchanged; the group's metadata must be those written, and its chunks must be
-    there. zarr checks the crc32c of every chunk as it is read; `hyperpaint.verify` finds chunks that were
-    exchanged as a whole. Groups and variables that others added are opened as well.
+    Any Zarr that xarray opens is accepted. Where the store has a manifest, the groups in it must be finished
+    and unchanged, and the chunks of the opened group must exist. zarr checks the crc32c of every chunk as it
+    is read; `hyperpaint.verify` finds chunks that were exchanged as a whole. Groups and variables added by
+    other programs are opened as well.
 
     Parameters
     ----------
@@ -158,10 +165,12 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     Raises
     ------
     IncompleteStoreError
-        The store or the group is not what its manifest names.
+        The store or the group differs from its manifest.
     StoreError
         There is no such store or group (those that exist are listed); or it has codecs that run code, or
-        declares sizes that no memory holds.
+        declares sizes that exceed memory.
+    MissingExtraError
+        The package for this kind of URL is not installed.
 
     See Also
     --------
@@ -178,8 +187,6 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     >>> sorted(open_store(path)["flightlines"].children)
     ['raw_0']
     """
-    import xarray as xr
-
     location, _ = place_of(path)
     groups = list_groups(path) if group is None else [""]
     if "" not in groups and location is not None:
@@ -188,18 +195,21 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         recorded = manifest.groups.items() if manifest is not None else ()
         groups = sorted({*groups, *(name for name, entry in recorded if entry.arrays)})
     if groups and "" not in groups:
-        problems = Problems(f"{path} cannot be opened whole", IncompleteStoreError)
+        problems = Problems(
+            f"{path} has unusable groups; open_store(path, group) opens the others",
+            IncompleteStoreError,
+        )
         opened = {}
         for name in groups:
             try:
                 opened[name] = open_group(path, name, **kwargs)
             except IncompleteStoreError as error:
-                problems.add(str(error), mend="open the others by open_store(path, group)")
+                problems.add_error(f"group {'/' + name!r}", error)
         problems.raise_if_any()
         return xr.DataTree.from_dict(opened)
     name = clean_group(group)
     if location is not None and (manifest := Manifest.read(location)) is not None:
-        # a run that is under way, or was cut short, has not written all its groups
+        # a running or interrupted run has not written all its groups
         writes = [write for write in manifest.writes if name in write.contents]
         if any(
             manifest.lacking(write, lambda each: content_of(location, each, manifest)) for write in writes
@@ -209,12 +219,12 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
 
 
 def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
-    """Open a finished group as `open_store` does, also while others of its store are still being written.
+    """Open a finished group like `open_store`, even while other groups of the store are being written.
 
     Raises
     ------
-    IncompleteStoreError, StoreError
-        As `open_store`, of this group.
+    IncompleteStoreError, StoreError, MissingExtraError
+        As `open_store`, for this group.
     """
     name, (location, _) = clean_group(group), place_of(path)
     if location is None:
@@ -229,65 +239,70 @@ def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
             opened = open_unverified(path, name, **kwargs)
             entry = manifest.groups.get(name) if manifest is not None else None
             if entry is not None and attributes_replaced(location, name, entry):
-                kept = {key: value for key, value in entry.attributes.items() if key not in OWN_ATTRS}
-                opened.attrs = kept | opened.attrs
+                recorded = {key: value for key, value in entry.attributes.items() if key not in OWN_ATTRS}
+                opened.attrs = recorded | opened.attrs
             return opened
         except (StoreError, OSError):
-            # where the group was replaced meanwhile, the new one is opened
+            # if the group was replaced meanwhile, open the new one
             if attempt or content_of(location, name) == content:
                 raise
     raise AssertionError
 
 
 def check_entry(location: Location, group: str, manifest: Manifest) -> None:
-    """Refuse a group whose metadata are not those of the manifest, or whose chunk files are not all there.
+    """Refuse a group whose metadata differ from the manifest, or whose chunk files are incomplete.
 
-    Warns `PaintWarning`: Another program replaced the group's attributes; its arrays are those written.
+    Warns `PaintWarning`: Another program replaced the group's attributes; its arrays are unchanged.
     """
     where, mend = f"group {'/' + group!r} of {location.url}", "write the group again"
     content, entry = content_of(location, group, manifest), manifest.groups.get(group)
     if content not in manifest.allowed(group):
-        state = "is not what the manifest names" if location.has(group, METADATA) else "was deleted"
-        raise IncompleteStoreError(f"{where} {state}", mend=mend)
+        state = "differs from the manifest" if location.has(group, METADATA) else "was deleted"
+        raise IncompleteStoreError(f"{where} {state}", mend=mend, code="group-changed")
     if entry is None or content != entry.content:
-        entry_of(location, group)  # of a writer who has not come to its entry: its chunks are there
+        entry_of(location, group)  # published but not yet recorded: all chunks must exist
         return
     problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
     if attributes_replaced(location, group, entry):
-        text = f"{where}: another program replaced its attributes; those of the manifest are taken"
-        warnings.warn(text, PaintWarning, stacklevel=4)
+        text = f"{where}: another program replaced its attributes; the manifest's are used"
+        warnings.warn(PaintWarning(text, code="attributes-replaced"), stacklevel=4)
     elif others := changed_attributes(location, group, entry):
-        problems.add(f"attributes differ from the manifest: {', '.join(others)}")
+        problems.add(f"attributes differ from the manifest: {', '.join(others)}", code="attributes-changed")
     files = location.files(group)
     for name, array in entry.arrays.items():
         document = location.metadata(joined(group, name))
         if document is None or document_checksum(document) != array.metadata:
             problems.add(
-                f"{name}: metadata {'are missing' if document is None else 'differ from the manifest'}"
+                f"{name}: metadata {'are missing' if document is None else 'differ from the manifest'}",
+                code="metadata-changed",
             )
             continue
         missing = [key for key in chunk_keys(document, name) if joined(name, key) not in files]
-        if missing and METADATA in files:  # not all servers list what they have
-            problems.add(f"{name}: {len(missing)} of {array.chunks} chunks are missing, first {missing[0]}")
+        if missing and METADATA in files:  # not all servers list their files
+            problems.add(
+                f"{name}: {len(missing)} of {array.chunks} chunks are missing, first {missing[0]}",
+                code="chunk-missing",
+            )
     problems.raise_if_any()
 
 
 def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Dataset:
-    """Open a group of any Zarr lazily, whether or not it is in a manifest.
+    """Open a group of any Zarr lazily, without regard to a manifest.
 
     Raises
     ------
     StoreError
         There is no such store or group, or it must not be read.
+    MissingExtraError
+        The package for this kind of URL is not installed.
     """
-    import xarray as xr
     import zarr
 
     (location, source), name = place_of(path), clean_group(group)
     check_metadata(location, name)
-    # a local list of all metadata may be older than a group whose writer was killed at its very end
+    # a local list of all metadata may be outdated after a kill at the very end
     is_remote = isinstance(source, str) and "://" in source
-    # files of others between the arrays are noted by verify
+    # verify notes files of other programs
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Object at .* is not recognized")
         try:
@@ -301,13 +316,12 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
                 if getattr(array.metadata, "dimension_names", None) == (ALONG_TRACK, BAND, CROSS_TRACK)
                 and array.chunks[1:] != array.shape[1:]
             }
-            if (
-                cut and "chunks" not in options
-            ):  # one task a slab, also of cubes that are cut into bands or tiles
+            # one task a slab, also for cubes that are cut into bands or tiles
+            if cut and "chunks" not in options:
                 options["chunks"] = {BAND: -1, CROSS_TRACK: -1}
             source = _named(source, node, arrays)
             opened: xr.Dataset = xr.open_zarr(source, group=name or None, **options)
-            if COARSE in cut:  # of which a picture of one band reads its group alone
+            if COARSE in cut:  # so that a picture of one band reads one group of bands
                 options |= {"chunks": {}, "drop_variables": [key for key in arrays if key != COARSE]}
                 opened[COARSE] = xr.open_zarr(source, group=name or None, **options)[COARSE].variable
         except StoreError:
@@ -317,48 +331,58 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
                 text = f"groups found: {', '.join('/' + each for each in list_groups(path)) or 'none'}"
             except StoreError as other:
                 text = str(other)
-            raise StoreError(f"there is no group {'/' + name!r} of {path}; {text}") from error
+            raise StoreError(
+                f"there is no group {'/' + name!r} of {path}; {text}", code="group-unknown"
+            ) from error
         except Exception as error:  # zarr, file systems and xarray's decoding each have their own
             text = f"{type(error).__name__}: {error!s:.200}"
-            raise StoreError(f"{path}/{name} cannot be opened: {text}") from error
+            raise StoreError(f"{path}/{name} cannot be opened: {text}", code="store-unreadable") from error
     if COARSE in opened.variables:
         stamp_means(opened[COARSE], opened)
     if isinstance(path, str | os.PathLike):
         opened.encoding["source"] = os.fspath(path)
-    for key in OWN_ATTRS:  # of the place, not of what is made from it
+    for key in OWN_ATTRS:  # they do not apply to derived datasets
         opened.attrs.pop(key, None)
     return opened
 
 
-def load_unverified(path: Any, group: str | None = None) -> xr.Dataset:
-    """Load a small group whole; one in a manifest must be as it was written.
+def load_group(path: Any, group: str | None = None) -> xr.Dataset:
+    """Load a small group completely; one in a manifest must be unchanged.
 
     Raises
     ------
     StoreError
         As `open_group`; a value cannot be read; or its arrays are larger than `MAX_LOADED_BYTES` together, or
         far larger than its files.
+    MissingExtraError
+        The package for this kind of URL is not installed.
     """
     opened, limit = open_group(path, group or "", chunks=None), MAX_LOADED_BYTES
     if isinstance(path, str | os.PathLike) and os.path.exists(path):
         files = [file.stat() for file in (Path(path), *Path(path, clean_group(group)).rglob("*"))]
         if not all(stat.S_ISREG(file.st_mode) or stat.S_ISDIR(file.st_mode) for file in files):
-            raise StoreError(f"{path} has a pipe or device in it", expected="plain files")
+            raise StoreError(
+                f"{path} has a pipe or device in it", expected="plain files", code="file-not-plain"
+            )
         limit = min(limit, max(SMALL_BYTES, MAX_RATIO * sum(file.st_size for file in files)))
     if opened.nbytes > limit:
-        raise StoreError(f"{path} declares {opened.nbytes} bytes", expected=f"at most {limit}")
+        raise StoreError(
+            f"{path} declares {opened.nbytes} bytes", expected=f"at most {limit}", code="file-too-large"
+        )
     try:
         opened.load()
     except Exception as error:  # each codec has its own
-        raise StoreError(f"{path} cannot be read: {type(error).__name__}: {error!s:.200}") from error
+        raise StoreError(
+            f"{path} cannot be read: {type(error).__name__}: {error!s:.200}", code="store-unreadable"
+        ) from error
     return opened
 
 
-# --- what zarr is given, and what it must not read ---------------------------------------------------------
+# --- location and checks -----------------------------------------------------------------------------------
 
 
 def place_of(path: Any) -> tuple[Location | None, Any]:
-    """Return the place of a folder, zip file or URL, and what zarr opens; a store object has no place."""
+    """Return the location of a folder, zip file or URL (else None), and the argument for zarr."""
     import zarr
 
     if isinstance(path, zarr.abc.store.Store | zarr.storage.StorePath):
@@ -376,7 +400,8 @@ def place_of(path: Any) -> tuple[Location | None, Any]:
 def is_zarr(path: Any) -> bool:
     """Return whether a place is to be opened as Zarr.
 
-    So is a URL, a store object, a name that ends in ``.zarr``, and a folder or zip file that is one.
+    True for a URL, a store object, a name that ends in ``.zarr``, and a folder or zip file with Zarr
+    metadata.
     """
     if not isinstance(path, str | os.PathLike):
         return not isinstance(path, Sequence) and place_of(path)[0] is None
@@ -392,9 +417,9 @@ def is_zarr(path: Any) -> bool:
 
 
 def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
-    """Return a store object of a group of ours that dask names by its content, not by its path and time."""
+    """Return a store object for a group of ours that dask names by content, not by path and time."""
     content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
-    added = seal.partition(" ")[0] != str(len(arrays))  # arrays of others change without a word
+    added = seal.partition(" ")[0] != str(len(arrays))  # arrays of other programs may change unnoticed
     if content is None or added or not isinstance(source, str):
         return source
     from .named_stores import NamedFsspecStore, NamedLocalStore
@@ -406,9 +431,9 @@ def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
 
 
 def check_metadata(location: Location | None, group: str) -> None:
-    """Refuse metadata documents of a group and its arrays that would fill the memory when they are parsed.
+    """Refuse metadata documents of a group and its arrays that would fill the memory when parsed.
 
-    Behind a URL only those of the group itself are looked at; of a store object none.
+    Behind a URL only the group's own document is checked; for a store object none.
     """
     if location is None:
         return
@@ -422,11 +447,12 @@ def check_metadata(location: Location | None, group: str) -> None:
             raise StoreError(
                 f"{location.url}: metadata of {total} bytes or more, up to {name!r:.80}",
                 expected=f"at most {2 * MAX_METADATA_BYTES} bytes, {MAX_VALUES} values, {MAX_NODES} arrays",
+                code="file-too-large",
             )
 
 
 def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
-    """Yield the keys and sizes of the metadata documents of a group and what is in it."""
+    """Yield key and size of the metadata documents of a group and of its members."""
     if location.local is not None:
         folder = location.key(group)
         names = itertools.chain([""], os.listdir(folder) if os.path.isdir(folder) else ())
@@ -434,14 +460,20 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
             if not os.path.lexists(location.key(key)):
                 continue
             if not os.path.isfile(location.key(key)):
-                raise StoreError(f"{location.key(key)} is no plain file", expected="metadata")
+                raise StoreError(
+                    f"{location.key(key)} is no plain file", expected="metadata", code="file-not-plain"
+                )
             yield key, os.path.getsize(location.key(key))
     elif hasattr(location.fs, "zip"):
         for entry in location.fs.zip.infolist():
             if entry.filename.endswith(METADATA_FILES):
                 yield entry.filename, entry.file_size
             elif entry.file_size > MAX_CHUNK_BYTES:
-                raise StoreError(f"{location.url}: {entry.filename:.80} has {entry.file_size} bytes")
+                raise StoreError(
+                    f"{location.url}: {entry.filename:.80} has {entry.file_size} bytes",
+                    expected=f"at most {MAX_CHUNK_BYTES}",
+                    code="file-too-large",
+                )
     else:
         for key in (joined(group, file) for file in METADATA_FILES):
             if location.has(key):
@@ -449,14 +481,12 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
 
 
 def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
-    """Refuse arrays whose codecs run code, or that declare sizes no memory holds; all problems are listed.
+    """Refuse arrays whose codecs run code, or that declare sizes beyond any memory; all problems are listed.
 
     ``arrays``: of zarr, by name; no value of them is read.
 
-    Raises `StoreError`: Arrays must not be read.
+    Raises `StoreError`: arrays must not be read.
     """
-    import numpy as np
-
     problems = Problems(f"{where} will not be read", StoreError)
     chunks = index_bytes = 0
     for name, array in arrays.items():
@@ -464,24 +494,39 @@ def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
         # codecs: of format 3 in a list, of format 2 a compressor and filters
         named = repr([getattr(metadata, key, None) for key in ("codecs", "compressor", "filters")])
         if bad := [word for word in CODE_CODECS if word in named.lower()]:
-            problems.add(f"{name}: codec {bad[0]!r}, which runs code that the file brings along")
+            problems.add(
+                f"{name}: codec {bad[0]!r}, which runs code that the file brings along",
+                code="codec-runs-code",
+            )
         dtype = np.dtype(array.dtype)
         is_text = dtype.kind in "OT"
         if is_text and not any(word in str(type(metadata.dtype)) for word in ("VariableLength", "String")):
-            problems.add(f"{name}: data type {metadata.dtype!s:.80}", expected="numbers, times or text")
-        # sizes; of shards those of the inner chunks, which are read one by one
+            problems.add(
+                f"{name}: data type {metadata.dtype!s:.80}",
+                expected="numbers, times or text",
+                code="type-wrong",
+            )
+        # sizes; for shards of the inner chunks, which are read one by one
         item = TEXT_BYTES if is_text else dtype.itemsize
         limit = MAX_INDEX_BYTES if is_text or "since" in str(array.attrs.get("units")) else MAX_CHUNK_BYTES
         if math.prod(array.chunks) * item > limit:
-            problems.add(f"{name}: chunks of {array.chunks} {dtype}", expected=f"at most {limit} bytes")
+            problems.add(
+                f"{name}: chunks of {array.chunks} {dtype}",
+                expected=f"at most {limit} bytes",
+                code="size-too-large",
+            )
         sizes = zip(array.shape, array.chunks, strict=True)
         chunks += math.prod(-(-size // max(step, 1)) for size, step in sizes)
         if array.ndim > 32:
-            problems.add(f"{name}: {array.ndim} dims", expected="at most 32")
+            problems.add(f"{name}: {array.ndim} dims", expected="at most 32", code="size-too-large")
         if array.ndim == 1:
             index_bytes = max(index_bytes, array.shape[0] * max(item, 8))
     if chunks > MAX_CHUNKS:
-        problems.add(f"{chunks} chunks", expected=f"at most {MAX_CHUNKS}")
+        problems.add(f"{chunks} chunks", expected=f"at most {MAX_CHUNKS}", code="size-too-large")
     if index_bytes > MAX_INDEX_BYTES:
-        problems.add(f"{index_bytes} bytes of an array with one dim", expected=f"at most {MAX_INDEX_BYTES}")
+        problems.add(
+            f"{index_bytes} bytes of an array with one dim",
+            expected=f"at most {MAX_INDEX_BYTES}",
+            code="size-too-large",
+        )
     problems.raise_if_any()

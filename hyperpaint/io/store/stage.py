@@ -2,17 +2,17 @@
 
 ``.partial-<store>/`` holds
 
-* ``hyperpaint``: the mark of the owner; a folder without it belongs to others and is never touched;
+* ``hyperpaint``: the mark of the owner; a folder without it belongs to other programs and is never touched;
 * ``lock``: the process that writes, see `locked`;
-* ``build-<group>-<content>-<attempt>``: a group under construction, a small Zarr store of its own;
+* ``build-<group>-<content>-<attempt>``: a group under construction, a small Zarr store;
 * ``replaced-<group>``: the old group, between the two renames that replace it;
 * ``discarded-<number>``: a folder that is being removed.
 
-Linux exchanges the names of a finished group and the old one in one step, on most local disks: one of the two
-is in its place at every instant. Elsewhere that takes two renames.
+Linux exchanges the names of a finished group and the old one in one step, on most local disks, so that one of
+them is always in place. Elsewhere that takes two renames.
 
-The next writer repairs what a killed writer left, before it does anything else. It resumes builds of the same
-group and content, and removes all others. It refuses links, and names that lead out of the store.
+The next writer first repairs the state that a killed writer left. It resumes builds of the same group and
+content, and removes all others. It refuses links, and names that lead out of the store.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from .groups import groups_above
 from .location import MANIFEST_NODE, clean_group, sync, temporaries
 
 _ROOT = "%root"
+# Time to wait for a lock without a process record [s]; filelock takes it over after 2 s.
 _PATIENCE_S = 3.0
-"""Time to watch a lock without a record [s]; filelock takes it over after 2 s without a change."""
+# An older empty lock was left by a power failure [s]: a writer fills its lock at once.
 _EMPTY_AGE_S = 30.0
-"""Age of an empty lock that only a power failure explains [s]: a writer fills its lock at once."""
 _MAX_LOCK_BYTES = 1024
 _TRIES = 20
 _MARK = "hyperpaint"
@@ -51,8 +51,6 @@ _NAMES = re.compile(
 
 
 class _Entry(NamedTuple):
-    """An entry of a staging folder that a writer named."""
-
     path: Path
     kind: str  # "discarded", "replaced" or "build"
     group: str
@@ -67,7 +65,7 @@ class Staging:
         self.folder = store.parent / f".partial-{store.name}"
 
     def build(self, group: str, content: str) -> Path:
-        """Return a new folder name for a group; no other attempt, ended or not, writes there."""
+        """Return a new folder name for a group; no other attempt writes there."""
         return self.folder / f"build-{_quoted(group)}-{content}-{uuid.uuid4().hex[:12]}"
 
     def leftovers(self, group: str, content: str) -> list[Path]:
@@ -75,11 +73,10 @@ class Staging:
         return [entry.path for entry in self._builds() if (entry.group, entry.content) == (group, content)]
 
     def begun(self) -> list[str]:
-        """Return the groups of which earlier attempts left a build."""
+        """Return the groups with builds of earlier attempts."""
         return list(dict.fromkeys(entry.group for entry in self._builds()))
 
     def discard_others(self, group: str, content: str) -> None:
-        """Remove the builds of a group with other content."""
         for entry in self._builds():
             if entry.group == group and entry.content != content:
                 discard(entry.path)
@@ -87,23 +84,22 @@ class Staging:
     def close(self, build: Path, group: str, content: str) -> Path:
         """Rename a build, and return its new name.
 
-        A cluster repeats the task of a worker that dies, even after the run has ended. Such a task finds no
-        folder to write to from now on.
+        A cluster repeats the task of a worker that dies, even after the run has ended. Such a task then finds
+        no folder to write to.
         """
         closed = self.build(group, content)
         os.rename(build, closed)
         return closed
 
     def publish(self, build: Path, group: str) -> None:
-        """Put a finished group in its place; the old group stays there if that fails."""
+        """Move a finished group to its place; the old group stays there if that fails."""
         target = self._place(group)
         target.parent.mkdir(parents=True, exist_ok=True)
         old = None
         if not target.exists():
             os.rename(build, target)
         else:
-            # in one step, from a name that the next writer removes: if we are killed right after, the old
-            # group has that name
+            # in one step, from a name that the next writer removes: after a kill the old group has that name
             old, exchanged = _to_discard(self.folder), False
             inode = os.stat(build).st_ino
             os.rename(build, old)
@@ -130,7 +126,7 @@ class Staging:
             discard(old)
 
     def recover(self, wanted: Collection[str] = ()) -> None:
-        """Repair what a killed writer left, and keep builds of the groups ``wanted``.
+        """Repair the state that a killed writer left, and keep builds of the groups ``wanted``.
 
         Raises `StoreError`: the folder holds links, or names that lead out of the store.
         """
@@ -150,7 +146,7 @@ class Staging:
                     leftover.unlink(missing_ok=True)
 
     def _entries(self) -> list[_Entry]:
-        """Return the entries that writers named, sorted; links and names of no group are refused."""
+        """Return the entries with names of writers, sorted; links and invalid group names are refused."""
         try:
             paths = [] if self.folder.is_symlink() else sorted(self.folder.iterdir())
         except (FileNotFoundError, NotADirectoryError):
@@ -158,7 +154,11 @@ class Staging:
         entries = []
         for path in (self.folder, *paths):
             if path.is_symlink():
-                raise StoreError(f"{path} is a link, which no writer left there; look at it, then remove it")
+                raise StoreError(
+                    f"{path} is a link, which no writer left there",
+                    mend="look at it, then remove it",
+                    code="link-refused",
+                )
             match = _NAMES.fullmatch(path.name)
             if match is None:
                 continue
@@ -169,7 +169,9 @@ class Staging:
                 good = good or (clean_group(group) == group and _quoted(group) == name)
             if not good:
                 raise StoreError(
-                    f"{path} names no group, and no writer left it there; look at it, then remove it"
+                    f"{path} names no group, and no writer left it there",
+                    mend="look at it, then remove it",
+                    code="staging-foreign",
                 )
             entries.append(_Entry(path, path.name.partition("-")[0], group, match["content"] or ""))
         return entries
@@ -178,25 +180,27 @@ class Staging:
         return [entry for entry in self._entries() if entry.kind == "build"]
 
     def _place(self, group: str) -> Path:
-        """Return the place of a group; a link on the way is refused."""
+        """Return the place of a group; links along the path are refused."""
         place = self.store
         for part in group.split("/") if group else ():
             place = place / part
             if place.is_symlink():
-                raise StoreError(f"{place} is a link; a store holds plain files and folders")
+                raise StoreError(
+                    f"{place} is a link", expected="plain files and folders in a store", code="link-refused"
+                )
         return place
 
 
 def flight_content(codec: str) -> str:
-    """Return the name of the content of a group whose flight line is still being recorded."""
+    """Return the content name of a group whose flight line is still being recorded."""
     return f"flight_{codec}"
 
 
 def discard(build: Path) -> None:
-    """Remove a build, or a group that was replaced.
+    """Remove a build, or a replaced group.
 
-    It gets another name first. Tasks that dask still runs after the error of another one then find no folder
-    to write to, and nothing that is half removed has the name of something whole.
+    It is renamed first. Tasks that dask still runs after the error of another one then find no folder
+    to write to, and no half-removed folder has the name of a complete one.
     """
     discarded = _to_discard(build.parent)
     with contextlib.suppress(OSError):
@@ -217,17 +221,17 @@ def _quoted(group: str) -> str:
 
 @contextlib.contextmanager
 def locked(lock: Path, store: Path) -> Iterator[None]:
-    """Hold the lock of a store; its folder is made, and removed in the end if it is empty.
+    """Hold the lock of a store; its folder is created, and removed at the end if empty.
 
     `filelock.SoftFileLock` writes the process, its start and its host into the file, and takes over the lock
     of a process that has died; a file without such a record it takes over after 2 s without a change.
 
     Raises `StoreError`: another writer holds the lock, on this host or on one that cannot be asked; or the
-    lock or its folder belong to somebody else.
+    lock or its folder belong to another program.
     """
     import filelock
 
-    # not shared with another call in this process: two writers in two threads exclude each other as well
+    # not a singleton, so that two threads of this process exclude each other
     holder = filelock.SoftFileLock(lock, poll_interval=0.05, thread_local=False, is_singleton=False)
     for _ in range(_TRIES):
         _check_folder(lock, store)
@@ -248,11 +252,12 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
         raise StoreError(
             f"{store} is being written by process {process[:80]} on {host[:80]} since {since}",
             mend=f"wait for it to finish, or delete {lock} once you know that it has died",
+            code="store-locked",
         )
     mark = lock.with_name(_MARK)
     try:
         mark.write_bytes(_MARK_TEXT)
-        # a power failure would leave both empty: nobody could tell then whose they are, or that we have died
+        # a power failure would otherwise leave both empty, without owner and process
         for path in (lock, mark, lock.parent):
             sync(path)
         yield
@@ -266,13 +271,18 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
 
 
 def _check_folder(lock: Path, store: Path) -> None:
-    """Refuse a lock that no writer left, and a folder of somebody else.
+    """Refuse a lock that no writer left, and a folder of another program.
 
-    A folder is ours by its mark. A power failure may leave an empty mark or an empty lock, and nothing else.
+    The mark shows that a folder is ours. A power failure may leave an empty mark or an empty lock, nothing
+    else.
     """
     folder = lock.parent
     if folder.is_symlink():
-        raise StoreError(f"{folder} is a link, which no writer left there; look at it, then remove it")
+        raise StoreError(
+            f"{folder} is a link, which no writer left there",
+            mend="look at it, then remove it",
+            code="link-refused",
+        )
     try:
         there = {path.name: path.lstat() for path in folder.iterdir()}
     except (FileNotFoundError, NotADirectoryError):  # the writer before us removes it
@@ -285,12 +295,14 @@ def _check_folder(lock: Path, store: Path) -> None:
             f"{lock} is a link, a folder, a pipe or a file of {status.st_size} bytes",
             expected="the file that a writer leaves there",
             mend=f"delete it once no process writes {store}",
+            code="lock-foreign",
         )
     if there and text != _MARK_TEXT and (text != b"" or len(there) > 1):
         named = ", ".join(sorted(there)[:3]) + (" ..." if len(there) > 3 else "")
         raise StoreError(
             f"{folder} is not of hyperpaint, which builds there: it holds {named}",
             mend="move it away, or choose another path for the store; nothing in it was touched",
+            code="staging-foreign",
         )
     if status is not None and not status.st_size and time.time() - status.st_mtime > _EMPTY_AGE_S:
         lock.unlink(missing_ok=True)

@@ -1,8 +1,8 @@
-"""Compute maps in stages, so that the slabs that tiles share leave memory early.
+"""Compute maps in stages, so that slabs shared by tiles leave memory early.
 
 If one task makes several variables of a map, dask computes the variables one after another, and holds every
 slab of the flight line until the last. Here the tiles of one row (or column, of a map that is wider than
-high) are a stage. Results that a later stage needs are handed on, so that nothing is computed twice.
+high) are a stage. Results that a later stage needs are passed on, so that nothing is computed twice.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def in_stages(
 ) -> Iterator[tuple[Key, Any]]:
     """Yield wanted keys and their values, stage by stage.
 
-    ``get`` is a scheduler of dask; ``stage_of`` are the stages of the keys that are wanted.
+    ``get`` is a scheduler of dask; ``stage_of`` maps the wanted keys to their stages.
 
     Examples
     --------
@@ -49,13 +49,15 @@ def in_stages(
     by_stage: dict[int, list[Key]] = {}
     for key, stage in first.items():
         by_stage.setdefault(stage, []).append(key)
-    held: dict[Key, Any] = {}
+    carried: dict[Key, Any] = {}
     for stage in sorted(by_stage):
         tasks = by_stage[stage]
         wanted = [key for key in tasks if key in stage_of]
         later = [key for key in tasks if last[key] > stage]
-        values = get({key: graph[key] for key in tasks} | held, [*wanted, *later])
+        values = get({key: graph[key] for key in tasks} | carried, [*wanted, *later])
         yield from zip(wanted, values, strict=False)
-        held = {key: node for key, node in held.items() if last[key] > stage}
-        held |= {key: DataNode(key, value) for key, value in zip(later, values[len(wanted) :], strict=True)}
+        carried = {key: node for key, node in carried.items() if last[key] > stage}
+        carried |= {
+            key: DataNode(key, value) for key, value in zip(later, values[len(wanted) :], strict=True)
+        }
         del values

@@ -1,4 +1,4 @@
-"""`verify`: checks whether every chunk of a store is there, readable, and what was written."""
+"""`verify`: check that every chunk of a store is present, readable, and unchanged since it was written."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from hyperpaint.base.errors import StoreError
 
@@ -35,12 +37,12 @@ from .reader import (
     is_format_3,
     list_groups,
     place_of,
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
 class StoreReport:
-    """What `verify` found.
+    """Result of `verify`.
 
     Attributes
     ----------
@@ -49,11 +51,11 @@ class StoreReport:
     groups
         Groups that hold arrays.
     chunks
-        Number of chunks that were read.
+        Number of chunks read.
     problems
-        One line each; empty where all is well.
+        One line each, ending in its code; empty where all is well.
     notes
-        What could not be checked, and what others added.
+        Parts that could not be checked, and additions by other programs.
     resume
         Command that finishes an unfinished store; empty if unknown.
     """
@@ -72,8 +74,8 @@ class StoreReport:
 
     def __str__(self) -> str:
         state = counted(len(self.problems), "problem") if self.problems else "whole"
-        held = f"{counted(len(self.groups), 'group')}, {counted(self.chunks, 'chunk')}"
-        head = f"{self.path}: {held}, {state}"
+        counts = f"{counted(len(self.groups), 'group')}, {counted(self.chunks, 'chunk')}"
+        head = f"{self.path}: {counts}, {state}"
         return "\n  ".join([head, *self.problems, *(f"note: {note}" for note in self.notes)])
 
 
@@ -99,6 +101,8 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     ------
     StoreError
         There is no Zarr store; or it is a store object or a repository of icechunk, which icechunk checks.
+    MissingExtraError
+        The package for this kind of URL is not installed.
 
     Examples
     --------
@@ -117,6 +121,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
         raise StoreError(
             f"{location.url} is an icechunk repository, whose snapshots icechunk checks",
             expected="a Zarr store",
+            code="store-unreadable",
         )
     begin = _stamp(location)
     if is_format_3(location):
@@ -133,8 +138,12 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     try:
         manifest = Manifest.read(location) or Manifest()
     except StoreError:
-        manifest = Manifest()  # its state says so
-    problems += [f"/{name}: its metadata cannot be read" for name in nodes if nodes[name] == "unreadable"]
+        manifest = Manifest()  # reported by the state
+    problems += [
+        f"/{name}: its metadata cannot be read [metadata-damaged]"
+        for name in nodes
+        if nodes[name] == "unreadable"
+    ]
     problems += _metadata_problems(location, "", manifest.groups.get(""))
     if manifest.groups:
         problems += _listing_problems(location, nodes, manifest)
@@ -145,11 +154,11 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     chunks = 0
     for group in dict.fromkeys((*manifest.groups, *groups)):
         entry = manifest.groups.get(group)
-        # of a group that another write put there the state tells
+        # the state reports groups that another write published
         replaced = entry is not None and attributes_replaced(location, group, entry)
         content = content_of(location, group, manifest)
         current = entry is not None and entry.content == content
-        if not current and content in manifest.allowed(group):  # in place, its writer has not come to an end
+        if not current and content in manifest.allowed(group):  # published, but its writer has not finished
             try:
                 entry, current = entry_of(location, group), True
             except StoreError as error:
@@ -174,7 +183,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             except StoreError as error:
                 problems.append(f"/{where}: {error!s:.400}")
     if _stamp(location) != begin:
-        problems.insert(0, "/: was written to meanwhile; run verify again")
+        problems.insert(0, "/: was written to meanwhile; run verify again [store-locked]")
     return StoreReport(
         location.url,
         tuple(groups),
@@ -186,7 +195,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
 
 
 def _stamp(location: Location) -> bytes | None:
-    """Return what changes whenever a writer begins or ends."""
+    """Return the bytes of the manifest, which change whenever a writer begins or ends."""
     try:
         return location.read(MANIFEST_NODE, METADATA)
     except StoreError:
@@ -194,20 +203,21 @@ def _stamp(location: Location) -> bytes | None:
 
 
 def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Manifest) -> Iterator[str]:
-    """Yield how the root's list of all metadata differs from the manifest."""
+    """Yield differences between the root's list of all metadata and the manifest."""
     try:
         root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
     except StoreError:
-        return  # that the root's metadata are damaged has been said
+        return  # reported already
     head = root.get("consolidated_metadata")
     if not isinstance(head, dict) or not head.items() >= LISTED.items():
-        yield "/: the root has no list of all metadata; run the writer again"
+        yield "/: the root has no list of all metadata; run the writer again [listing-missing]"
         return
-    gone = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
-    yield from (f"/{name[:200]}: listed in the root's metadata but not there" for name in gone[:MAX_MESSAGES])
+    missing = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
+    for name in missing[:MAX_MESSAGES]:
+        yield f"/{name[:200]}: listed in the root's metadata but missing [listing-wrong]"
     wanted = {}
     for group, entry in manifest.groups.items():
-        # a writer that was killed has put another group in the place of this entry's
+        # a killed writer may have published another group under this name
         if not entry.content or content_of(location, group, manifest) == entry.content:
             if group and not attributes_replaced(location, group, entry):
                 wanted[group] = entry.metadata
@@ -217,58 +227,60 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
         plain = dict(document) if isinstance(document, dict) else {}
         below = plain.pop("consolidated_metadata", {**LISTED, "metadata": {}})
         if document_checksum(plain) != wanted[name] or below != {**LISTED, "metadata": {}}:
-            yield f"/{name}: metadata in the root's list of all metadata differ; run the writer again"
+            yield f"/{name}: the root's list of all metadata differs; run the writer again [listing-wrong]"
 
 
 def _metadata_problems(location: Location, group: str, entry: GroupEntry | None) -> Iterator[str]:
-    """Yield whether the metadata of a group cannot be read, or are not those of the manifest."""
+    """Yield the problems of a group's metadata: unreadable, missing, or different from the manifest."""
     try:
         document = location.metadata(group)
-        if entry is not None and document is None and not entry.content:  # of others the state tells
-            yield f"/{group}: its metadata are missing"
+        if entry is not None and document is None and not entry.content:  # others are reported by the state
+            yield f"/{group}: its metadata are missing [metadata-missing]"
         changed = [] if entry is None or document is None else changed_attributes(location, group, entry)
         if changed:
-            yield f"/{group}: attributes are not those that were written: {', '.join(changed)[:200]}"
+            named = ", ".join(changed)[:200]
+            yield f"/{group}: attributes differ from those written: {named} [attributes-changed]"
     except StoreError as error:
         yield f"/{group}: {error!s:.200}"
 
 
 def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> tuple[int, list[str]]:
-    """Return how many chunks of an array were read, and how they differ from its entry in the manifest."""
+    """Return the number of chunks of an array, and how they differ from its manifest entry."""
     where = joined(group, name)
     document = location.metadata(where)
     if document is None or document_checksum(document) != array.metadata:
-        state = "the array is missing" if document is None else "metadata are not those that were written"
+        state = "metadata differ from those written [metadata-changed]"
+        if document is None:
+            state = "the array is missing [array-missing]"
         return 0, [f"/{where}: {state}"]
     keys = chunk_keys(document, where)
     problems = [
-        f"/{where}/{stray}: not a chunk of this array"
+        f"/{where}/{stray}: not a chunk of this array [chunk-foreign]"
         for stray in sorted(location.files(where) - {*keys, METADATA, OLD_RECORD})[:MAX_MESSAGES]
     ]
 
     def end(key: str) -> bytes | str:
         encoded = location.read(where, key, limit=MAX_CHUNK_BYTES)
         if encoded is None:
-            return "the chunk is missing"
-        return "the chunk is damaged" if whole_chunk(encoded) is None else encoded[-4:]
+            return "the chunk is missing [chunk-missing]"
+        return "the chunk is damaged [chunk-damaged]" if whole_chunk(encoded) is None else encoded[-4:]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         ends = dict(zip(keys, pool.map(end, keys), strict=True))
     wrong = [f"/{where}/{key}: {state}" for key, state in ends.items() if isinstance(state, str)]
     if not wrong and chunk_digest(group, name, ends.items()) != array.digest:  # type: ignore[arg-type]
-        wrong = [f"/{where}: chunks are not those that were written: exchanged, stale or altered"]
+        wrong = [f"/{where}: chunks differ from those written: exchanged, stale or altered [chunk-changed]"]
     return len(keys), problems + wrong
 
 
 def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, list[str]]:
-    """Return how many chunks of an array that no manifest names were read, and which cannot be read."""
-    import numpy as np
+    """Return the number of chunks of an array without a manifest entry, and the unreadable ones."""
     import zarr
 
     try:
         array: Any = zarr.open_array(source, path=where, mode="r")
-    except Exception as error:  # zarr's own checks have classes of their own
-        return 0, [f"/{where}: {type(error).__name__}: {error!s:.200}"]
+    except Exception as error:  # zarr raises many classes of errors
+        return 0, [f"/{where}: {type(error).__name__}: {error!s:.200} [array-unreadable]"]
     check_arrays(location.url, {where: array})
 
     def state(index: tuple[int, ...]) -> str:
@@ -276,7 +288,8 @@ def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, lis
         try:
             np.asarray(array[place])
         except Exception as error:  # a damaged chunk may raise anything that a codec raises
-            return f"/{where}: chunk {index} cannot be read: {type(error).__name__}: {error!s:.200}"
+            cause = f"{type(error).__name__}: {error!s:.200}"
+            return f"/{where}: chunk {index} cannot be read: {cause} [chunk-damaged]"
         return ""
 
     positions = list(

@@ -1,12 +1,13 @@
 """`to_store` and `whole_run`: the one writer of Zarr stores.
 
-A group is built beside its store, flushed, and put in its place; the manifest comes last. `whole_run` writes
-the groups of a run, which is unfinished until all of them are there.
+A group is built beside its store, flushed, and moved to its place; the manifest is written last. `whole_run`
+writes the groups of a run, which is unfinished until all of them are in place.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import sys
@@ -15,7 +16,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
@@ -26,6 +30,7 @@ from .budget import check_memory, limited_threads, thread_space
 from .disk import check_disk, disk_needed, errors_of_the_system, flush_group
 from .groups import (
     VOLATILE_ATTRS,
+    check_above,
     ensure_groups,
     group_document,
     groups_above,
@@ -33,7 +38,6 @@ from .groups import (
     is_named_by_content,
     listed_documents,
     occupant,
-    problems_above,
     reads_from,
     set_attributes,
     stamped,
@@ -63,11 +67,8 @@ from .manifest import (
 )
 from .stage import Staging, clear_up, discard, flight_content, staging
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+# Called before a group is written, to move blocks written elsewhere to its build.
 TakeUp = Callable[[Staging, "Job"], None]
-"""Called before a group is written: hands over blocks of it that were written elsewhere."""
 
 
 @takes_quantities()
@@ -84,25 +85,25 @@ def to_store(
 ) -> Any:
     """Write a dataset, or a tree of them, into a Zarr v3 store.
 
-    Cubes are stored in chunks of 32 whole lines, everything with a checksum (blosc lz4 + shuffle, then
-    crc32c). `xarray.open_zarr(path, group=...)` opens the result as it went in: counts as uint16, reflectance
+    Cubes are stored in chunks of 32 whole lines, every chunk with a checksum (blosc lz4 + shuffle, then
+    crc32c). `xarray.open_zarr(path, group=...)` opens the result unchanged: counts as uint16, reflectance
     as float32, times to the nanosecond.
 
-    A group is built beside the store, in ``.partial-<store>``, and put in its place when it is whole; it
-    changes places with the one it replaces in one step where the system has such a step (Linux, most local
-    disks), else by two renames. Other groups are never touched. The store's manifest, which names every group
+    A group is built beside the store, in ``.partial-<store>``, and moved to its place when complete. It is
+    exchanged with the group it replaces in one step where the system can (Linux, most local
+    disks), else by two renames. Other groups are never touched. The store's manifest, which lists every group
     with checksums of its metadata and chunks, is written last. A run that is killed, or ends on a full disk,
-    leaves the store as it was. The next run with the same content takes up its finished blocks whose
-    checksums are right, and computes only the others. Every file and folder is flushed to the disk before the
-    group gets its place: after a power cut a group in its place is whole, as far as the disk keeps what it
-    has confirmed.
+    leaves the store unchanged. The next run with the same content keeps finished blocks with right
+    checksums, and computes only the others. Every file and folder is flushed to the disk before the
+    group is moved to its place: a group in its place survives a power cut, if the disk keeps the data it has
+    confirmed.
 
     Free disk and memory are checked before anything is written, without reading a value.
 
-    Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: there the group is written
-    in place and always from the start, its metadata and the manifest still come last, and the caller sees to
-    it that there is one writer. A store object of zarr, such as that of an icechunk session, gets the group
-    through xarray, in the same encoding but without a manifest: such stores have transactions of their own.
+    Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: the group is written in
+    place and always from the start, with its metadata and the manifest last, and the caller must ensure a
+    single writer. Into a store object of zarr, such as that of an icechunk session, xarray writes the group
+    in the same encoding but without a manifest: such stores have their own transactions.
 
     Parameters
     ----------
@@ -114,26 +115,26 @@ def to_store(
     group
         Group inside the store, such as ``"flightlines/raw_0"``; by default its root.
     overwrite
-        Replace groups that exist. Without it, a finished group of the same content is left alone (made again
-        where a chunk of it is missing), any other is refused. Damaged metadata of the groups above are
-        written anew too; whole groups stay.
+        Replace groups that exist. Without it, a finished group of the same content is kept (rewritten if
+        one of its chunks is missing), any other is refused. Damaged metadata of the groups above are
+        rewritten too; complete groups stay.
     progress
         Show a progress bar.
     source_token
-        Names the content: equal tokens, equal content. By default derived from the arrays: dask's names for
-        lazy ones, the values for others. What reads files lazily without dask, or a Zarr store other than by
-        `open_store`, has no name that follows its content: it is always written anew. Give a token there, or
-        where names do not follow the data, such as a digest of the files read and of the parameters.
+        Identifies the content: equal tokens, equal content. By default derived from the arrays: dask's names
+        of lazy ones, the values of others. Arrays read lazily without dask, or from a Zarr store not opened
+        by `open_store`, have no name that follows their content and are always rewritten. Pass a token for
+        them, or where names do not follow the data, such as a digest of the files and parameters.
     codec
         ``"compact"`` shuffles bits before lz4; ``"fast"`` shuffles bytes, which takes half the processor time
-        for a seventh (counts) to two fifths (rounded reflectance) more room. Values are the same, and so is
-        the content: what is there whole is not written again for another codec.
+        for a seventh (counts) to two fifths (rounded reflectance) more space. Values and content are equal:
+        a complete group is not rewritten for another codec.
     layout
         ``"cube"``: a chunk of a cube holds all bands, one task computes on one chunk. ``"explore"``: an
         eighth of the bands, so that a picture of one band reads an eighth of the cube; it has eight times the
         files, and plain `xarray.open_zarr` eight times the tasks (`open_store` one a slab). ``"web"``: all
         bands of 16 x 16 pixels, so that a spectrum reads some 100 kB, see `hyperpaint.report.write_site`.
-        What is there whole is not written again for another layout.
+        A complete group is not rewritten for another layout.
 
     Returns
     -------
@@ -145,7 +146,13 @@ def to_store(
     StoreError
         The group exists, is being written, feeds the data, or cannot be written; or names, dtypes or
         attributes cannot be stored; all problems of the call are listed. Or disk or memory would not suffice,
-        or ran out; the figure needed is given. The store is as it was.
+        or ran out; the figure needed is given. The store is unchanged.
+    IncompleteStoreError
+        The manifest of the store is damaged, or another process removed the group while it was written.
+    SchemaError
+        ``codec`` or ``layout`` is not one of the choices.
+    MissingExtraError
+        The package for this kind of URL is not installed.
 
     Examples
     --------
@@ -165,7 +172,17 @@ def to_store(
     contents = {job.group: job.content for job in jobs}
     datasets = {job.group: job.dataset for job in jobs}
     with errors_of_the_system(location, datasets):
-        _refuse_own_source(jobs, location)
+        # groups that are read must not be replaced
+        problems = Problems(f"cannot write {location.url}", StoreError)
+        for job, other in itertools.product(jobs, jobs):
+            if names := reads_from(job.dataset, location, other.group):
+                problems.add(
+                    f"group {'/' + other.group!r} would be overwritten while {', '.join(names)} "
+                    f"{'is' if len(names) == 1 else 'are'} read from it",
+                    mend="write to another group or path, or .load() the dataset first",
+                    code="source-overwritten",
+                )
+        problems.raise_if_any()
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
         if not pending and _is_done(location, contents, attrs):
             if location.local is not None:
@@ -181,8 +198,6 @@ def to_store(
 
 @dataclass(frozen=True)
 class Job:
-    """One group to write."""
-
     group: str
     dataset: xr.Dataset  # As `layout.prepare` returns it
     token: str  # Names all that is stored: equal tokens, equal content
@@ -191,12 +206,12 @@ class Job:
 
     @property
     def content(self) -> str:
-        """What the manifest names: the group's path, its inputs or values, and the settings of its run."""
+        """Content in the manifest: the group's path, its inputs or values, and the run's settings."""
         return content_text(self.group, str(self.dataset.attrs.get(INPUTS) or self.token), self.settings)
 
     @property
     def build(self) -> str:
-        """Names what is built: by one version of the program, with one codec, in one layout."""
+        """Name of the build, which depends on the version of the program, codec and layout too."""
         from dask.base import tokenize
 
         layouts = sorted(set(layout.layouts_of(self.dataset).values()))
@@ -207,7 +222,7 @@ class Job:
 
 
 class _StoreWriter:
-    """Puts groups in their places one by one, then writes the manifest; made by `_writer`."""
+    """Publishes groups one by one, then writes the manifest; created by `_writer`."""
 
     def __init__(
         self,
@@ -220,16 +235,16 @@ class _StoreWriter:
     ) -> None:
         self._location, self.stage, self._manifest, self._write = location, stage, manifest, write
         self._attrs, self._pending = attrs, pending
-        self._documents: dict[str, Any] = {}  # Metadata of what was written, by path
+        self._documents: dict[str, Any] = {}  # Metadata of written nodes, by path
         self._entries: dict[str, GroupEntry] = {}
         self._ensured: set[str] = set()
         self._announced = False
 
     def begin(self, job: Job, *, progress: bool = False) -> Callable[[], None]:
-        """Write a group's arrays; return what puts it in its place.
+        """Write a group's arrays; return the function that publishes the group.
 
-        Another thread may do that while the next group begins, for one group at a time. Nothing is done where
-        the group is there.
+        Another thread may call that while the next group begins, for one group at a time. Nothing is done
+        where the group exists.
         """
         if job.group not in self._pending:
             return lambda: None
@@ -256,16 +271,16 @@ class _StoreWriter:
 
         def put_in_place() -> None:
             with _discarded_unless_mendable(folder):
-                # from here on a task that a cluster repeats finds no folder to write to
+                # tasks that a cluster repeats from now on find no folder to write to
                 closed = stage.close(folder, job.group, job.build)
             with _discarded_unless_mendable(closed):
-                for hidden in closed.rglob(".*"):  # of tasks that died while they wrote
+                for hidden in closed.rglob(".*"):  # left by tasks that died while writing
                     hidden.unlink(missing_ok=True)
                 root = self._note(job, files, sums)
                 place = Location.of(closed)
-                if not job.group:  # with its manifest, so that it is whole in one step
-                    own = {name: doc for name, doc in self._documents.items() if name}
-                    root = with_listed(root, own)
+                if not job.group:  # published with its manifest in one step
+                    documents = {name: doc for name, doc in self._documents.items() if name}
+                    root = with_listed(root, documents)
                     writes = (self._write,) if len(self._write.contents) > 1 else ()
                     replace(self._manifest, groups={"": self._entries[""]}, writes=writes).write(place)
                 place.write_files({METADATA: json.dumps(root).encode()})
@@ -282,13 +297,13 @@ class _StoreWriter:
     def _note(
         self, job: Job, files: dict[str, bytes], sums: Mapping[str, Mapping[str, bytes]]
     ) -> dict[str, Any]:
-        """Keep a group's metadata and its entry of the manifest; return the group's own metadata."""
+        """Record a group's metadata and its manifest entry; return the group's root metadata."""
         documents = {
             key.removesuffix(METADATA).rstrip("/"): json.loads(raw)
             for key, raw in files.items()
             if key.rpartition("/")[2] == METADATA
         }
-        own = documents.pop("")
+        root = documents.pop("")
         arrays = {
             name: ArrayEntry(
                 document_checksum(document),
@@ -297,16 +312,16 @@ class _StoreWriter:
             )
             for name, document in documents.items()
         }
-        own["attributes"][SEAL] = seal_of(arrays)
+        root["attributes"][SEAL] = seal_of(arrays)
         self._entries[job.group] = GroupEntry(
-            job.content, document_checksum(own), arrays, own["attributes"] if arrays else {}
+            job.content, document_checksum(root), arrays, root["attributes"] if arrays else {}
         )
         self._documents |= {joined(job.group, name): document for name, document in documents.items()}
-        self._documents[job.group] = own
-        return dict(own)
+        self._documents[job.group] = root
+        return dict(root)
 
     def announce(self, group: str) -> None:
-        """Make the groups above, and before the first group gets its place note all that is to be written."""
+        """Create the groups above; before the first group is published, record all that are to be written."""
         if not self._announced:
             replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
             self._announced = True
@@ -317,7 +332,7 @@ class _StoreWriter:
     def finish(self) -> None:
         """List all metadata in the root, and write the manifest.
 
-        Raises `IncompleteStoreError`: a group is lacking, of this run or of another that was begun.
+        Raises `IncompleteStoreError`: a group of this run, or of another unfinished one, is missing.
         """
         location, manifest = self._location, self._manifest
         listed = listed_documents(location)
@@ -329,7 +344,7 @@ class _StoreWriter:
         ensure_groups(around, location)
         for group, wanted in self._attrs.items():
             set_attributes(group, wanted, location)
-        # entries: of what was written, of what was there, and of groups around others
+        # entries of written groups, of existing ones, and of groups around others
         entries = dict(self._entries)
         for name in there:
             old = manifest.groups.get(name)
@@ -341,9 +356,11 @@ class _StoreWriter:
         for name in dict.fromkeys((*around, *self._attrs)):
             if name not in entries:
                 document = self._documents[name] = location.metadata(name) or {}
-                kept = manifest.groups.get(name, GroupEntry("", 0, {}))
-                # a root with arrays stays what was written, whatever others added to its attributes
-                entries[name] = kept if kept.arrays else kept._replace(metadata=document_checksum(document))
+                previous = manifest.groups.get(name, GroupEntry("", 0, {}))
+                # attributes added to a root with arrays do not change its entry
+                entries[name] = (
+                    previous if previous.arrays else previous._replace(metadata=document_checksum(document))
+                )
         groups = {**manifest.groups, **entries}
         # the list of all metadata: of other groups as they were listed, where these are still there
         documents = dict(self._documents)
@@ -354,12 +371,12 @@ class _StoreWriter:
         }
         for name, document in listed.items():
             plain = {key: value for key, value in document.items() if key != "consolidated_metadata"}
-            known = name not in recorded or recorded[name] == document_checksum(plain)
-            if name not in documents and known and location.has(name, METADATA):
+            is_current = name not in recorded or recorded[name] == document_checksum(plain)
+            if name not in documents and is_current and location.has(name, METADATA):
                 documents[name] = plain
         for name in recorded:
             if name not in documents:
-                with contextlib.suppress(IncompleteStoreError):  # damaged: verify says so
+                with contextlib.suppress(IncompleteStoreError):  # damaged: reported by verify
                     documents |= {name: node} if (node := location.metadata(name)) is not None else {}
         root = documents.pop("", None) or group_document(stamped({}, "created"))
         location.write_json(with_listed(root, documents), METADATA)
@@ -369,15 +386,24 @@ class _StoreWriter:
         if lacking or (self._write.command and writes):
             check_state(location)
         if lacking:
-            gone = sorted(set(self._write.contents) - set(there))
-            raise IncompleteStoreError(f"{location.url}: somebody removed /{gone[0]} while it was written")
+            missing = sorted(set(self._write.contents) - set(there))
+            raise IncompleteStoreError(
+                f"{location.url}: another process removed /{missing[0]} while it was written",
+                mend="run the writer again",
+                code="group-removed",
+            )
 
 
 @contextlib.contextmanager
 def _writer(
-    location: Location, contents: Mapping[str, str], pending: list[str], attrs: Mapping[str, Any], *,
-    command: str = "", overwrite: bool = False,
-) -> Iterator[_StoreWriter]:  # fmt: skip
+    location: Location,
+    contents: Mapping[str, str],
+    pending: list[str],
+    attrs: Mapping[str, Any],
+    *,
+    command: str = "",
+    overwrite: bool = False,
+) -> Iterator[_StoreWriter]:
     """Open a store as its only writer.
 
     ``contents``: all groups of this write; ``pending``: those still to be written, whose finished blocks are
@@ -389,7 +415,7 @@ def _writer(
         if location.local is not None:
             location.local.parent.mkdir(parents=True, exist_ok=True)
             stage = stack.enter_context(staging(real_folder(location.local), pending))
-        # what another writer finished while we waited counts
+        # another writer may have finished groups while we waited
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
         manifest = Manifest.read(location, ignore_damage=overwrite)
         # a new store, or a lost manifest: groups whose content names their own path are kept
@@ -415,7 +441,7 @@ def _writer(
 
 
 def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str, Any]) -> bool:
-    """Return whether a store holds groups whose files are all there, and nothing is left to do."""
+    """Return whether the manifest and the root list all these groups, with nothing left to do."""
     manifest = Manifest.read(location, ignore_damage=True)
     if manifest is None or any(set(write.contents) & set(contents) for write in manifest.writes):
         return False
@@ -425,16 +451,12 @@ def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str
     if not (named and all(has_attributes(group, wanted, location) for group, wanted in attrs.items())):
         return False
     listed = listed_documents(location)
-    return all(
-        joined(name, array) in listed
-        for name in contents
-        for array in manifest.groups[name].arrays
-    )  # fmt: skip
+    return all(joined(name, array) in listed for name in contents for array in manifest.groups[name].arrays)
 
 
 @contextlib.contextmanager
 def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
-    """Remove what was built where the same run would end with the same error."""
+    """Remove builds after an error that would recur in the same run."""
     try:
         yield
     except BaseException as error:
@@ -448,10 +470,10 @@ def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
 
 
 class WholeRun:
-    """Writes the groups of a run, each of which was named when it began; made by `whole_run`.
+    """Writes the groups of a run, all named at its start; created by `whole_run`.
 
-    A group gets its place while the next is written: in one thread, one at a time. Each goes the same way as
-    alone, and groups share no file: a killed run leaves at most two that are begun.
+    A group is published while the next is written, in one thread, one at a time. Groups share no file: a
+    killed run leaves at most two unfinished.
     """
 
     def __init__(
@@ -463,12 +485,14 @@ class WholeRun:
         self._placed: dict[str, xr.Dataset] = {}
 
     def write(self, group: str, dataset: xr.Dataset, *, progress: bool = False) -> None:
-        """Write a group; it gets its place while the next is written, see `settle`.
+        """Write a group; it is published while the next is written, see `settle`.
 
-        Bars go to stderr, so that stdout holds results only.
+        Progress bars go to stderr, so that stdout holds results only.
         """
         assert self._writer is not None  # a run without pending groups writes none
-        if self._placing is None or self._placing.done():  # an error is raised before this one takes its time
+        if (
+            self._placing is None or self._placing.done()
+        ):  # raise an earlier error before computing this group
             self.settle()
         settings = str(dataset.attrs.get(SETTINGS, ""))
         token = _token(dataset, str(dataset.attrs.get(INPUTS)))
@@ -480,26 +504,26 @@ class WholeRun:
             place = self._writer.begin(job, progress=progress)
         self.settle()
         self._placed = {group: dataset}
-        if thread_space():  # a thread would take the room of one that computes
+        if thread_space():  # a thread would take the memory of a computing one
             with errors_of_the_system(self._location, self._placed):
                 place()
         else:
             self._placing = self._pool.submit(place)
 
     def settle(self) -> None:
-        """Wait until every group is in its place; what went wrong with one is raised."""
+        """Wait until every group is published; raise the error of one that failed."""
         with errors_of_the_system(self._location, self._placed):
             if self._placing is not None:
                 self._placing.result()
                 self._placing = None
 
     def close(self) -> None:
-        """Wait for the group that is being put in place, then stop the thread; also after Ctrl-C."""
+        """Wait for the group that is being published, then stop the thread; also after Ctrl-C."""
         ending, interruption = sys.exc_info()[1], None
         while self._placing is not None and not self._placing.done():
             try:
                 wait([self._placing])
-            except BaseException as error:  # Ctrl-C: the lock must not be released under it
+            except BaseException as error:  # Ctrl-C: keep the lock until the group is published
                 interruption = error
         self._pool.shutdown()
         failure = None if self._placing is None else self._placing.exception()
@@ -511,17 +535,24 @@ class WholeRun:
 
 @contextlib.contextmanager
 def whole_run(
-    path: Path, contents: Mapping[str, str], pending: Mapping[str, xr.Dataset], attrs: Mapping[Any, Any], *,
-    command: str, overwrite: bool, codec: layout.Codec = "compact", take_up: TakeUp | None = None,
-) -> Iterator[WholeRun]:  # fmt: skip
-    """Hold a store for a run, and write its manifest when that ends well; nothing is done where all is there.
+    path: Path,
+    contents: Mapping[str, str],
+    pending: Mapping[str, xr.Dataset],
+    attrs: Mapping[Any, Any],
+    *,
+    command: str,
+    overwrite: bool,
+    codec: layout.Codec = "compact",
+    take_up: TakeUp | None = None,
+) -> Iterator[WholeRun]:
+    """Hold a store for a run, and write its manifest if the run succeeds; a complete store is left unchanged.
 
     ``contents``: of every group of the run, see `run_contents`; ``pending``: those that it will write;
     ``attrs``: of the root; ``command``: finishes an interrupted run, with ``{store}`` for the path;
     ``codec``: of `to_store`; ``take_up``: see `TakeUp`.
 
     Raises `StoreError`: another writer is at work, or the store cannot be written. `IncompleteStoreError`:
-    groups are lacking at the end, of this run or of another that was begun.
+    groups of this run, or of another unfinished one, are missing at the end.
     """
     location = Location.of(path)
     root = {"": dict(attrs)}
@@ -534,7 +565,7 @@ def whole_run(
                 writer = stack.enter_context(
                     _writer(location, contents, list(pending), root, command=command, overwrite=overwrite)
                 )
-                if len(pending) > 1 and not location.has(METADATA):  # verify then says how to go on
+                if len(pending) > 1 and not location.has(METADATA):  # so that verify tells how to resume
                     writer.announce(next(iter(contents)))
         run = WholeRun(writer, location, codec, take_up)
         with contextlib.closing(run):
@@ -559,13 +590,11 @@ def run_contents(groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
 def _write_arrays(
     job: Job, place: Location, leftovers: list[Path], *, progress: bool
 ) -> tuple[dict[str, bytes], dict[str, dict[str, bytes]]]:
-    """Write the arrays of a group, but for chunks that a leftover has.
+    """Write the arrays of a group, except chunks that a leftover has.
 
-    Return the files that xarray made, of which the group's own metadata are not yet written, and of each
-    array the crc32c that ends each chunk, by key.
+    Return the files that xarray made, of which the group's own metadata are not yet written, and for each
+    array the crc32c of each chunk, by key.
     """
-    import numpy as np
-
     dataset = job.dataset.copy(deep=False)
     dataset.attrs = {**stamped(job.dataset.attrs, "to_store"), CONTENT: job.content}
     variables = {str(name): variable for name, variable in dataset.variables.items()}
@@ -590,24 +619,20 @@ def _write_arrays(
     sums = {}
     for name in variables:
         if name in computed:
-            found = computed[name]
             sums[name] = {
-                targets[name].key(index): int(found[index]).to_bytes(4, "little")
-                for index in np.ndindex(found.shape)
+                targets[name].key(index): int(value).to_bytes(4, "little")
+                for index, value in np.ndenumerate(computed[name])
             }
         else:
             prefix = f"{name}/"
             keys = [key for key in files if key.startswith(prefix) and not key.endswith(METADATA)]
-            sums[name] = {key.removeprefix(prefix): files[key][-4:] for key in sorted(keys, key=_in_order)}
+            keys.sort(key=lambda key: [int(part) for part in key.split("/") if part.isdigit()])  # C order
+            sums[name] = {key.removeprefix(prefix): files[key][-4:] for key in keys}
     return files, sums
 
 
-def _in_order(key: str) -> list[int]:
-    return [int(part) for part in key.split("/") if part.isdigit()]
-
-
 def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, bytes]:
-    """Return the files of a group as zarr keeps them in memory: metadata, and values not streamed.
+    """Return the files of a group, as zarr makes them in memory: metadata, and values not streamed.
 
     On a disk each of some hundred small files would wait for zarr's threads.
     """
@@ -625,19 +650,22 @@ def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.C
 def _write_to_store_object(
     store: Any, jobs: list[Job], attrs: Mapping[str, Mapping[str, Any]], *, overwrite: bool
 ) -> None:
-    """Write groups through xarray into a store object of zarr."""
     import zarr
 
-    try:
-        held = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
-    except Exception:  # a new store; each kind has its own
-        held = []
+    groups: list[str] = []
+    with contextlib.suppress(Exception):  # a new store; each kind raises its own error
+        groups = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
     problems = Problems(f"cannot write {store}", StoreError)
     for job in jobs:
         if names := reads_from(job.dataset, store, job.group):
-            problems.add(f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read")
-        if not job.group and held and overwrite:
-            problems.add(f"its root holds groups, which would be lost: {', '.join(held[:5])}")
+            problems.add(
+                f"group {'/' + job.group!r} would be overwritten while {', '.join(names)} are read",
+                code="source-overwritten",
+            )
+        if not job.group and groups and overwrite:
+            problems.add(
+                f"its root holds groups, which would be lost: {', '.join(groups[:5])}", code="group-occupied"
+            )
     problems.raise_if_any()
     try:
         for group, wanted in attrs.items():
@@ -648,19 +676,22 @@ def _write_to_store_object(
             options: Any = {"consolidated": False, "mode": "w" if overwrite else "w-"}
             dataset.to_zarr(store, group=job.group or None, encoding=encoding, zarr_format=3, **options)
     except FileExistsError as error:  # zarr's ContainsGroupError is one
-        raise StoreError(f"{store}: {error}", mend="pass overwrite=True to replace it") from error
+        raise StoreError(
+            f"{store}: {error}", mend="pass overwrite=True to replace it", code="store-exists"
+        ) from error
     except Exception as error:  # zarr and each kind of store have their own
         raise StoreError(
             f"{store} cannot be written: {type(error).__name__}: {error!s:.200}",
             expected="a folder, a URL, or a writable store object of zarr, as icechunk's session.store",
+            code="store-unwritable",
         ) from error
 
 
-# --- what is to be written ---------------------------------------------------------------------------------
+# --- groups to be written ----------------------------------------------------------------------------------
 
 
 def real_folder(local: Path) -> Path:
-    """Return the folder itself, where a link leads to it: what is renamed must lie on one disk."""
+    """Return the folder with links resolved: renames must stay on one disk."""
     return Path(os.path.realpath(local))
 
 
@@ -668,8 +699,6 @@ def _plan(
     data: xr.Dataset | xr.DataTree, group: str, source_token: str | None, form: tuple[layout.Codec, Layout]
 ) -> tuple[list[Job], dict[str, dict[str, Any]]]:
     """Return the groups to write, and the attributes of groups without variables."""
-    import xarray as xr
-
     is_tree = not isinstance(data, xr.Dataset)
     if isinstance(data, xr.Dataset):
         nodes = {group: data}
@@ -682,8 +711,12 @@ def _plan(
     jobs, attrs = [], {}
     for name, node in nodes.items():
         if "coarse_reflectance" in node.variables and not has_own_means(node):
-            node = node.drop_vars("coarse_reflectance")  # of reflectance as it was before
-        dataset = layout.with_layout(_without_foreign_inputs(node, source_token), form[1])
+            node = node.drop_vars("coarse_reflectance")  # computed from earlier reflectance
+        # inputs inherited from another group
+        if INPUTS in node.attrs and (source_token is None or node.attrs[INPUTS] != source_token):
+            node = node.copy(deep=False)
+            del node.attrs[INPUTS]
+        dataset = layout.with_layout(node, form[1])
         prepared = layout.prepare(dataset, clean_group(name))
         if is_tree and not dataset.variables:
             attrs[name] = {key: value for key, value in prepared.attrs.items() if key not in OWN_ATTRS}
@@ -693,18 +726,8 @@ def _plan(
 
 
 def check_codec(codec: str) -> None:
-    """Refuse a word that is no codec (`SchemaError`)."""
     if codec not in get_args(layout.Codec):
-        raise SchemaError(f"codec={codec!r}, expected 'compact' or 'fast'")
-
-
-def _without_foreign_inputs(dataset: xr.Dataset, source_token: str | None) -> xr.Dataset:
-    """Return the dataset without an `INPUTS` attribute that it inherited from another group."""
-    if INPUTS not in dataset.attrs or (source_token is not None and dataset.attrs[INPUTS] == source_token):
-        return dataset
-    unmarked = dataset.copy(deep=False)
-    del unmarked.attrs[INPUTS]
-    return unmarked
+        raise SchemaError(f"codec={codec!r}", expected="'compact' or 'fast'", code="choice-unknown")
 
 
 def _token(dataset: xr.Dataset, source_token: str | None) -> str:
@@ -723,70 +746,64 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 
 
 def _content(variable: xr.Variable) -> Any:
-    """Return what stands for a variable's values."""
+    """Return a stand-in for a variable's values that changes with them."""
     if layout.is_at_hand(variable) and is_named_by_content(variable):
-        # dask names texts by what joins them
+        # dask's names of text arrays are ambiguous
         is_text = variable.dtype.kind in "OT" and variable._in_memory
         return json.dumps(variable.values.tolist(), default=str) if is_text else variable.data
     if variable.size == 1:
         return variable.values
-    # a lazy array does not say what its file holds, and would be read whole to find out; what dask calls it
-    # stays the same when a Zarr store is rewritten
+    # the content of a lazy file-backed array is unknown without reading it, and its dask name stays the same
+    # when a Zarr store is rewritten
     return uuid.uuid4().hex
-
-
-def _refuse_own_source(jobs: list[Job], location: Location) -> None:
-    """Refuse groups that are read from what this call replaces: they would be read when it is gone."""
-    problems = Problems(f"cannot write {location.url}", StoreError)
-    for job in jobs:
-        for other in jobs:
-            if names := reads_from(job.dataset, location, other.group):
-                problems.add(
-                    f"group {'/' + other.group!r} would be overwritten while {', '.join(names)} "
-                    f"{'is' if len(names) == 1 else 'are'} read from it; "
-                    "write to another group or path, or .load() the dataset first"
-                )
-    problems.raise_if_any()
 
 
 def pending_groups(
     contents: Mapping[str, str], location: Location, *, overwrite: bool, around: Iterable[str] = ()
 ) -> list[str]:
-    """Return the groups that are not there yet, of those ``contents``; refuse what would touch others.
+    """Return the groups of ``contents`` still to be written; refuse those that would damage others.
 
     ``around``: groups without arrays that are written too.
     """
     problems = Problems(f"cannot write {location.url}", StoreError)
     above = dict.fromkeys(each for name in (*contents, *around) for each in groups_above(name))
-    for text in problems_above(above, location, overwrite=overwrite):
-        problems.add(text)
-    manifest = None
+    check_above(above, location, problems, overwrite=overwrite)
     try:
-        manifest = Manifest.read(location)
+        manifest = Manifest.read(location, ignore_damage=overwrite)
     except IncompleteStoreError as error:
-        if not overwrite:
-            problems.add_error(location.url, error)
-    pending = []
-    there = location.has("")
-    lost = store_state(location).problems if manifest is None and there and not len(problems) else ()
+        problems.add_error(location.url, error)
+        manifest = None
+    pending, there = [], location.has("")
+    lost = store_state(location).faults if manifest is None and there and not len(problems) else ()
     if lost and not overwrite:
-        problems.add(lost[0], mend="pass overwrite=True to make it again", option="pass --overwrite")
+        problems.add(
+            lost[0].found,
+            mend="pass overwrite=True to make it again",
+            option="pass --overwrite",
+            code=lost[0].code,
+        )
     for group, content in contents.items():
         state = occupant(group, content, location, manifest) if there else ""
         if state == "same":
             continue
         if state == "parent":
             problems.add(
-                f"group {'/' + group!r} holds other groups, or files and folders that are none of its "
-                "arrays, which would be lost; choose another group, or move them away first"
+                f"group {'/' + group!r} holds other groups, files or folders, which would be lost",
+                mend="choose another group, or move them away first",
+                code="group-occupied",
             )
         elif state == "array":
-            problems.add(f"{'/' + group!r} or a group above it is an array; choose another group")
+            problems.add(
+                f"{'/' + group!r} or a group above it is an array",
+                mend="choose another group",
+                code="group-occupied",
+            )
         elif state not in ("", "lacks chunks") and not overwrite:
             problems.add(
                 f"group {'/' + group!r} exists, {state}",
                 mend="pass overwrite=True to replace it",
                 option="pass --overwrite to replace it",
+                code="store-exists",
             )
         pending.append(group)
     problems.raise_if_any()
@@ -799,9 +816,9 @@ def check_room(
     tokens: Mapping[str, str],
     codec: layout.Codec = "compact",
 ) -> None:
-    """Refuse groups (name to what `to_store` will be given) that together do not fit on a store's disk.
+    """Refuse groups (name to dataset for `to_store`) that together do not fit on a store's disk.
 
-    ``tokens`` are their source tokens; the error gives the figures.
+    ``tokens``: their source tokens.
     """
     jobs = [
         Job(name, dataset, _token(dataset, tokens[name]), codec=codec) for name, dataset in groups.items()
@@ -823,9 +840,9 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:
-    """Refuse what disk or memory will not hold; return how many threads it may take, None for any."""
+    """Refuse groups that exceed disk or memory; return the number of threads that fit, None for any."""
     _check_disk(jobs, location)
     if computing.client_in_force() is not None:
-        return None  # the memory is that of the workers
+        return None  # the workers have their own memory
     threads = [check_memory(job.dataset, f"group {'/' + job.group!r}") for job in jobs]
     return min((count for count in threads if count is not None), default=None)

@@ -144,7 +144,7 @@ def _resize(header: Path, change: int) -> None:
 def test_any_wrong_size_is_refused(tmp_path: Path, interleave: str, change: int) -> None:
     header = write_cube(tmp_path / "toy", toy("u2"), interleave=interleave, offset=3)  # 160 bytes a line
     _resize(header, change)
-    with pytest.raises(FormatError, match=f"found {803 + change} bytes, expected 803") as caught:
+    with pytest.raises(FormatError, match="file-size") as caught:
         open_envi(header)
     whole = (800 + change) // 160
     said = f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
@@ -152,7 +152,7 @@ def test_any_wrong_size_is_refused(tmp_path: Path, interleave: str, change: int)
     assert (said in str(caught.value)) == possible
     assert ("whole lines" in str(caught.value)) == (interleave != "bsq")
     if not possible:
-        with pytest.raises(FormatError, match="does not fit its header"):
+        with pytest.raises(FormatError, match="file-size"):
             open_envi(header, keep_whole_lines=True)
 
 
@@ -161,7 +161,7 @@ def test_any_wrong_size_is_refused(tmp_path: Path, interleave: str, change: int)
 def test_whole_lines_are_kept_on_request(tmp_path: Path, interleave: str, change: int, lines: int) -> None:
     header = write_cube(tmp_path / "toy", toy("u2"), interleave=interleave)
     _resize(header, change)
-    with pytest.warns(PaintWarning, match=f"{lines} whole lines are kept where the header says 5"):
+    with pytest.warns(PaintWarning, match="header-doubtful"):
         line = xr.open_dataset(header, engine=EnviBackendEntrypoint, keep_whole_lines=True)
     assert line.sizes["along_track"] == lines
     assert line.attrs["lines_declared"] == 5
@@ -189,7 +189,7 @@ def test_declared_sizes_allocate_nothing(tmp_path: Path, changed: str) -> None:
     key = changed.split(" =")[0]
     kept = [text for text in header.read_text().splitlines() if not text.startswith(key)]
     header.write_text("\n".join([*kept, changed]))
-    with pytest.raises(FormatError, match=r"expected [0-9]+ \("):
+    with pytest.raises(FormatError, match="file-size"):
         open_envi(header)
 
 
@@ -208,7 +208,7 @@ def test_file_cut_after_opening_is_noticed(tmp_path: Path) -> None:
     header = write_cube(tmp_path / "toy", toy("u2"))
     line = open_envi(header)
     _resize(header, -10)
-    with pytest.raises(FormatError, match=r"790 bytes of .* expected 800 bytes"):
+    with pytest.raises(FormatError, match="file-changed"):
         line["values"].load()
 
 
@@ -220,7 +220,7 @@ def test_file_rewritten_at_the_same_length_is_noticed(tmp_path: Path) -> None:
     before = data.stat()
     data.write_bytes(bytes(before.st_size))
     os.utime(data, ns=(before.st_atime_ns, before.st_mtime_ns + 1))
-    with pytest.raises(FormatError, match=r"has changed since it was opened.*open it again"):
+    with pytest.raises(FormatError, match="file-changed"):
         line["values"].isel(along_track=3).load()
 
 
@@ -228,7 +228,7 @@ def test_file_cut_while_it_is_read_is_noticed(tmp_path: Path, monkeypatch: pytes
     header = write_cube(tmp_path / "toy", toy("u2"))
     line = open_envi(header)
     monkeypatch.setattr(EnviArray, "_refuse_changed", lambda *_: _resize(header, -10))
-    with pytest.raises(FormatError, match="10 bytes early"):
+    with pytest.raises(FormatError, match="file-truncated"):
         line["values"].load()
 
 

@@ -326,7 +326,7 @@ def test_long_list_takes_little_memory(tmp_path: Path) -> None:
     path = tmp_path / "bomb.hdr"
     path.write_text(header_text("wavelength = {" + "4," * (_MEGABYTE // 4) + "}"))
     tracemalloc.start()
-    with pytest.raises(FormatError, match=f"{_MEGABYTE // 4} values for 3 bands") as caught:
+    with pytest.raises(FormatError, match="length-mismatch") as caught:
         read_header(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

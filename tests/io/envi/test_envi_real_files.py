@@ -28,7 +28,7 @@ def test_real_headwall_dark_reference(shared_data: Path) -> None:
 
 @pytest.mark.real_data
 def test_real_cube_without_byte_order(shared_data: Path) -> None:
-    with pytest.warns(PaintWarning, match="corn-kernel.*little-endian"):
+    with pytest.warns(PaintWarning, match="header-doubtful"):
         counts = open_envi(shared_data / "envi_cube/corn-kernel-hyperspectral.hdr", quantity="counts").counts
     assert counts.shape == (31, 580, 43)
     assert (int(counts.min()), int(counts.max())) == (0, 2887)

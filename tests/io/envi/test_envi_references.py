@@ -89,11 +89,11 @@ def test_the_parser_serves_virtualizarr(tmp_path: Path, registry: Any) -> None:
 def test_the_parser_refuses_what_would_be_read_wrongly(tmp_path: Path, registry: Any) -> None:
     _cube(tmp_path, "bil", 12, "<u2", 0)
     url = f"file://{tmp_path}/raw_0"
-    with pytest.raises(FormatError, match="40 lines in chunks of 32, expected a divisor"):
+    with pytest.raises(FormatError, match="length-mismatch"):
         EnviParser(lines=32)(url, registry)
     (tmp_path / "raw_0").write_bytes(bytes(1198))
-    with pytest.raises(FormatError, match="1198 bytes, expected 1200 by its header"):
+    with pytest.raises(FormatError, match="file-size"):
         EnviParser()(url, registry)
     (tmp_path / "raw_0.hdr").write_text("ENVI\nsamples = 5\n")
-    with pytest.raises(FormatError, match="'lines' is missing"):
+    with pytest.raises(FormatError, match="key-missing"):
         EnviParser()(url, registry)

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, TimeError
 from hyperpaint.io.envi.envi_cubes import open_envi
-from hyperpaint.io.files.text_tables import MOST_ROWS, read_table
+from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, read_table
 from hyperpaint.io.flightline.headwall import (
     FrameIndex,
     exposure_seconds,
@@ -259,6 +259,6 @@ def test_the_real_headwall_dark_cube(shared_data: Path) -> None:
 
 def test_a_record_of_too_many_rows_has_a_mend(tmp_path: Path) -> None:
     path = tmp_path / "frameIndex_0.txt"
-    path.write_bytes(b"Frame#\tTimestamp\n" + b"\n" * MOST_ROWS)
+    path.write_bytes(b"Frame#\tTimestamp\n" + b"\n" * MAX_TABLE_ROWS)
     with pytest.raises(FormatError, match="at most 2000000"):
         read_table(path, "frame index", needs=["frame#"])

@@ -116,7 +116,7 @@ def test_reflectance_as_integers(tmp_path: Path) -> None:
     expected = np.where(np.isnan(cube), 65535, np.clip(np.round(cube * np.float32(1e4)), 0, 65534))
     np.testing.assert_array_equal(stored, expected.astype(np.uint16))
     np.testing.assert_allclose(open_envi(header)["reflectance"][1:].values, cube[1:], rtol=0, atol=5.1e-5)
-    with pytest.raises(SchemaError, match="only reflectance"):
+    with pytest.raises(SchemaError, match="type-wrong"):
         hp.io.write_envi(line_of(values(), "radiance"), tmp_path / "other", dtype="uint16")
 
 
@@ -176,7 +176,7 @@ def test_a_full_disk_is_told_before_anything_is_computed(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("os.posix_fallocate", full, raising=False)
-    with no_compute(), pytest.raises(StoreError, match="No space left"):
+    with no_compute(), pytest.raises(StoreError, match="disk-full"):
         hp.io.write_envi(line_of(values()), tmp_path / "line")
     assert not list(tmp_path.iterdir())
 
@@ -241,7 +241,7 @@ def test_north_up_maps_are_placed_by_their_coordinates(tmp_path: Path) -> None:
     np.testing.assert_array_equal(opened.x, made.x)
     np.testing.assert_array_equal(opened.y, made.y)
     uneven = made.assign_coords(x=np.arange(30.0) ** 2)
-    with pytest.raises(SchemaError, match="'x' is not evenly spaced"):
+    with pytest.raises(SchemaError, match=r"'x'.*spacing-uneven"):
         hp.io.write_envi(uneven, tmp_path / "other")
 
 
@@ -298,7 +298,7 @@ def test_coordinates_that_no_grid_has_are_refused() -> None:
     distances = {"x": 0.25 * (np.arange(30) + 0.5), "y": 0.25 * (np.arange(40) + 0.5)}
     made = map_of(values(), turned(37.0), None).assign_coords(distances)
     assert grid_of(made) is not None
-    with pytest.raises(SchemaError, match="drop 'x' and 'y'"):
+    with pytest.raises(SchemaError, match="place-ambiguous"):
         grid_of(made.isel(x=slice(3, None)))
     col, row = np.meshgrid(np.arange(30) + 0.5, np.arange(40) + 0.5)
     east, north = place(turned(37.0), col, row)
@@ -306,10 +306,10 @@ def test_coordinates_that_no_grid_has_are_refused() -> None:
     part = grid_of(placed.isel(x=slice(4, None, 2)))
     assert part is not None
     np.testing.assert_allclose(place(part.transform, 0.5, 0.5), (east[0, 4], north[0, 4]), rtol=0, atol=1e-7)
-    with pytest.raises(SchemaError, match="'east' is not evenly spaced"):
+    with pytest.raises(SchemaError, match=r"'east'.*spacing-uneven"):
         grid_of(placed.isel(x=[0, 1, 5]))
     unknown = placed.assign_coords(east=placed["east"].where(col != 7.5))
-    with pytest.raises(SchemaError, match="'east' is not evenly spaced"):
+    with pytest.raises(SchemaError, match=r"'east'.*spacing-uneven"):
         grid_of(unknown)
 
 
@@ -333,7 +333,7 @@ def test_places_are_written_to_the_last_bit(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("transform", "match"),
     [
-        ((0.0, 1.0, 0.5, 0.0, 0.0, -1.0), "right angles"),
+        ((0.0, 1.0, 0.5, 0.0, 0.0, -1.0), "grid-sheared"),
         ((0.0, 1.0, 2.0, 0.0, 1.0, -2.0), "not square"),
         ((0.0, 1.0, 0.0, 0.0, 0.0, 1.0), "mirrored"),
     ],
@@ -347,7 +347,7 @@ def test_grids_that_envi_cannot_tell(transform: Any, match: str) -> None:
 def test_a_geotransform_that_is_none_is_refused(tmp_path: Path, text: Any) -> None:
     made = map_of(values(), turned(0.0), None)
     made["spatial_ref"].attrs["GeoTransform"] = text
-    with pytest.raises(SchemaError, match="GeoTransform"):
+    with pytest.raises(SchemaError, match="transform-wrong"):
         hp.io.write_envi(made, tmp_path / "map")
 
 
@@ -380,7 +380,7 @@ def test_files_are_replaced_on_request_alone(tmp_path: Path) -> None:
     made = map_of(values(), turned(30.0))
     for write, name in ((hp.io.write_envi, "map.hdr"), (hp.io.write_geotiff, "map.tif")):
         write(made, tmp_path / name)
-        with pytest.raises(StoreError, match="overwrite=True"):
+        with pytest.raises(StoreError, match="file-exists"):
             write(made, tmp_path / name)
         write(made, tmp_path / name, overwrite=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.hdr", "map.img", "map.tif"]
@@ -391,10 +391,10 @@ def test_what_cannot_be_written_is_told(tmp_path: Path, write: Any) -> None:
     pytest.importorskip("rasterio")
     made = map_of(values(), turned(0.0), None)
     for dataset, arguments, match in (
-        (made.drop_vars("reflectance"), {}, "no one of reflectance"),
-        (made, {"variable": "radiance"}, "no 'radiance'"),
-        (made, {"variable": "wavelength"}, "'wavelength' is"),
-        (made.isel(y=slice(0)), {}, "no dim of size 0"),
+        (made.drop_vars("reflectance"), {}, "variable-missing"),
+        (made, {"variable": "radiance"}, "variable-missing"),
+        (made, {"variable": "wavelength"}, "dim-missing"),
+        (made.isel(y=slice(0)), {}, "dim-missing"),
         (made.astype(np.complex64), {}, "complex64"),
     ):
         with pytest.raises(SchemaError, match=match):
@@ -471,8 +471,8 @@ def test_chosen_bands_and_planes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "match"),
     [
-        ({"bands": [7]}, "expected one or more of 0 to 4"),
-        ({"bands": []}, "expected one or more"),
+        ({"bands": [7]}, "value-out-of-range"),
+        ({"bands": []}, "value-out-of-range"),
         ({"bands": "cir"}, "bands 'cir'"),
         ({"bands": "rgb", "stretch": (98.0, 2.0)}, "stretch"),
     ],
@@ -485,9 +485,9 @@ def test_bands_that_are_not_there(tmp_path: Path, arguments: dict[str, Any], mat
 
 def test_a_geotiff_needs_a_place(tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
-    with pytest.raises(SchemaError, match="orthorectify"):
+    with pytest.raises(SchemaError, match="dim-missing"):
         hp.io.write_geotiff(line_of(values()), tmp_path / "map.tif")
-    with pytest.raises(SchemaError, match="place of this map is not known"):
+    with pytest.raises(SchemaError, match="place-unknown"):
         hp.io.write_geotiff(map_of(values(), turned(0.0)).drop_vars("spatial_ref"), tmp_path / "map.tif")
 
 
@@ -510,10 +510,10 @@ def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     path = hp.io.write_geotiff(map_of(values(), turned(0.0)), tmp_path / "map.tif")
     before = path.read_bytes()
     monkeypatch.setattr("hyperpaint.io.maps.geotiff._write", failed)
-    with pytest.raises(StoreError, match=r"map\.tif cannot be written: Write failed"):
+    with pytest.raises(StoreError, match="file-unwritable"):
         hp.io.write_geotiff(map_of(values(), turned(0.0)), path, overwrite=True)
     monkeypatch.setattr("tempfile.TemporaryFile", full)
-    with pytest.raises(StoreError, match=r"No space left on device .* free on the disk of .*; make room"):
+    with pytest.raises(StoreError, match="disk-full"):
         hp.io.write_geotiff(map_of(values(), turned(0.0)), path, overwrite=True)
     assert path.read_bytes() == before
     assert [each.name for each in tmp_path.iterdir()] == ["map.tif"]

@@ -62,7 +62,7 @@ def test_a_scale_that_is_none_is_refused(tmp_path: Path, scale: float, offset: f
     path = written(tmp_path / "dem.tif", HEIGHTS)
     with rasterio.open(path, "r+") as raster:
         raster.scales, raster.offsets = (scale,), (offset,)
-    with pytest.raises(FormatError, match=r"scale .* and offset .*, expected finite ones"):
+    with pytest.raises(FormatError, match="scale-wrong"):
         read_heights(path)
 
 
@@ -70,7 +70,7 @@ def test_a_place_that_is_none_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "dem.tif", HEIGHTS)
     with rasterio.open(path, "r+") as raster:
         raster.transform = rasterio.Affine(np.inf, 0.0, 1.0, 0.0, -1.0, 2.0)
-    with pytest.raises(FormatError, match=r"its transform is .*, expected finite numbers"):
+    with pytest.raises(FormatError, match="not-finite"):
         read_heights(path)
 
 
@@ -172,7 +172,7 @@ def test_nothing_beside_a_raster_is_opened(tmp_path: Path, server: _Server) -> N
     assert read_geotiff_header(path).overviews == ()
     tagged = written(tmp_path / "tagged.tif", tags={"OVERVIEWS": {"OVERVIEW_FILE": f"{server.url}/o.tif"}})
     for read in (read_heights, read_geotiff_header):
-        with pytest.raises(FormatError, match="names another file"):
+        with pytest.raises(FormatError, match="file-not-alone"):
             read(tagged)
     assert server.requests == []
 
@@ -224,12 +224,12 @@ def test_of_a_large_raster_a_window_is_read(sparse: Path) -> None:
 
 
 def test_a_large_raster_is_not_read_whole(sparse: Path) -> None:
-    with pytest.raises(SchemaError, match="200000 x 200000 cells, and the line has no positions"):
+    with pytest.raises(SchemaError, match="positions-missing"):
         read_heights(sparse)
-    with pytest.raises(FormatError, match="the flight is outside of it"):
+    with pytest.raises(FormatError, match="flight-outside"):
         read_heights(sparse, ([10.0], [50.0], [100.0]))
     wide = (np.array([-81.6, -80.9]), np.array([32.9, 34.2]), np.array([500.0, 500.0]))
-    with pytest.raises(FormatError, match=r"of them around this flight, expected at most"):
+    with pytest.raises(FormatError, match="file-too-large"):
         read_heights(sparse, wide)
 
 
@@ -247,7 +247,7 @@ def test_a_prj_that_is_a_pipe_is_not_waited_for(tmp_path: Path, suffix: str) -> 
 
 
 def test_several_bands_are_no_heights(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="2 bands, expected one of heights"):
+    with pytest.raises(FormatError, match="band-count"):
         read_heights(written(tmp_path / "dem.tif", count=2))
 
 
@@ -260,20 +260,20 @@ def test_a_block_of_any_size_is_not_decoded(tmp_path: Path) -> None:
         blockysize=12_000, **profile,
     ):  # fmt: skip
         pass
-    with pytest.raises(FormatError, match=r"blocks of 12000 x 12000 cells.* gdal_translate -co TILED=YES"):
+    with pytest.raises(FormatError, match="file-too-large"):
         read_heights(path, ([-82.0], [34.0], [500.0]))
 
 
 def test_a_turned_raster_is_refused(tmp_path: Path) -> None:
     turned = rasterio.Affine(0.0, 1.0, 500000.0, 1.0, 0.0, 3700000.0)
-    with pytest.raises(FormatError, match=r"rows do not run east.* gdalwarp"):
+    with pytest.raises(FormatError, match="grid-rotated"):
         read_heights(written(tmp_path / "dem.tif", transform=turned))
 
 
 def test_a_large_raster_of_a_local_crs_is_refused(sparse: Path) -> None:
     with rasterio.open(sparse, "r+") as raster:
         raster.crs = rasterio.CRS.from_wkt('LOCAL_CS["site",UNIT["metre",1]]')
-    with pytest.raises(FormatError, match=r"no longitude has a place in its crs.* gdal_edit -a_srs"):
+    with pytest.raises(FormatError, match="crs-unknown"):
         read_heights(sparse, ([-81.0], [33.4], [500.0]))
 
 
@@ -300,10 +300,10 @@ BARE = {"nodata": None, "crs": None, "transform": rasterio.Affine.identity()}
 @pytest.mark.parametrize(
     ("lacking", "name", "text", "said"),
     [
-        ("nodata", "dem.tif.aux.xml", _AUX, "a nodata in dem.tif.aux.xml"),
-        ("nodata", "dem.tif.msk", "", "a nodata in dem.tif.msk"),
-        ("transform", "dem.tfw", "2\n0\n0\n-2\n1\n1\n", "a transform in dem.tfw"),
-        ("crs", "dem.prj", "", "a crs in dem.prj; .* gdal_translate -a_srs dem.prj"),
+        ("nodata", "dem.tif.aux.xml", _AUX, "file-not-alone"),
+        ("nodata", "dem.tif.msk", "", "file-not-alone"),
+        ("transform", "dem.tfw", "2\n0\n0\n-2\n1\n1\n", "file-not-alone"),
+        ("crs", "dem.prj", "", "file-not-alone"),
     ],
 )
 def test_what_a_raster_lacks_and_has_beside_it(
@@ -324,5 +324,5 @@ def test_what_a_raster_lacks_and_has_beside_it(
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 @pytest.mark.parametrize("lacking", ["transform", "crs"])
 def test_a_raster_without_a_place_is_refused(tmp_path: Path, lacking: str) -> None:
-    with pytest.raises(FormatError, match=f"no place without a {lacking}; give it with gdal_translate"):
+    with pytest.raises(FormatError, match="place-unknown"):
         read_heights(written(tmp_path / "dem.tif", **{lacking: BARE[lacking]}))

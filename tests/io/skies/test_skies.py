@@ -76,10 +76,10 @@ def test_uvspec_without_radiances_and_other_columns(tmp_path: Path) -> None:
     table = hp.io.read_uvspec(path, sun_zenith=0.0, units="mW m-2 nm-1")
     np.testing.assert_allclose(table.direct_normal, 0.5)
     assert "sky_radiance" not in table
-    with pytest.raises(FormatError, match="expected 12 lines"):
+    with pytest.raises(FormatError, match="length-mismatch"):
         hp.io.read_uvspec(path, sun_zenith=0.0, units="mW m-2 nm-1", directions=10)
     path.write_text(" 450.0 500.0 180.0 1.\n 451.0 500.0 181.0 1.\n")
-    with pytest.raises(FormatError, match=r"4 numbers, expected 7(?s:.*)output_user"):
+    with pytest.raises(FormatError, match="model-output-wrong"):
         hp.io.read_uvspec(path, sun_zenith=0.0, units="mW m-2 nm-1")
     with pytest.raises(SchemaError, match="below 90"):
         hp.io.read_uvspec(path, sun_zenith=95.0, units="mW m-2 nm-1")
@@ -112,10 +112,10 @@ def test_tape7(tmp_path: Path, names: str) -> None:
     with pytest.raises(FormatError, match="cut short"):
         hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
     path.write_text(whole_text[: whole_text.index("1e-9 9e-9")] + "\n  -9999.")
-    with pytest.raises(FormatError, match=r"line 4: .*expected 9 numbers"):
+    with pytest.raises(FormatError, match="number-unreadable"):
         hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
     path.write_text("    1    5\n  WAVLEN  TRANS\n 450.0 0.8\n")
-    with pytest.raises(FormatError, match=r"no line of names(?s:.*)\.7sc is not read"):
+    with pytest.raises(FormatError, match="model-output-wrong"):
         hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
     with pytest.raises(SchemaError, match="ground 0"):
         hp.io.read_tape7(path, sun_zenith=SUN, ground=0)
@@ -140,7 +140,7 @@ def test_sixs(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.direct_normal, [1.0, 1.4])
     np.testing.assert_allclose(table.diffuse, [0.184, 0.104])
     paths[0].write_text(SIXS.replace("monochromatic calculation at wl", "value of filter function"))
-    with pytest.raises(FormatError, match=r"no monochromatic run(?s:.*)single wavelength"):
+    with pytest.raises(FormatError, match="model-output-wrong"):
         hp.io.read_sixs(paths, sun_zenith=SUN)
 
 
@@ -162,22 +162,22 @@ def test_csv_of_radiances(tmp_path: Path) -> None:
         0.055 * 131 / 1e3
     )
     path.write_text("\n".join([heading, *rows[:-1]]))
-    with pytest.raises(FormatError, match="every direction once"):
+    with pytest.raises(FormatError, match="grid-mismatch"):
         read_sky_csv(path)
     scattered = [f"{0.45 + n * 1e-5},{n * 1e-4},{n * 1e-3},1,1000,200" for n in range(50_000)]
     path.write_text("\n".join([heading, *scattered]))  # a grid of these has 10^14 places
-    with pytest.raises(FormatError, match="every direction once"):
+    with pytest.raises(FormatError, match="grid-mismatch"):
         read_sky_csv(path)
     for rows_after, match in (
-        ([rows[0][:-4]], "row 2 of 5 cells"),
-        ([], "no row below"),
-        (["nan" + rows[0][4:]], "row 2 .*finite"),
+        ([rows[0][:-4]], "length-mismatch"),
+        ([], "length-mismatch"),
+        (["nan" + rows[0][4:]], "not-finite"),
     ):
         path.write_text("\n".join([heading, *rows_after]))
         with pytest.raises(FormatError, match=match):
             read_sky_csv(path)
     path.write_text("wavelength [nm],sky [W m-2 nm-1]\n450,0.2\n")
-    with pytest.raises(FormatError, match="'diffuse', 'direct_normal'"):
+    with pytest.raises(FormatError, match="column-missing"):
         read_sky_csv(path)
 
 
@@ -213,6 +213,6 @@ def test_a_sky_that_is_none_of_ours_is_told() -> None:
 
 def test_what_is_no_light_is_refused() -> None:
     nm = np.array([450.0, 450.0])
-    with pytest.raises(FormatError, match=r"there twice(?s:.*)diffuse has values"):
+    with pytest.raises(FormatError, match=r"(?s)wavelength-repeated.*diffuse.*value-out-of-range"):
         sky_dataset("a", nm, np.ones(2), np.array([0.1, -0.1]))
     assert isinstance(sky_dataset("a", nm + np.arange(2.0), np.ones(2), np.ones(2)), xr.Dataset)

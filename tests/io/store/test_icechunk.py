@@ -195,18 +195,18 @@ def test_a_session_is_opened_as_any_store(plain: Path, repository: Any) -> None:
     store = repository.readonly_session("main").store
     xr.testing.assert_equal(hp.open_store(store, LINE), hp.open_store(plain, LINE))
     assert set(hp.open_store(store).groups) >= {f"/{LINE}", "/irradiance", "/calibration"}
-    with pytest.raises(hp.StoreError, match="no group '/flightlines/raw_9'"):
+    with pytest.raises(hp.StoreError, match="group-unknown"):
         hp.open_store(store, "flightlines/raw_9")
 
 
 def test_verify_says_what_to_do_instead(plain: Path, tmp_path: Path) -> None:
     folder = tmp_path / "lot.icechunk"
     repository = ingest(plain, icechunk.local_filesystem_storage(str(folder)))
-    with pytest.raises(hp.StoreError, match="is an icechunk repository, whose snapshots icechunk checks"):
+    with pytest.raises(hp.StoreError, match="store-unreadable"):
         hp.verify(folder)
-    with pytest.raises(hp.StoreError, match="folder or URL here, not by IcechunkStore"):
+    with pytest.raises(hp.StoreError, match="type-wrong"):
         hp.verify(repository.readonly_session("main").store)
     with pytest.raises(hp.StoreError, match="load it whole where it is in icechunk"):
         open_group(repository, LINE).paint.verify()
-    with pytest.raises(hp.StoreError, match="not a Zarr v3 store"):
+    with pytest.raises(hp.StoreError, match="store-foreign"):
         hp.to_store(xr.Dataset(), folder)

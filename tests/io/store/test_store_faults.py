@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -147,7 +146,7 @@ def test_kill_before_the_root_is_consolidated(stage: str, store: Path) -> None:
     (store / "zarr.json").write_text(json.dumps(root))
     assert not verify(store).ok
     source = open_store(store, GROUP).compute()
-    with pytest.raises(StoreError, match="other content"):
+    with pytest.raises(StoreError, match="store-exists"):
         to_store(source, store, GROUP)
     to_store(source, store, GROUP, overwrite=True)
     assert verify(store).ok
@@ -175,7 +174,7 @@ def test_a_part_of_a_store_is_read_as_any_zarr(store: Path) -> None:
 
 
 def test_missing_store_and_group_are_named(store: Path) -> None:
-    with pytest.raises(StoreError, match=r"no group '/flightlines/raw_7'.*/flightlines/raw_0"):
+    with pytest.raises(StoreError, match="group-unknown"):
         open_store(store, "flightlines/raw_7")
     for function in (list_groups, verify):
         with pytest.raises(StoreError, match="not a Zarr"):
@@ -190,7 +189,9 @@ def test_bit_flip_is_seen_by_everyone(seed: int, store: Path) -> None:
     chunk(store).write_bytes(damaged)
     with pytest.raises((ValueError, RuntimeError)):
         xr.open_zarr(store, group=GROUP).counts.compute()
-    assert verify(store).problems == ("/flightlines/raw_0/counts/c/1/0/0: the chunk is damaged",)
+    assert verify(store).problems == (
+        "/flightlines/raw_0/counts/c/1/0/0: the chunk is damaged [chunk-damaged]",
+    )
 
 
 def _delete(store: Path) -> None:
@@ -311,7 +312,7 @@ def test_a_damaged_manifest_is_told_and_written_again(store: Path) -> None:
 
 def test_later_format_is_refused(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hyperpaint.io.store.manifest.FORMAT_VERSION", 0)
-    with pytest.raises(IncompleteStoreError, match="update hyperpaint"):
+    with pytest.raises(IncompleteStoreError, match="manifest-damaged"):
         open_store(store, GROUP)
 
 
@@ -320,7 +321,7 @@ def test_second_writer_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "lot.zarr"
     writer = start_writer(path)
     wait_for(lambda: chunks_built(path) > 1)
-    with pytest.raises(StoreError, match=f"being written by process {writer.pid} on {socket.gethostname()}"):
+    with pytest.raises(StoreError, match="store-locked"):
         to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
     assert writer.communicate(timeout=60)[0] == "done\n"
     to_store(xr.Dataset({"a": ("x", [1.0])}), path, "other")
@@ -331,7 +332,7 @@ def test_lock_of_another_host_is_respected(tmp_path: Path) -> None:
     lock = tmp_path / ".partial-lot.zarr" / "lock"
     lock.parent.mkdir()
     lock.write_text("1\nelsewhere\n")
-    with pytest.raises(StoreError, match=r"by process 1 on elsewhere since \d{4}-.*delete"):
+    with pytest.raises(StoreError, match="store-locked"):
         to_store(xr.Dataset({"a": ("x", [1.0])}), tmp_path / "lot.zarr")
     assert lock.exists()
 

@@ -26,7 +26,7 @@ from hyperpaint.base.errors import (
 from hyperpaint.io.store import (
     is_complete,
     list_groups,
-    load_unverified,
+    load_group,
     open_store,
     open_unverified,
     to_store,
@@ -100,7 +100,7 @@ def test_zarr_refuses_a_damaged_chunk(damage: Callable[[Path], None], key: str, 
     for reader in (open_store, lambda path, name: xr.open_zarr(path, group=name)):
         with pytest.raises((ValueError, StoreError, RuntimeError)):
             reader(store, GROUP).load()
-    assert verify(store).problems == (f"/{GROUP}/{key}: the chunk is damaged",)
+    assert verify(store).problems == (f"/{GROUP}/{key}: the chunk is damaged [chunk-damaged]",)
 
 
 @pytest.mark.parametrize("damage", [stale, swap])
@@ -108,12 +108,13 @@ def test_verify_alone_tells_whole_chunks_of_elsewhere(damage: Callable[[Path], N
     damage(store / GROUP / "counts/c/2/0/0")
     assert not open_store(store, GROUP).load().equals(scene())
     (problem,) = verify(store).problems
-    assert problem.startswith(f"/{GROUP}/counts: chunks are not those that were written")
+    assert problem.startswith(f"/{GROUP}/counts: ")
+    assert problem.endswith("[chunk-changed]")
 
 
 def test_a_missing_chunk_is_not_read_as_fill(store: Path) -> None:
     (store / GROUP / "counts/c/1/0/0").unlink()
-    with pytest.raises(IncompleteStoreError, match="counts: 1 of 4 chunks are missing, first c/1/0/0"):
+    with pytest.raises(IncompleteStoreError, match="chunk-missing"):
         open_store(store, GROUP)
     # where nobody asks whether it is whole, a chunk may be left out
     assert open_unverified(store, GROUP)["counts"].load()[40, 0, 0] == 65535
@@ -128,7 +129,7 @@ def test_behind_a_url_too() -> None:
     assert "exchanged, stale or altered" in str(verify(url))
     fs.rm(first)
     assert "counts/c/0/0/0: the chunk is missing" in str(verify(url))
-    with pytest.raises(IncompleteStoreError, match="1 of 4 chunks are missing"):
+    with pytest.raises(IncompleteStoreError, match="chunk-missing"):
         open_store(url, GROUP)
 
 
@@ -162,7 +163,7 @@ def test_what_others_add_is_opened_and_noted(
     # xarray replaces the attributes of the group by those of what is added
     ndvi.to_zarr(store, group=GROUP, mode="a", **options)
     ndvi.to_zarr(store, group="of_others", **options)
-    with pytest.warns(PaintWarning, match="another program replaced its attributes"):
+    with pytest.warns(PaintWarning, match="attributes-replaced"):
         opened = open_store(store, GROUP)
     np.testing.assert_array_equal(opened.ndvi, ndvi.ndvi)
     xr.testing.assert_equal(opened.drop_vars("ndvi"), scene())
@@ -197,7 +198,7 @@ def change(path: Path, **attributes: str) -> None:
 def test_changed_attributes_are_not_handed_out(store: Path) -> None:
     change(store / GROUP / "zarr.json", srf_shape="slit")
     assert not is_complete(store, GROUP)
-    with pytest.raises(IncompleteStoreError, match="attributes differ from the manifest"):
+    with pytest.raises(IncompleteStoreError, match="attributes-changed"):
         open_store(store, GROUP)
 
 
@@ -205,7 +206,7 @@ def test_changed_attributes_are_not_handed_out(store: Path) -> None:
 def test_groups_without_arrays_are_verified(group: str, store: Path) -> None:
     assert verify(store).ok
     change(store / group / "zarr.json", created="long ago")
-    assert f"/{group}: attributes are not those that were written" in str(verify(store))
+    assert f"/{group}: attributes differ from those written" in str(verify(store))
     (store / group / "zarr.json").unlink()
     assert "missing" in str(verify(store))
 
@@ -237,11 +238,11 @@ def array_of(store: Path, **changes: object) -> None:
     ("changes", "match"),
     [
         ({"shape": [10**12]}, "chunks"),
-        ({"shape": [2**30]}, "bytes of an array with one dim"),
+        ({"shape": [2**30]}, "size-too-large"),
         ({"chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [2**40]}}}, "chunks of"),
-        ({"codecs": [{"name": "numcodecs.pickle", "configuration": {"protocol": 5}}]}, "pickle|cannot be"),
-        ({"data_type": "object"}, "data type|cannot be"),
-        ({"shape": "x"}, "cannot be opened"),
+        ({"codecs": [{"name": "numcodecs.pickle", "configuration": {"protocol": 5}}]}, "store-unreadable"),
+        ({"data_type": "object"}, "store-unreadable"),
+        ({"shape": "x"}, "store-unreadable"),
         ({"attributes": {"x": "y" * 70_000_000}}, "bytes"),
     ],
 )
@@ -268,8 +269,8 @@ def test_a_group_that_is_loaded_must_have_about_its_size_on_the_disk(tmp_path: P
         path / "a", shape=(2**13, 2**13), chunks=(2**11, 2**11), dtype="f4", dimension_names="xy"
     )
     zarr.create_group(path)
-    with pytest.raises(StoreError, match="declares 268435456 bytes"):
-        load_unverified(path)
+    with pytest.raises(StoreError, match="file-too-large"):
+        load_group(path)
 
 
 EMPTY_GROUP = '{"zarr_format": 3, "node_type": "group", "attributes": {}}'
@@ -287,7 +288,7 @@ def test_deep_stores_are_refused_at_once(
         Path("zarr.json").write_text(EMPTY_GROUP)
     os.chdir(store)
     begun = time.perf_counter()
-    with pytest.raises(StoreError, match="more than 16 deep"):
+    with pytest.raises(StoreError, match=r"group-unknown|nodes-too-many"):
         door(store)
     assert time.perf_counter() - begun < 2
     # what is whole can still be read
@@ -308,9 +309,9 @@ def test_too_many_nodes(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ("url", "error", "match"),
     [
         ("nosuch://x", StoreError, "nosuch"),
-        ("zip://x::/etc/hostname", StoreError, "a chained URL"),
-        ("s3://x/y", PaintError, "cannot be opened|not a Zarr|cannot be"),
-        ("not_there.zarr", StoreError, "not a Zarr|not_there.zarr"),
+        ("zip://x::/etc/hostname", StoreError, "path-not-plain"),
+        ("s3://x/y", PaintError, "dependency-missing"),
+        ("not_there.zarr", StoreError, "store-unreadable"),
     ],
 )
 def test_places_that_cannot_be_opened(

@@ -46,7 +46,7 @@ def test_a_full_disk_is_told_before_anything_is_read(tmp_path: Path, monkeypatch
         data=unread.counts.data.map_blocks(read, dtype="uint16", meta=block)
     )
     free(monkeypatch, 1000)
-    with pytest.raises(StoreError, match=r"1 MiB of disk are needed, 1 MiB are free; make room"):
+    with pytest.raises(StoreError, match="disk-short"):
         to_store(unread, tmp_path / "far" / "lot.zarr", GROUP)
     assert not any(tmp_path.iterdir())
 
@@ -58,7 +58,7 @@ def test_what_is_there_already_needs_no_room(tmp_path: Path, monkeypatch: pytest
     to_store(line(), tmp_path / "lot.zarr", GROUP)
     free(monkeypatch, 0)
     to_store(line(), tmp_path / "lot.zarr", GROUP)
-    with pytest.raises(StoreError, match="of disk are needed"):
+    with pytest.raises(StoreError, match="disk-short"):
         to_store(line(160), tmp_path / "lot.zarr", GROUP, overwrite=True)
 
 
@@ -68,7 +68,7 @@ def test_only_what_is_taken_up_is_taken_off(tmp_path: Path, monkeypatch: pytest.
     path = tmp_path / "lot.zarr"
     content = writer.Job("one", whole["one"], writer._token(whole["one"], "token")).build
     free(monkeypatch, needed - 500)
-    with pytest.raises(StoreError, match="of disk are needed"):
+    with pytest.raises(StoreError, match="disk-short"):
         writer.check_room(whole, path, {"one": "token"})
     attempt = "0" * 12
     ours = f"build-one-{content}-{attempt}"
@@ -79,7 +79,7 @@ def test_only_what_is_taken_up_is_taken_off(tmp_path: Path, monkeypatch: pytest.
         if build == ours:
             writer.check_room(whole, path, {"one": "token"})
             shutil.rmtree(folder)
-    with pytest.raises(StoreError, match="of disk are needed"):
+    with pytest.raises(StoreError, match="disk-short"):
         writer.check_room(whole, path, {"one": "token"})
 
 
@@ -113,7 +113,7 @@ def test_a_disk_that_fills_up_says_what_was_needed(
 
     monkeypatch.setattr(chunks, "replace_file", full)
     with dask.config.set(scheduler="synchronous"):
-        with pytest.raises(StoreError, match=rf"{os.strerror(number)}.*may take 1 MiB in all, .* make room"):
+        with pytest.raises(StoreError, match="disk-full"):
             to_store(line(), path, GROUP, source_token="a")
         assert not is_complete(path, GROUP)
         monkeypatch.setattr(chunks, "replace_file", plain)
@@ -128,11 +128,11 @@ def test_a_disk_that_fills_up_says_what_was_needed(
 @pytest.mark.parametrize(
     ("error", "told"),
     [
-        (MemoryError(), r"memory ran out \(nothing can be allocated\); take fewer lines"),
-        (RuntimeError("can't start new thread"), r"memory ran out \(can't start new thread\)"),
-        (FileNotFoundError(errno.ENOENT, "gone", "/far/raw_0"), "gone: /far/raw_0, which it is made from"),
-        (PermissionError(errno.EACCES, "no right", "lot.zarr/zarr.json"), r"no right \(lot.zarr/zarr.json\)"),
-        (OSError("odd"), "odd; mend this and run again"),
+        (MemoryError(), "memory-short"),
+        (RuntimeError("can't start new thread"), "memory-short"),
+        (FileNotFoundError(errno.ENOENT, "gone", "/far/raw_0"), "file-unusable"),
+        (PermissionError(errno.EACCES, "no right", "lot.zarr/zarr.json"), "file-unusable"),
+        (OSError("odd"), "file-unusable"),
     ],
 )
 def test_errors_of_the_system_are_told(error: Exception, told: str, tmp_path: Path) -> None:
@@ -154,9 +154,7 @@ def test_other_errors_stay_as_they_are() -> None:
 def test_blocks_that_cannot_fit_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     huge = da.zeros((64_000, 272, 640), chunks=(32_000, 272, 640), dtype="uint16")
     monkeypatch.setattr(budget, "available_memory", lambda: 2**30)
-    with pytest.raises(
-        StoreError, match=r"needs 10\.\d+ GiB of memory for one dask chunk of 32000 lines, but"
-    ):
+    with pytest.raises(StoreError, match="memory-short"):
         to_store(xr.Dataset({"counts": (CUBE, huge)}), tmp_path / "lot.zarr", GROUP)
     assert not any(tmp_path.iterdir())
 
@@ -209,7 +207,7 @@ def test_a_chunk_that_somebody_removed_is_missed(tmp_path: Path, monkeypatch: py
         plain(folder, expected)
 
     monkeypatch.setattr(writer, "flush_group", clear_up)
-    with pytest.raises(StoreError, match=r"a finished chunk has been removed \(.*counts/c/1/0/0\)"):
+    with pytest.raises(StoreError, match="file-unusable"):
         to_store(line(), path, GROUP, source_token="a")
     assert not path.exists()
     monkeypatch.setattr(writer, "flush_group", plain)

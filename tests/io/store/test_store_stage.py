@@ -67,7 +67,7 @@ def test_names_that_lead_out_are_refused(name: str, path: Path) -> None:
     hostile = partial(path) / name
     hostile.mkdir()
     (hostile / "zarr.json").write_text("{}")
-    with pytest.raises(StoreError, match="names no group"):
+    with pytest.raises(StoreError, match="staging-foreign"):
         write(path)
     assert sorted(os.listdir(path.parent)) == [".partial-lot.zarr", "lot.zarr"]
     assert hostile.is_dir()
@@ -227,9 +227,7 @@ def _long_text(lock: Path) -> None:
 def test_what_is_no_lock_is_refused(make: Callable[[Path], None], lock: Path) -> None:
     (lock.parent / "precious").write_text("x")
     make(lock)
-    with pytest.raises(
-        StoreError, match=r"is a link, (a folder, a pipe.*delete it once no process|which no writer)"
-    ):
+    with pytest.raises(StoreError, match=r"link-refused|lock-foreign"):
         write(lock.parent.parent / "lot.zarr")
     assert (lock.parent / "precious").read_text() == "x"
 
@@ -253,14 +251,14 @@ def test_a_process_of_the_same_number_that_started_later_is_another(lock: Path) 
 
 def test_an_empty_lock_is_taken_over_once_it_is_old(lock: Path) -> None:
     lock.touch()
-    with pytest.raises(StoreError, match=r"being written by process unknown.*or delete"):
+    with pytest.raises(StoreError, match="store-locked"):
         write(lock.parent.parent / "lot.zarr")
     os.utime(lock, (0, 0))
     is_taken_over(lock)
 
 
 def test_our_own_lock_is_respected(lock: Path) -> None:
-    with stage.locked(lock, lock.parent), pytest.raises(StoreError, match=f"by process {os.getpid()} on "):
+    with stage.locked(lock, lock.parent), pytest.raises(StoreError, match="store-locked"):
         write(lock.parent.parent / "lot.zarr")
     assert not lock.exists()
 
@@ -268,7 +266,7 @@ def test_our_own_lock_is_respected(lock: Path) -> None:
 def test_one_thread_writes_at_a_time(lock: Path) -> None:
     with stage.locked(lock, lock.parent), ThreadPoolExecutor(1) as pool:
         other = pool.submit(write, lock.parent.parent / "lot.zarr")
-        with pytest.raises(StoreError, match=f"by process {os.getpid()} on "):
+        with pytest.raises(StoreError, match="store-locked"):
             other.result()
 
 
@@ -276,7 +274,7 @@ def test_one_thread_writes_at_a_time(lock: Path) -> None:
 def test_writers_that_cannot_be_seen_are_respected(host: str, lock: Path) -> None:
     # the number is that of nobody here
     lock.write_text(record(2**30, host))
-    with pytest.raises(StoreError, match=r"being written by process 1073741824 on .*or delete"):
+    with pytest.raises(StoreError, match="store-locked"):
         write(lock.parent.parent / "lot.zarr")
     assert lock.exists()
 
@@ -310,7 +308,7 @@ def test_a_folder_of_somebody_elses_is_refused_and_kept(name: str, tmp_path: Pat
     theirs.parent.mkdir(parents=True, exist_ok=True)
     theirs.write_text("precious")
     for overwrite in (False, True):
-        with pytest.raises(StoreError, match=r"is not of hyperpaint.*move it away"):
+        with pytest.raises(StoreError, match="staging-foreign"):
             to_store(small(), path, overwrite=overwrite)
     assert theirs.read_text() == "precious"
     assert [each.name for each in unmarked(path).iterdir()] == [name.partition("/")[0]]
@@ -320,7 +318,7 @@ def test_a_file_under_the_name_of_our_mark_is_no_mark(tmp_path: Path) -> None:
     theirs = unmarked(tmp_path / "lot.zarr") / "hyperpaint"
     theirs.parent.mkdir(exist_ok=True)
     theirs.write_text("precious")
-    with pytest.raises(StoreError, match="is not of hyperpaint"):
+    with pytest.raises(StoreError, match="staging-foreign"):
         to_store(small(), tmp_path / "lot.zarr", overwrite=True)
     assert theirs.read_text() == "precious"
 
