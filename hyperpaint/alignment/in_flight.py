@@ -114,7 +114,7 @@ def align(
     except (PaintError, OSError) as error:  # processing of the line itself raises it
         return _not_compared(line, str(error).splitlines()[0])
     if comparison is None:
-        return _not_compared(line, "too few bands, pixels or channels where daylight has structure")
+        return _not_compared(line, "too few bands, pixels or channels where daylight has lines")
     numbers = _numbers(comparison)
     is_significant = comparison.is_significant(rules)
     if comparison.at_limit:
