@@ -1,7 +1,7 @@
 """hyperpaint: from raw pushbroom counts to calibrated paint spectra, in labelled, unit-checked xarray.
 
-Importing it registers ``Dataset.paint`` and takes as long as ``import xarray``: names in ``__init__.pyi``, here and
-in every room, are loaded on first use; kernels are compiled on their first run.
+Importing it registers ``Dataset.paint``, and takes as long as ``import xarray``: names in ``__init__.pyi``,
+here and in every room, are loaded on first use; kernels are compiled on their first run.
 """
 
 from __future__ import annotations

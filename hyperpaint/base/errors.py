@@ -360,7 +360,7 @@ class Problems:
         if isinstance(error, PaintError):
             self._problems.append((error.about(subject) if subject else error).problem)
         else:
-            self.add(f"{subject}: {error}")
+            self.add(f"{subject}: {error}", code="input-unreadable")
 
     def __len__(self) -> int:
         return len(self._problems)
@@ -428,7 +428,9 @@ class Findings:
         raise (kind if issubclass(kind, PaintError) else CollectError)(
             self.subject,
             problems=[
-                error.problem if isinstance(error, PaintError) else Problem(str(error))
+                error.problem
+                if isinstance(error, PaintError)
+                else Problem(str(error), code="input-unreadable")
                 for error in self.errors
             ],
         )

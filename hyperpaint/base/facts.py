@@ -391,16 +391,6 @@ def key_line(facts: Facts, key: str, value: Any = None, note: str = "") -> str:
     return f"{'# ' if value is None else ''}{key} = {text}  # {note or f'{one.doc}{unit}{words}'}"
 
 
-def key_table(facts: Facts) -> str:
-    """Return a Markdown table of keys: key, accepted values, default, meaning with unit."""
-    rows = ["| key | accepted | default | meaning |", "| --- | --- | --- | --- |"]
-    for key, one in facts.items():
-        default = "needed" if one.needed else "" if one.default is None else f"`{toml_text(one.default)}`"
-        unit = f" [{one.unit}]" if one.unit else ""
-        rows.append(f"| `{key}` | {one.expected} | {default} | {one.doc}{unit} |".replace("|  |", "| |"))
-    return "\n".join(rows)
-
-
 PARAMETERS = {
     "overwrite": "Replace the output where it exists.",
     "progress": "Called with the share done, from 0 to 1.",

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Fact, by_key, check_fields, declared, documented, fact, key_table
+from hyperpaint.base.facts import Fact, by_key, check_fields, declared, documented, fact
 from hyperpaint.simulation.settings import SimulationSettings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
-from key_tables import DOCS, PAGES, with_tables
+from key_tables import DOCS, PAGES, key_table, with_tables
 
 
 @pytest.mark.parametrize(

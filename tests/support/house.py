@@ -291,9 +291,9 @@ def faults_without_code() -> Names:
                 function = ast.unparse(node.func)
                 is_fault = function.rpartition(".")[2] in ERRORS or re.search(r"problems?\.add$", function)
                 coded = {keyword.arg for keyword in node.keywords} & {"code", "problems", None}
-                if (is_fault and node.args and not coded) or "PaintWarning" in map(
-                    ast.unparse, node.args[1:2]
-                ):
+                categories = map(ast.unparse, node.args[1:2])
+                is_bare = function == "warnings.warn" and "PaintWarning" in categories
+                if is_bare or (is_fault and node.args and not coded):
                     places.append(f"{name}:{node.lineno}: {ast.unparse(node)[:80]}")
     return places
 
@@ -341,7 +341,7 @@ def promises() -> list[Promise]:
         Promise("public names at the top", 35, top_names()),
         Promise("variables named made, told, found, known, kept", None, riddles()),
         Promise('bare "cannot be" errors', 0, bare_refusals()),
-        Promise("errors, problems and warnings without a code", None, faults_without_code()),
+        Promise("errors, problems and warnings without a code", 0, faults_without_code()),
     ]  # fmt: skip
 
 

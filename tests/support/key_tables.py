@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hyperpaint.base.facts import Facts, key_table
+from hyperpaint.base.facts import Facts, toml_text
 from hyperpaint.io.collect.collect_toml import SCHEMA as COLLECT
 from hyperpaint.workflows.scene_files import SCHEMA as SCENE
 
@@ -14,6 +14,16 @@ PAGES: dict[str, tuple[dict[str, Facts], tuple[str, ...]]] = {
     "collect_toml.md": (dict(COLLECT), ("flightlines", "references", "panels")),
     "scene_toml.md": (dict(SCENE), ("meshes", "atmospheres")),
 }
+
+
+def key_table(facts: Facts) -> str:
+    """Return a Markdown table of keys: key, accepted values, default, meaning with unit."""
+    rows = ["| key | accepted | default | meaning |", "| --- | --- | --- | --- |"]
+    for key, one in facts.items():
+        default = "needed" if one.needed else "" if one.default is None else f"`{toml_text(one.default)}`"
+        unit = f" [{one.unit}]" if one.unit else ""
+        rows.append(f"| `{key}` | {one.expected} | {default} | {one.doc}{unit} |".replace("|  |", "| |"))
+    return "\n".join(rows)
 
 
 def with_tables(page: str) -> str:

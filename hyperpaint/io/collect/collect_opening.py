@@ -136,7 +136,8 @@ def open_with_settings(
     # what several lines share is reported once
     errors = {str(error): error for error in findings.errors}
     problems.extend(
-        error.problem if isinstance(error, PaintError) else Problem(text) for text, error in errors.items()
+        error.problem if isinstance(error, PaintError) else Problem(text, code="input-unreadable")
+        for text, error in errors.items()
     )
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}

@@ -283,7 +283,8 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         for fault in faults[:MAX_MESSAGES]
     ]
     if len(faults) > MAX_MESSAGES:
-        shown.append(Problem(counted(len(faults) - MAX_MESSAGES, "more problem")))
+        more = counted(len(faults) - MAX_MESSAGES, "more problem")
+        shown.append(Problem(more, code="problems-omitted"))
     return StoreState(tuple(shown), tuple(notes), resume)
 
 
