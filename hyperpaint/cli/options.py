@@ -87,10 +87,21 @@ def parameters_of(place: str) -> dict[str, Parameter]:
             (argument.arg, argument.annotation, default)
             for argument, default in zip(spec.args + spec.kwonlyargs, defaults, strict=True)
         ]
-    return parameters | {
-        name: Parameter(module, annotation, default, described.get(name, ""))
-        for name, annotation, default in pairs
-    }
+    for name, annotation, default in pairs:
+        text = described.get(name, "")
+        if isinstance(default, ast.Call) and ast.unparse(default.func) == "fact":  # a declared field
+            text = _declared(default)
+            default = default.args[0]
+        parameters[name] = Parameter(module, annotation, default, text)
+    return parameters
+
+
+def _declared(call: ast.Call) -> str:
+    """Return the help of a field that is declared by `hyperpaint.base.facts.fact`."""
+    options = {keyword.arg: ast.unparse(keyword.value).strip("'") for keyword in call.keywords}
+    meaning = ast.literal_eval(call.args[1])
+    unit = f" [{options['unit']}]" if "unit" in options else ""
+    return f"{meaning[:1].upper()}{meaning[1:]}{unit}."
 
 
 def _home(module: str, name: str) -> tuple[str, str]:

@@ -150,7 +150,7 @@ def check_picture(path: Path) -> None:
     >>> check_picture(Path("calibration.xls"))
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: the picture cannot be written to calibration.xls:
-      expected a name that ends in one of ..., .svg, ...
+      the name ends in '.xls', expected ..., .svg, ... [suffix-unknown]
     """
     kinds = new_figure("a picture").canvas.get_supported_filetypes()
     suffixes = [f".{kind}" for kind in sorted(kinds)]

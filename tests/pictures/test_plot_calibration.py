@@ -165,9 +165,9 @@ def test_what_cannot_be_drawn_is_refused(sweep: xr.Dataset, calibration: xr.Data
     assert refused.value.codes == ("grid-mismatch", "value-out-of-range")
     with pytest.raises(SchemaError, match="line_band"):
         calibration_report(calibration.drop_vars("line_band"))
-    with pytest.raises(SchemaError, match=r"(?s)cal\.xls.*ends in one of.*\.pdf.*\.png"):
+    with pytest.raises(SchemaError, match=r"(?s)\.pdf.*suffix-unknown"):
         check_picture(tmp_path / "cal.xls")
-    with pytest.raises(SchemaError, match="there is no folder"):
+    with pytest.raises(SchemaError, match="folder-missing"):
         check_picture(tmp_path / "none" / "cal.png")
 
 

@@ -289,7 +289,7 @@ def test_csv_clocks(tmp_path: Path, column: str, cell: str, expected: str) -> No
         ([CSV_HEADER, CSV_ROWS[0].replace("43.1", "143.1")], "latitude is 143.1"),
         ([CSV_HEADER, CSV_ROWS[0].replace("43.1", "1_0")], "value-out-of-range"),
         ([CSV_HEADER, CSV_ROWS[0].replace("06-01", "02-30")], "time-unreadable"),
-        (["# roll_positive: up", CSV_HEADER, CSV_ROWS[0]], "roll_positive 'up'"),
+        (["# roll_positive: up", CSV_HEADER, CSV_ROWS[0]], "roll_positive='up'"),
         (["# angle_unit: radian", CSV_HEADER, CSV_ROWS[0]], "'angle_unit' is 'radian'"),
         (["# gps_week: soon", CSV_HEADER, CSV_ROWS[0]], "'gps_week' is 'soon'"),
         (["# declination: west", CSV_HEADER, CSV_ROWS[0]], "'declination' is 'west'"),
