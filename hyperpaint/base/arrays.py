@@ -13,8 +13,8 @@ Bools: TypeAlias = npt.NDArray[np.bool_]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Floats32: TypeAlias = npt.NDArray[np.float32]
 Ints: TypeAlias = npt.NDArray[np.int64]
+#: Called with the number of steps done and the total.
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the number of steps done and the total."""
 
 
 def round_bits(values: Floats32, kept: int) -> Floats32:

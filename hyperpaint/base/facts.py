@@ -20,11 +20,11 @@ import numpy as np
 from .errors import PaintError, Problems, SchemaError
 from .units import takes_quantities
 
+#: Magnitude from which a number counts as infinite.
 MAX_NUMBER = 1e300
-"""Magnitude from which a number counts as infinite."""
 
+#: Length of a value in a message.
 MAX_SHOWN_CHARS = 60
-"""Length of a value in a message."""
 
 _Class = TypeVar("_Class", bound=type)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -279,8 +279,8 @@ class Fact:
         return value if self.scale is None else float(f"{value * self.scale:.12g}")
 
 
+#: Declarations by name, or by key of a TOML table.
 Facts = Mapping[str, Fact]
-"""Declarations by name, or by key of a TOML table."""
 
 
 def toml_text(value: Any) -> str:
@@ -327,8 +327,8 @@ def by_key(facts: Iterable[Fact]) -> dict[str, Fact]:
     return {one.key or one.name: one.in_file() for one in facts}
 
 
+#: Returns a name and its value as the user wrote them.
 Spelling = Callable[[str, Any], str]
-"""Returns a name and its value as the user wrote them."""
 
 
 def as_argument(name: str, value: Any) -> str:
@@ -401,6 +401,7 @@ def key_table(facts: Facts) -> str:
     return "\n".join(rows)
 
 
+#: Descriptions of the parameters that many functions share.
 PARAMETERS = {
     "overwrite": "Replace the output where it exists.",
     "progress": "Called with the share done, from 0 to 1.",
@@ -408,7 +409,6 @@ PARAMETERS = {
     "memory_limit": 'Memory that the computation may use, such as "4 GiB"; by default half of what is free.',
     "chunks": "Chunks of the arrays, as in `xarray.open_zarr`.",
 }
-"""Descriptions of the parameters that many functions share."""
 
 
 def documented(**own: str) -> Callable[[_Function], _Function]:

@@ -9,14 +9,14 @@ import xarray as xr
 
 from .errors import PaintWarning
 
+#: Dimension of a paint library: `paint` until 0.2, a name that the accessor hides. A property of regions that
+#: was called `signature` gets the free name `paint`.
 NEW_NAMES = {"paint": "signature", "signature": "paint"}
-"""Dimension of a paint library: `paint` until 0.2, a name that the accessor hides. A property of regions that
-was called `signature` gets the free name `paint`."""
 
 _OLD, _NEW, _BAND = "paint", "signature", "band"
 _FREE = "property_signature"
+#: Attribute of a library: the version of its specification (docs/paint-library.md).
 VERSION_NAME = "paint_library_version"
-"""Attribute of a library: the version of its specification (docs/paint-library.md)."""
 
 _OF_LIBRARIES = ("reflectance", "score_threshold")  # the second: of detections
 
@@ -65,7 +65,7 @@ def warn_of_old_names(source: str) -> None:
 
 
 def _is_old(library: xr.Dataset | xr.DataArray) -> bool:
-    """Return whether spectra, or thresholds of detections, have the dim `paint` or its scalar coordinate."""
+    # Spectra, or thresholds of detections, had the dim `paint` or its scalar coordinate.
     if _NEW in library.dims or not (_OLD in library.dims or _OLD in library.coords):
         return False
     if isinstance(library, xr.DataArray):

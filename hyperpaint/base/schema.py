@@ -79,20 +79,20 @@ __all__ = [
     "with_numbers",
 ]  # fmt: skip
 
+#: Version of the layout on disk, repeated in every group as ``hyperpaint_format``: 3 has one manifest; 2 (of
+#: 0.2) had a record in every array's folder and one in the root; 1 (of 0.1) had none in the root.
 FORMAT_VERSION = 3
-"""Version of the layout on disk, repeated in every group as ``hyperpaint_format``: 3 has one manifest; 2 (of
-0.2) had a record in every array's folder and one in the root; 1 (of 0.1) had none in the root."""
 
+#: Lines in one storage chunk, and in one task on threads (see docs/explanation/design.md).
 CHUNK_LINES = 32
-"""Lines in one storage chunk, and in one task on threads (see docs/explanation/design.md)."""
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
 
+#: Line shapes of a monochromator, named by the attribute ``monochromator_shape`` of a sweep.
 MONOCHROMATOR_SHAPES = ("gaussian", "triangle")
-"""Line shapes of a monochromator, named by the attribute ``monochromator_shape`` of a sweep."""
 
+#: Line shapes of a band, named by the dataset attribute ``srf_shape``.
 SRF_SHAPES = ("gaussian", "slit", "tabulated")
-"""Line shapes of a band, named by the dataset attribute ``srf_shape``."""
 
 #: Names of our dims in other packages, in lower case.
 DIM_ALIASES: Mapping[str, tuple[str, ...]] = {
@@ -241,10 +241,8 @@ _WHOLE_LINE_VARIABLES = ("overview", "coarse_reflectance")
 
 
 def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
-    """Return variables with the dims and integers of the table, where `where` or `concat` changed them.
-
-    Lazy arrays stay lazy: that they are constant along a removed dim is checked when they are computed.
-    """
+    # `where` and `concat` change dims and integers. Lazy arrays stay lazy: that they are constant along a
+    # removed dim is checked when they are computed.
     changed: dict[Hashable, xr.Variable] = {}
     dropped = []
     # after where() on counts, darks and gain have the dims of the cube: require refuses them, naming isel
@@ -270,7 +268,7 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _is_averaged(dataset: xr.Dataset) -> bool:
-    """Return whether flags are means over pixels, as coarsen and interp leave them."""
+    # coarsen and interp leave means of flags over pixels.
     quality = dataset.variables["quality"]
     if quality.dtype.kind != "f":
         return False
@@ -280,7 +278,7 @@ def _is_averaged(dataset: xr.Dataset) -> bool:
 
 
 def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
-    """Return a variable without dims of a cube along which it is constant, missing values left out."""
+    # A variable that is constant along dims of a cube loses them; missing values are left out.
     dims = set(variable.dims)
     fitting = [shape for shape in row.allowed_dims if set(shape) < dims and dims - set(shape) <= set(CUBE)]
     if not fitting or any(dims == set(shape) for shape in row.allowed_dims):
@@ -306,7 +304,7 @@ def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
 
 
 def _constant(low: Any, high: Any, *, name_of: str, dims: list[str]) -> Any:
-    """Return the minima along dims, which must equal the maxima."""
+    # Minima must equal maxima.
     if not ((low == high) | (low != low)).all():
         raise SchemaError(
             f"{name_of!r} differs along {' and '.join(dims)}",
@@ -350,7 +348,7 @@ _FOREIGN_ARRAYS = {
 
 
 def _refuse_foreign_arrays(dataset: xr.Dataset) -> None:
-    """Refuse arrays of other packages that look like numpy's or dask's; none of them is imported for that."""
+    # Arrays of other packages look like numpy's or dask's; none of the packages is imported here.
     for name, variable in dataset.variables.items():
         data = variable._data
         for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
@@ -364,8 +362,8 @@ def _refuse_foreign_arrays(dataset: xr.Dataset) -> None:
                 )
 
 
+#: Attribute of ``radiance_gain``: names of the other variables of the calibration that change values.
 CALIBRATION_NAMES = "calibration_variables"
-"""Attribute of ``radiance_gain``: names of the other variables of the calibration that change values."""
 
 _CALIBRATION_VARIABLES = (
     "wavelength_shift",
@@ -532,7 +530,7 @@ def has_own_means(line: xr.Dataset) -> bool:
 
 
 def _identity(variable: xr.Variable) -> str | None:
-    """Return a hash of the values; None where it would need to read more than a scalar."""
+    # None where a hash would need to read more than a scalar.
     from dask.base import is_dask_collection, tokenize
 
     if is_dask_collection(variable):

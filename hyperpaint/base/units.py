@@ -94,7 +94,7 @@ _WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for w
 
 
 def _plain_powers(text: str) -> str:
-    """Return ``text`` with raised digits as powers, so that they can be checked, and dots as spaces."""
+    # Raised digits become powers, so that they can be checked, and dots become spaces.
     text = _DOT.sub(r"\1 ", text.replace("·", " "))
     return _RAISED.sub(lambda match: f"**{match[0].translate(_LOWERED)} ", text)
 
@@ -254,7 +254,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
 
 
 def _is_quantity(value: object) -> bool:
-    """Return whether a value carries its unit: a Quantity of pint, astropy or unyt."""
+    # A Quantity of pint, astropy or unyt.
     if isinstance(value, xr.DataArray):  # has any of these where its attributes do
         return False
     is_pint = hasattr(value, "magnitude") and hasattr(value, "units")
@@ -267,11 +267,8 @@ def _magnitude(quantity: Any) -> Any:
 
 
 def _unit_text(quantity: Any) -> str:
-    """Return the unit of a Quantity in CF spelling.
-
-    Each part is read by its full name, since symbols differ between registries; a part that is unknown to our
-    registry is resolved by its own registry.
-    """
+    # Symbols differ between registries: each part is read by its full name; a part that is unknown to our
+    # registry is resolved by its own registry.
     if not hasattr(quantity, "unit_items"):  # astropy and unyt
         return str(getattr(quantity, "unit", None) or quantity.units)
     scale, powers = 1.0, []
@@ -439,7 +436,6 @@ def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
 
 
 def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
-    """Return one argument of a public function without Quantities; itself where it has none."""
     if name in units:
         return in_units(value, units[name], name)
     if isinstance(value, xr.Dataset | xr.DataArray | xr.DataTree):

@@ -206,7 +206,7 @@ class Imager:
         return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
     def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        """Return R_b without the element factors at wavelength shifts [nm], shape (grid, shift)."""
+        # R_b without the element factors at wavelength shifts [nm], shape (grid, shift).
         offset = grid[:, None] - (self.wavelength[band] + shift)
         shape = self.line_shape(band, offset, grid[1] - grid[0])
         return np.asarray(self.responsivity(grid)[:, None] * shape)

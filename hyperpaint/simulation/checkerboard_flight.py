@@ -177,23 +177,22 @@ class CheckerboardFlight(Flight):
 
     @property
     def _tangents(self) -> Floats:
-        """Tangents of the columns' lines of sight, to the right."""
+        # Positive to the right.
         return np.tan(np.radians(self.look_angle))
 
     @cached_property
     def _cameras(self) -> tuple[Floats, Floats]:
-        """Place and rotation of the camera at begin, middle and end of every exposure."""
+        # Place and rotation at begin, middle and end of every exposure.
         half = self.settings.exposure_time / 2
         return self.trajectory.camera(self.line_times[:, None] / 1e9 + half * np.array([-1.0, 0.0, 1.0]))
 
     @cached_property
     def _to_map(self) -> Floats:
-        """Matrix from small steps east and north in the scene to those on the map, (2, 2)."""
+        # Small steps east and north in the scene, times this, are steps on the map.
         places = np.stack(self._map(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))[:2])
         return np.asarray(places[:, 1:] - places[:, :1])
 
     def _look(self, start: int, stop: int) -> dict[str, Floats]:
-        """Return the layers of the pixels of scan lines, by name."""
         origin, rotation = (part[start:stop] for part in self._cameras)
         across, aside = self._tangents, 0.5 * PIXEL_ANGLE
         begin, now, end = (self._places(origin[:, k], rotation[:, k], across) for k in range(3))
@@ -208,7 +207,7 @@ class CheckerboardFlight(Flight):
         return {"bright_share": share, "east": east, "north": north, "height": height}
 
     def _places(self, origin: Floats, rotation: Floats, across: Floats, along: float = 0.0) -> Floats:
-        """Return ground points of lines of sight, in the scene's axes (line, column, 3) [m]."""
+        # Ground points in the axes of the scene (line, column, 3) [m].
         rays = np.stack([np.full_like(across, along), across, np.ones_like(across)])
         rays = (rotation @ rays).swapaxes(1, 2)
         reach = -origin[:, None, 2] / rays[..., 2]
@@ -221,6 +220,6 @@ class CheckerboardFlight(Flight):
         return np.asarray(origin[:, None] + reach[..., None] * rays)
 
     def _map(self, places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return east, north and height above the ellipsoid of places in the scene's axes (..., 3)."""
+        # East, north and height above the ellipsoid of places in the axes of the scene (..., 3).
         latitude, longitude, height = self.frame.geodetic(places)
         return *self.plane.project(latitude, longitude), height

@@ -299,7 +299,7 @@ def _frame_stamps(middles: NDArray[np.int64], settings: SimulationSettings) -> N
 
 
 def _comments(flight: Flight) -> dict[str, object]:
-    """Return the fields that Headwall writes below the ENVI part of a header."""
+    # Headwall writes these fields below the ENVI part of a header.
     settings = flight.settings
     return {
         "AOI width": settings.columns,

@@ -206,7 +206,7 @@ class Flight(abc.ABC):
 
     @cached_property
     def _paint_of_surface(self) -> NDArray[np.int32]:
-        """Place in ``paints`` of every surface class, -1 for surfaces that are not paint."""
+        # Place in ``paints``; -1 for surfaces that are not paint.
         paints = {name: number for number, name in enumerate(self.paints)}
         return np.array([paints.get(name, -1) for name in self.surfaces], np.int32)
 
@@ -284,7 +284,7 @@ class Flight(abc.ABC):
         return into.counts[:number], into.radiance[:number], into.reflectance[:number]
 
     def _note(self, seen: Seen, row: int, line: int) -> Floats:
-        """Fill one row's radiance and reflectance, and return pi INT L R of its elements (band, column)."""
+        # The result is pi INT L R of the elements (band, column).
         light = seen.elements(row)
         factors = self._factors(line, line + 1)[:, 0]
         incident = self._incident[0] * factors[0]
@@ -294,7 +294,7 @@ class Flight(abc.ABC):
         return light
 
     def _count(self, light: Floats, line: int) -> Floats:
-        """Return counts of pi INT L R (band, column), overwritten; the scan line's number seeds the noise."""
+        # ``light`` is pi INT L R (band, column), and is overwritten; the scan line's number seeds the noise.
         settings = self.settings
         light *= 1.0 / np.pi
         signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
@@ -306,11 +306,7 @@ class Flight(abc.ABC):
         return counts
 
     def _expose(self, seen: Seen, start: int) -> Lines:
-        """Record all rows of scan lines that begin at ``start``, and return them.
-
-        Rows go in threads: numpy lets go of the interpreter, each line draws its own numbers.
-        """
-
+        # Rows go in threads: numpy releases the interpreter, each line draws its own numbers.
         def expose(row: int) -> None:
             seen.lines.counts[row] = self._count(self._note(seen, row, start + row), start + row)
 
@@ -319,7 +315,6 @@ class Flight(abc.ABC):
         return seen.lines
 
     def _expose_through(self, optics: Optics, seen: Seen, first: int, lines: range) -> Lines:
-        """Record ``lines`` through the optics, of scan lines from ``first`` on, and return them."""
         factor = self.imager.element_factor
 
         def common(row: int) -> Floats:

@@ -163,9 +163,8 @@ def stray_light_wings(wavelength: Floats, share: float) -> Floats:
     return np.asarray(share * wing)
 
 
+# A point spread as a product: weights of lines (line,), and of columns in every band (band, column).
 class _Term(NamedTuple):
-    """A point spread as a product: weights of lines (line,), and of columns in every band (band, column)."""
-
     along: Floats
     across: Floats
 
@@ -253,14 +252,14 @@ class Optics:
 
 
 def _products(kernel: Floats) -> list[tuple[Floats, Floats]]:
-    """Return a kernel (line, column), of unit sum, as pairs of weights along and across that add up to it."""
+    # A kernel (line, column), of unit sum, is a sum of products of weights along and across.
     left, value, right = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
     rank = int(np.count_nonzero(value > _RANK * value[0]))
     return [(left[:, k] * value[k], right[k]) for k in range(rank)]
 
 
 def _displaced(across: Floats, shift: Floats) -> Floats:
-    """Return weights (column,) displaced by the shifts of the bands, shape (band, column), odd."""
+    # Weights (column,) displaced by the shifts of the bands, shape (band, column), odd.
     extra = int(np.ceil(np.abs(shift).max()))
     whole = np.floor(shift).astype(int)
     weights = np.zeros((len(shift), len(across) + 2 * extra))
@@ -273,7 +272,7 @@ def _displaced(across: Floats, shift: Floats) -> Floats:
 
 
 def _convolved(line: Floats, weights: Floats) -> Floats:
-    """Return a line (band, column) convolved along its columns with weights (band, column)."""
+    # ``line`` and ``weights`` have shape (band, column); the sum runs along the columns.
     reach, columns = weights.shape[1] // 2, line.shape[1]
     padded = np.pad(line, ((0, 0), (reach, reach)), mode="symmetric") if reach else line
     result = np.zeros(line.shape)

@@ -72,7 +72,7 @@ class PaintedRectangles:
             self._line += 1
 
     def _search(self) -> None:
-        """Keep the rectangles that end at this scan line and exceed the largest so far."""
+        # Rectangles that end at this scan line and exceed the largest so far.
         for begin, end in self._runs():
             paint = int(self._label[begin]) % len(self._flight.paints)
             for tall, first, last in _rectangles(self._tall[begin:end].tolist()):
@@ -83,7 +83,7 @@ class PaintedRectangles:
                     self._best[paint] = self._flightline, box
 
     def _runs(self) -> Iterator[tuple[int, int]]:
-        """Yield bounds of columns that may hold a rectangle: one label, level, and tall enough."""
+        # Columns that may hold a rectangle: one label, level, and tall enough.
         enough = self._tall >= _MIN_SIDE_PIXELS
         joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         joined &= np.abs(np.diff(self._up)) <= self._step

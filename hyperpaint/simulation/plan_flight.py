@@ -111,7 +111,7 @@ class CarPark:
         classes[near] = view
 
     def _paint_of(self, place: int) -> str:
-        """Return the paint of the car in a bay: twelve neighbouring bays have twelve paints."""
+        # Twelve neighbouring bays have twelve paints.
         paints = list(CAR_PAINTS)
         deck, card = divmod(place + 2 * len(paints), len(paints))
         order = np.random.default_rng([self.seed, 2, deck]).permutation(len(paints))
@@ -162,7 +162,7 @@ class PlanFlight(Flight):
         return Seen(block, seen)
 
     def _seen(self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats) -> Floats:
-        """Return pi INT L R of every element of a scan line, shape (band, cross_track)."""
+        # pi INT L R of every element, shape (band, cross_track).
         direct, diffuse = factors
         columns = self.settings.columns
         index = surface.astype(np.intp) * columns + np.arange(columns)
@@ -182,7 +182,7 @@ class PlanFlight(Flight):
         return np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
 
     def _mirrored(self, line: int, surface: NDArray[np.int16]) -> Floats:
-        """Return the reflectance factor of the clear coat's mirror image of the sun, zero for most pixels."""
+        # Reflectance factor of the clear coat's mirror image of the sun, zero for most pixels.
         rng = self._rng(_GLINT, line)
         chance, strength = rng.random(surface.shape), rng.uniform(2.0, 12.0, surface.shape)
         return np.where((chance < self.settings.glint) & _CAR[surface], strength, 0.0)

@@ -113,7 +113,7 @@ class RenderedFlight(Flight):
         return {"colour": paint_spec(paint).colour, "finish": finish}
 
     def _flakes(self, paint: str) -> float:
-        """Return the share of the light in a paint that meets flakes in this scene."""
+        # Share of the light in a paint that meets flakes in this scene.
         flakes = paint_spec(paint).flakes
         has_some = flakes is not None and self.settings.fleet == "real" and self.settings.coat
         return flakes.share if flakes is not None and has_some else 0.0
@@ -126,7 +126,7 @@ class RenderedFlight(Flight):
         return np.where(clean, paint + len(self.paints) * car, -1).astype(np.int32)
 
     def _car_park(self) -> Scene:
-        """Return a car park that begins before the first line's view and ends behind the last one's."""
+        # It begins before the first line's view and ends behind the last one's.
         settings = self.settings
         # how far ahead the camera may look, and length of park before its view [m]
         path = self.trajectory
@@ -189,7 +189,7 @@ class RenderedFlight(Flight):
         return Seen(record, lambda row: record.radiance[row] * per_element)
 
     def _trace(self, start: int, stop: int) -> Block:
-        """Return the paths of scan lines, traced by threads: the kernel releases the interpreter."""
+        # Threads: the kernel releases the interpreter.
         platform = self.platform
 
         def trace(begin: int) -> Block:
@@ -213,7 +213,7 @@ class RenderedFlight(Flight):
         }
 
     def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
-        """Return which pixels have `GLINT` or more of the sun's mirror image, shape (line, column)."""
+        # Pixels with `GLINT` or more of the sun's mirror image, shape (line, column).
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
         weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
         level = self._incident.mean(axis=(1, 2)) @ factors

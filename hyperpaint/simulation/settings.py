@@ -17,39 +17,39 @@ from .optics import OpticsSettings
 from .setting_checks import moment_of
 from .sun_clock import USUAL_START, when_sun_stands
 
+#: Instants of an exposure that a time stamp can mark.
 STAMPS = ("start", "mid", "end")
-"""Instants of an exposure that a time stamp can mark."""
 
+#: Scenes: a flat picture of a car park, a car park of triangles whose light is traced, or level squares of
+#: known corners.
 SCENES = ("plan", "rendered", "checkerboard")
-"""Scenes: a flat picture of a car park, a car park of triangles whose light is traced, or level squares of
-known corners."""
 
+#: Line shapes of the imager.
 SHAPES = ("gaussian", "slit")
-"""Line shapes of the imager."""
 
+#: Motions of a platform about its course.
 WOBBLES = ("none", "slow", "calm", "rough")
-"""Motions of a platform about its course."""
 
+#: Width of a scene across the track, unless it is a checkerboard.
 SWATH_M = 16.0
-"""Width of a scene across the track, unless it is a checkerboard."""
 
+#: Maximum number of paths that are traced for a pixel.
 MOST_SAMPLES = 1 << 14
-"""Maximum number of paths that are traced for a pixel."""
 
+#: Largest seed of a random generator.
 MAX_SEED = 2**63 - 1
-"""Largest seed of a random generator."""
 
+#: Paints of the cars: fourteen solid paints, or the paints of a real fleet (`rendering.fleet`).
 FLEETS = ("solid", "real")
-"""Paints of the cars: fourteen solid paints, or the paints of a real fleet (`rendering.fleet`)."""
 
+#: Kinds of light.
 SKIES = ("clear", "near_sunset", "overcast")
-"""Kinds of light."""
 
+#: Zenith angle and azimuth of the sun near sunset [degree].
 NEAR_SUNSET = (80.0, 292.0)
-"""Zenith angle and azimuth of the sun near sunset [degree]."""
 
+#: Latitude and longitude [degree] of the ground under the first line, and its height [m].
 ORIGIN = (43.0845, -77.6749, 160.0)
-"""Latitude and longitude [degree] of the ground under the first line, and its height [m]."""
 
 _ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]{1,9})?)?)?")
 
@@ -424,8 +424,7 @@ class SimulationSettings(OpticsSettings):
         return np.linspace(0, self.lines, self.cubes + 1).astype(np.int64)
 
     def _note_contradictions(self, problems: Problems, spelled: Spelling) -> None:
-        """Note values that contradict each other, once each of them is in its range."""
-
+        # Each value is in its range here.
         def add(name: str, found: str, expected: str, mend: str, code: str = "value-out-of-range") -> None:
             found = f"{spelled(name, getattr(self, name))}{found}"
             problems.add(found, expected=expected, mend=mend, code=code)

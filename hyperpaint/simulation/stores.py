@@ -109,7 +109,7 @@ def write_calibration(flight: Flight, path: Path) -> None:
 
 
 def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
-    """Write small arrays as a new store; hyperpaint does not read zarr's default codec, zstd."""
+    # hyperpaint does not read zarr's default codec, zstd.
     codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
     forms = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
     store = zarr.storage.LocalStore(path)  # a path such as dask::x is to xarray the URL of a cluster
@@ -117,7 +117,7 @@ def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) ->
 
 
 def _consolidate(path: Path) -> None:
-    """Consolidate the metadata at the root, where plain `xarray.open_zarr` looks first."""
+    # Plain `xarray.open_zarr` looks for metadata at the root first.
     with warnings.catch_warnings():
         # zarr warns that consolidated metadata is not yet in the specification of version 3
         warnings.simplefilter("ignore")
@@ -134,7 +134,6 @@ def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> d
 
 
 def _corners(flight: Flight) -> dict[str, xr.Variable]:
-    """Return the corners of a checkerboard; empty for other flights."""
     if not isinstance(flight, CheckerboardFlight):
         return {}
     return {
@@ -212,7 +211,7 @@ def _create_array(
     attrs: dict[str, Any],
     chunk_length: int = CHUNK_LINES,
 ) -> Any:
-    """Create an array to be filled block by block, in chunks of ``chunk_length`` along its first dim."""
+    # Filled block by block, in chunks of ``chunk_length`` along its first dim.
     kind = np.dtype(dtype)
     return group.create_array(
         name,
@@ -279,7 +278,7 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
 
 
 def _scalar_or_step(values: Any) -> Any:
-    """Return one number if all steps have the same value."""
+    # One number if all steps have the same value.
     return values[0] if np.all(values == values[0]) else values
 
 
@@ -288,7 +287,6 @@ def _is_one_dark(sweep: Sweep) -> bool:
 
 
 def _without_cubes(sweep: Sweep) -> xr.Dataset:
-    """Return a sweep without its counts."""
     settings, camera = sweep.settings, sweep.camera
     values: dict[str, Any] = {
         "flux": sweep.recorded_flux,
@@ -493,7 +491,6 @@ def _clear(target: Path, overwrite: bool) -> None:
 
 
 def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the cubes of a sweep, by name."""
     settings, camera = sweep.settings, sweep.settings.camera
     shape = (settings.steps, camera.bands, camera.columns)
     dark = shape[1:] if _is_one_dark(sweep) else shape

@@ -302,7 +302,7 @@ class Sweep:
         return integrals
 
     def _order(self, step: int, order: int) -> Floats:
-        """Return the integrals for one order of the grating: light falls at ``order`` x its wavelength."""
+        # Light falls at ``order`` x its wavelength.
         imager, centre = self.camera.imager, self.wavelength[step]
         fwhm = float(self.settings.monochromator_fwhm[step])
         offset, weights = _line_quadrature(
@@ -349,11 +349,9 @@ class Sweep:
         return self._average(np.zeros_like(level), level, settings.dark_frames, rng)
 
     def _average(self, signal: Floats, dark: Floats, frames: int, rng: np.random.Generator | None) -> Frames:
-        """Return mean and variance of ``frames`` frames, drawn from their distributions.
-
-        Whole counts average to multiples of 1 / frames. Rounding adds 1/12 to the variance of a frame, which
-        holds for a noise above some 0.4 counts.
-        """
+        # Mean and variance of ``frames`` frames, drawn from their distributions. Whole counts average to
+        # multiples of 1 / frames. Rounding adds 1/12 to the variance of a frame, which holds for a noise
+        # above some 0.4 counts.
         camera, settings = self.camera, self.settings.camera
         mean = signal + dark
         spread = np.zeros_like(mean)
@@ -377,11 +375,9 @@ class Sweep:
 
 
 def _line_quadrature(fwhm: float, shape: str, other_width: float) -> tuple[Floats, Floats]:
-    """Return distances from the centre of a line [nm] and weights whose sum over them is one.
-
-    The grid is even, symmetric about the centre and, for a triangle, has the corners on its points: the sum
-    is then as good as an integral, to 2e-5 of the peak.
-    """
+    # Distances from the centre [nm], and weights whose sum over them is one. The grid is even, symmetric
+    # about the centre and, for a triangle, has the corners on its points: the sum is then as good as an
+    # integral, to 2e-5 of the peak.
     parts = int(np.ceil(fwhm / min(_GRID_STEP[shape], fwhm / 40.0, other_width / 40.0)))
     step = fwhm / parts
     reach = parts if shape == "triangle" else int(np.ceil(GAUSSIAN_REACH * parts))
@@ -394,11 +390,9 @@ def _line_quadrature(fwhm: float, shape: str, other_width: float) -> tuple[Float
 
 
 def _shift_table(shifts: Floats, step: float) -> tuple[Floats, Floats]:
-    """Return wavelength shifts to compute at, and the matrix (cross_track, table) from there to the columns.
-
-    The few shifts of a narrow camera are taken as they are; many lie close together, and four neighbours on
-    an even table then give a column's value by Lagrange's cubic.
-    """
+    # Shifts to compute at, and the matrix (cross_track, table) from there to the columns. The few shifts of a
+    # narrow camera are taken as they are; many lie close together, and four neighbours on an even table then
+    # give a column's value by Lagrange's cubic.
     distinct, column = np.unique(shifts, return_inverse=True)
     parts = int(np.ceil((distinct[-1] - distinct[0]) / step))
     if len(distinct) <= parts + 3:

@@ -29,9 +29,8 @@ _D65 = (
 )  # fmt: skip
 
 
+# Reflectance factors of unit spectra: of a base, of flakes, and of the light that these recycle.
 class _Lobes(NamedTuple):
-    """Reflectance factors of unit spectra: of a base, of flakes, and of the light that these recycle."""
-
     base: float
     flakes: float
     recycled: float
@@ -77,7 +76,7 @@ def gloss_units(coat: Coat) -> float:
 
 
 def _overlap(deflection: Floats, axis: int) -> Floats:
-    """Return the part of the source's image, shifted by an angle [rad], inside the receptor field."""
+    # Part of the source's image, shifted by an angle [rad], inside the receptor field.
     receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
     return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
 
@@ -118,10 +117,8 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
 
 
 def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
-    """Return the lobes of the tracer for light and view at zenith angles [degree], azimuth apart.
-
-    Of a smooth coat (index 0: none) over a base alone, and over flakes of an alpha (0: none) alone.
-    """
+    # Light and view at zenith angles [degree], azimuth apart. Lobes of a smooth coat (index 0: none) over a
+    # base alone, and over flakes of an alpha (0: none) alone.
     from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part
 
     one, factor = np.ones(1), np.array([0 if alpha else -1], np.int32)
@@ -137,7 +134,6 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
 
 
 def _factor_with_flakes(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
-    """Return the reflectance factor of a paint with a share of flakes."""
     again = share * metal + (1.0 - share) * pigment
     return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * again)
 

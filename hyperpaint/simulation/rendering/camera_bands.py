@@ -155,7 +155,7 @@ class BandSet:
 
     @property
     def _node_step(self) -> float:
-        """Distance of the nodes [nm]: sharper bands change faster with the shift."""
+        # Distance of the nodes [nm]: sharper bands change faster with the shift.
         widest, parts = _NODE_STEP[self.shape]
         narrowest = float(self.fwhm.min())
         if self.shape == "slit":
@@ -257,7 +257,7 @@ class BandResponses:
         self.first_band = np.clip(first, 0, starts.size - self.width)
 
     def _responses(self, node: int) -> tuple[NDArray[np.int64], Floats]:
-        """Return the fine points of every band, and response x step there, both (band, point)."""
+        # Fine points of every band, and response x step there, both (band, point).
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]

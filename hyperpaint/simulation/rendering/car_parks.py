@@ -202,7 +202,7 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
 
 
 def _tufts(layout: Layout, seed: int) -> list[Mesh]:
-    """Return blades of grass on the lawn nearest to the cars: one mesh for every bay's length."""
+    # Blades of grass on the lawn nearest to the cars: one mesh for every bay's length.
     tufts = []
     for bay in range(layout.bays):
         rng = np.random.default_rng([seed, _WEAR, bay])
@@ -224,7 +224,7 @@ def _gaps(rows: tuple[tuple[float, float], ...], west: float, east: float) -> It
 
 
 def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -> Iterator[Mesh]:
-    """Yield the cells of one row of bays: asphalt and the painted lines."""
+    # One row of bays: asphalt and the painted lines.
     south = first
     for line in range(layout.bays + 1):
         low, high = (line * BAY[1] + side * 0.5 * layout.line_width for side in (-1, 1))
@@ -397,8 +397,6 @@ def car_park(
 
 @dataclass(frozen=True)
 class _Choices:
-    """Paints, types and options from which the cars are drawn."""
-
     paints: tuple[str, ...]
     types: tuple[str, ...]
     seed: int
@@ -415,7 +413,7 @@ class _Choices:
         return replace(surface, coat=coat, flakes=surface.flakes if self.flakes and coat else None)
 
     def paint(self, number: int) -> str:
-        """Return the paint of a car; consecutive cars use every paint once before any is used again."""
+        # Consecutive cars use every paint once before any is used again.
         if len(self.paints) == _FLEET_SIZE:  # spread evenly over the shares as they come
             return self.paints[number % _FLEET_SIZE]
         deck, card = divmod(number, len(self.paints))
@@ -553,7 +551,7 @@ def _lamps(layout: Layout) -> Iterator[Scene]:
 
 
 def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: int) -> Mesh:
-    """Return a tree at the origin; ``height`` of its top and radius of its ``crown`` [m]."""
+    # At the origin; ``height`` of its top and radius of its ``crown`` [m].
     middle = np.array([0.0, 0.0, height - 0.95 * crown])
     blobs = 9
     direction = _directions(rng, blobs)
@@ -572,7 +570,7 @@ def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: i
 
 
 def _hedge(rng: np.random.Generator, length: float) -> Mesh:
-    """Return a clipped hedge from the origin to the north, with 160 leaves a square metre of its outside."""
+    # From the origin to the north, clipped, with 160 leaves a square metre of its outside.
     height, thickness = 1.3, 0.7
     core = cuboid((0.8 * thickness, length - 0.1, 0.9 * height), "leaf").shifted((0, length / 2, -0.05))
     top, side, end = length * thickness, length * height, thickness * height
@@ -592,7 +590,7 @@ def _directions(rng: np.random.Generator, count: int) -> Floats:
 
 
 def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Mesh:
-    """Return leaves at ``places`` (leaf, 3) that face roughly ``outward`` (leaf, 3) and up."""
+    # Leaves at ``places`` (leaf, 3) face roughly ``outward`` (leaf, 3) and up.
     count = len(places)
     facing = outward + (0.0, 0.0, 0.5) + 0.9 * rng.standard_normal((count, 3))
     facing /= np.linalg.norm(facing, axis=1, keepdims=True)

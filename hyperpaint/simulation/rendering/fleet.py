@@ -146,13 +146,12 @@ def fleet_paint(number: int) -> FleetPaint:
 
 
 def _chosen(shares: Mapping[str, float], place: float) -> str:
-    """Return the name whose share of the unit interval contains a place."""
+    # The share of the unit interval that contains the place.
     last = np.searchsorted(np.cumsum(list(shares.values())), place, side="right")
     return list(shares)[min(int(last), len(shares) - 1)]
 
 
 def _pigments(group: str, finish: str, rng: np.random.Generator) -> tuple[str, Pigments]:
-    """Return the colour in words, and the pigments."""
     film = None
     if finish == "pearl":
         film = float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))

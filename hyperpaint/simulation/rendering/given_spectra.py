@@ -70,13 +70,8 @@ def is_library(value: Any) -> bool:
 
 
 def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
-    """Return the paints of a library by name, each with the variables that the renderer needs, lazily.
-
-    Raises
-    ------
-    SchemaError
-        It is not a library, its paints have no names, or two share a name.
-    """
+    # Each paint has the variables that the renderer needs, lazily. SchemaError: not a library, paints without
+    # names, or two that share a name.
     library = with_new_names(library) if is_library(library) else library
     if not is_library(library) or SIGNATURE not in library.variables:
         raise SchemaError(
@@ -226,7 +221,7 @@ class SpectrumReader:
         return Table(nm[used], reflectance[used], members)
 
     def _measured(self, paint: xr.Dataset, name: str) -> Table:
-        """Return a paint of a library: bands in order, NaN in bands that are not good."""
+        # Bands in order, NaN in bands that are not good.
         nm, reflectance = _columns(paint["reflectance"])
         order = np.argsort(nm, kind="stable")
         good = np.ones(nm.size, bool)
@@ -299,7 +294,7 @@ def _columns(value: Any) -> tuple[Floats, Floats]:
 
 
 def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
-    """Return the part of a table within reach of the bands; gaps elsewhere do not matter."""
+    # Gaps out of reach of the bands do not matter.
     if not isinstance(spectrum, Table):
         return spectrum
     last = spectrum.wavelength.size - 1
@@ -311,7 +306,7 @@ def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
 
 
 def _thinned(members: Floats) -> Floats:
-    """Return at most `MAX_MEMBERS` members with values, evenly spaced."""
+    # At most `MAX_MEMBERS` members with values, evenly spaced.
     used = members[np.isfinite(members).any(axis=1)]
     if len(used) <= MAX_MEMBERS:
         return used
@@ -319,13 +314,13 @@ def _thinned(members: Floats) -> Floats:
 
 
 def _whole(members: Floats) -> Floats | None:
-    """Return the members without gaps; None for fewer than two."""
+    # Members without gaps; None for fewer than two.
     whole = members[np.isfinite(members).all(axis=1)]
     return whole if len(whole) > 1 else None
 
 
 def _runs(wavelength: Floats, missing: Bools) -> str:
-    """Return the wavelengths of missing values as text, neighbours as ranges."""
+    # Wavelengths of missing values, neighbours as ranges.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
     runs = [(wavelength[begin], wavelength[end - 1]) for begin, end in edges.reshape(-1, 2)]
     texts = [f"{low:.1f}" if low == high else f"{low:.1f} to {high:.1f}" for low, high in runs]

@@ -382,7 +382,7 @@ class ProductTable:
 
 
 def _lookup(sorted_codes: Ints, codes: Ints) -> Ints:
-    """Return the places of codes in a sorted array; -1 for codes that are not in it."""
+    # -1 for codes that are not in the array.
     if not sorted_codes.size:
         return np.full(codes.shape, -1, np.int64)
     place = np.searchsorted(sorted_codes, codes).clip(max=sorted_codes.size - 1)

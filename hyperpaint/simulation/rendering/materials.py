@@ -236,7 +236,7 @@ def internal_reflectance(index: float = 1.5) -> float:
 
 
 def _through_interface(index: float, geometry: Geometry) -> float:
-    """Return ``To Ti / n^2``: the part of the light that crosses the interface twice [1]."""
+    # ``To Ti / n^2``: the part of the light that crosses the interface twice [1].
     normal = float(fresnel_reflectance(1.0, index))
     others = {
         "0/0": normal,

@@ -79,7 +79,7 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
 
 
 def _without_noise(irradiance: Floats) -> Floats:
-    """Return an irradiance with small noise below zero set to 0; larger negative values stay."""
+    # Small noise below zero becomes 0; larger negative values stay.
     low, high = irradiance.min(), irradiance.max()
     if -_NOISE * high <= low < 0.0:
         count = int((irradiance < 0.0).sum())
@@ -146,7 +146,7 @@ def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Pr
 
 
 def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
-    """Return the headings and the numbers of a text file, shape (row, column)."""
+    # Numbers have shape (row, column).
     content = read_limited(path, _MAX_BYTES, "the table of an atmosphere")
     if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MAX_LINES:
         problems.add(f"{count} lines", expected=f"at most {_MAX_LINES}", code="file-too-large")
@@ -188,7 +188,7 @@ def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
 
 
 def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tuple[int, float]]:
-    """Return the column of every curve and the factor to our units."""
+    # Column of every curve, and the factor to our units.
     curves: dict[str, tuple[int, float]] = {}
     for column, heading in enumerate(headings):
         match = _HEADING.fullmatch(str(heading).strip())

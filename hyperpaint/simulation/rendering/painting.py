@@ -151,7 +151,7 @@ def dealt_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:
 def _painted(
     record: SceneRecord, paints: dict[str, Any], library: dict[str, Any], problems: Problems
 ) -> tuple[list[str], list[float]]:
-    """Return spectrum and scale of every factor; new spectra are added to ``library``."""
+    # Spectrum and scale of every factor; new spectra are added to ``library``.
     original = []
     for factor in record.factors:
         material = record.materials[factor.material]
@@ -193,7 +193,7 @@ def _painted(
 def _exchange_flakes(
     record: SceneRecord, place: int, name: str, assigned: list[str], scales: list[float], problems: Problems
 ) -> None:
-    """Give a repainted base the flakes of its new paint; path weights contain the traced flake shares."""
+    # A repainted base gets the flakes of its new paint; path weights contain the traced flake shares.
     material = record.factors[place].material
     old = record.materials[material].flakes
     if record.factors[place].flakes or old is None:
@@ -221,7 +221,7 @@ def _flakes_of(name: str) -> Flakes | None:
 
 
 def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
-    """Return the paint factor of an instance, in a list; an empty one after a problem."""
+    # The paint factor in a list; an empty one after a problem.
     members, name = record.members[instance], record.instances[instance].name
     painted = [number for number in members if record.materials[number].kind == "paint"]
     chosen = painted or list(members)

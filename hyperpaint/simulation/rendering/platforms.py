@@ -135,7 +135,7 @@ def pushbroom(
 
 
 def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats:
-    """Return smooth functions of time [s] of unit variance, shape (number, ...)."""
+    # Smooth functions of time [s] of unit variance, shape (number, ...).
     rng = np.random.default_rng([seed, _WOBBLE, stream])
     rates = _WOBBLE_RATES * rng.uniform(0.9, 1.1, (number, len(_WOBBLE_RATES)))
     phases = rng.uniform(0.0, 2.0 * np.pi, rates.shape)
@@ -251,8 +251,8 @@ _FACTS = (
     ),
 )  # fmt: skip
 
+#: Facts of the arguments of `pushbroom`; ``key`` is the spelling in ``[platform]`` of a ``scene.toml``.
 PUSHBROOM = {one.name: one for one in _FACTS}
-"""Facts of the arguments of `pushbroom`; ``key`` is the spelling in ``[platform]`` of a ``scene.toml``."""
 
 
 # --- a flight as it was recorded ---------------------------------------------------------------------------
@@ -375,7 +375,7 @@ def platform_from_poses(
 def _clock(
     time: ArrayLike, line_time: ArrayLike | None, problems: Problems
 ) -> tuple[np.datetime64 | None, Floats, Floats]:
-    """Return the zero moment (None for seconds), and both times as seconds."""
+    # The zero moment (None for seconds), and both times as seconds.
     poses = np.asarray(time)
     lines = poses if line_time is None else np.asarray(line_time)
     if poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines):

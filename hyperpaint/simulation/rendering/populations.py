@@ -76,7 +76,7 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 
 
 def _over_mean(rows: Floats) -> Floats:
-    """Return members (member, band) over their mean, darkest first."""
+    # Members (member, band) over their mean, darkest first.
     mean = rows.mean(axis=0)
     ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _MIN_MEAN)
     ratio = np.minimum(ratio, _MAX_RATIO)

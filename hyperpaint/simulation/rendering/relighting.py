@@ -267,7 +267,6 @@ def _factors_task(clouds: BrokenClouds, east: Array, north: Array, seconds: Arra
 
 
 def _whole_lines(array: xr.DataArray) -> da.Array:
-    """Return a traced variable as a dask array in chunks of whole lines."""
     if array.chunks is None:
         array = array.chunk({ALONG_TRACK: CHUNK_LINES})
     split = [dim for dim in (SLOT, CROSS_TRACK) if len(array.variable.chunksizes.get(dim, (0,))) > 1]
@@ -280,7 +279,7 @@ _PLACES = ("material", "instance", "east", "north", "up")
 def _texture(
     traced: xr.Dataset, record: SceneRecord, painted: FactorSpectra, bands: BandSet, seed: int
 ) -> tuple[Any, Any] | None:
-    """Return the population member of every pixel (lazily, row of a table), and the table."""
+    # Population member of every pixel (lazily, row of a table), and the table.
     populations = populations_of(record, painted, bands)
     if populations is None:
         return None
@@ -302,7 +301,7 @@ def _lazy_cubes(
     *,
     truth: bool,
 ) -> dict[str, da.Array]:
-    """Return radiance, reflectance and shares; without truth, radiance needs one task per block."""
+    # Radiance, reflectance and shares; without truth, radiance needs one task per block.
     weight, code, distance = paths
     varied: tuple[Any, Any] = (None, None)
     if isinstance(variation, da.Array):
@@ -328,7 +327,7 @@ def _lazy_cubes(
 
 
 def _only(nested: Any) -> Any:
-    """Return the sole block of dims with one block, which dask passes in lists."""
+    # dask passes the sole block of dims with one block in lists.
     while isinstance(nested, list):
         (nested,) = nested
     return nested
@@ -408,11 +407,9 @@ def _irradiance_record(
     bands: BandSet,
     variation: Floats | BrokenClouds | None,
 ) -> xr.Dataset:
-    """Return ``irradiance`` and its companions as a spectrometer beside the scene records them.
-
-    It is cut around the bands, begins before the flight and ends after it; where the light varies from line
-    to line, (line, 2), it follows, lazily.
-    """
+    # ``irradiance`` and its companions as a spectrometer beside the scene records them: cut around the bands,
+    # from before the flight until after it; where the light varies from line to line, (line, 2), it follows,
+    # lazily.
     centres, spectra = _spectra(atmosphere, sun_cosine, bands)
     times = _sample_times(traced, 0 if variation is None else traced.sizes[ALONG_TRACK])
     values: Any = np.broadcast_to(spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
@@ -437,7 +434,7 @@ def _irradiance_record(
 
 
 def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple[Floats, Floats]:
-    """Return the channels [nm], and their direct and diffuse irradiance, (2, channel)."""
+    # Channels [nm], and their direct and diffuse irradiance, (2, channel).
     wavelength = atmosphere.wavelength
     reach = _REACH * _FWHM
     low = max(wavelength[0], bands.lowest() - 4 * _FWHM)
@@ -452,7 +449,7 @@ def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple
 
 
 def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
-    """Return the sampling times: before and after the flight, and between where light varies."""
+    # Before and after the flight, and between where light varies.
     try:
         first, last = (np.datetime64(traced.attrs[f"time_coverage_{end}"], "ns") for end in ("start", "end"))
     except (KeyError, ValueError, TypeError) as error:

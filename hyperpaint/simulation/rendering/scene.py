@@ -387,7 +387,7 @@ def plane(
 def _array(
     problems: Problems, name: str, values: object, dtype: type, shape: tuple[int | None, ...]
 ) -> NDArray[Any]:
-    """Return ``values`` as an array of ``dtype``; an empty one becomes zeros of the known length."""
+    # Empty values become zeros of the known length.
     array = np.asarray(values)
     if array.size == 0 and shape[0] is not None:
         return np.zeros([length or 0 for length in shape], dtype)

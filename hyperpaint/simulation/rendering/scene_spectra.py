@@ -178,7 +178,7 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
 
 
 def _fleet_spec(number: int) -> PaintSpec:
-    """Return the paint of a car of the fleet; older coats are duller."""
+    # Older coats are duller.
     car, name = fleet_paint(number), f"fleet-{number}"
     flakes = None
     if car.flake_share:
@@ -267,7 +267,7 @@ def _flakes_of(name: str, finish: str, share: float) -> Flakes:
 
 
 def _flopping(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
-    """Return flakes whose lobe gives a paint its flop index, or the nearest possible one."""
+    # The lobe that gives a paint its flop index, or the nearest possible one.
     grid = np.linspace(380.0, 780.0, 41)
     paint = Material("paint", "body", "paint", Coat(), flakes)
     body = coated_reflectance(pigments.albedo(grid), Coat().index)
@@ -369,8 +369,7 @@ def spectrum_of(name: str) -> Spectrum:
 
 
 def _limited(spectrum: Spectrum) -> Spectrum:
-    """Return ``spectrum`` clipped to 0 to 1: straight lines leave it far from their points."""
-
+    # Straight lines leave 0 to 1 far from their points.
     def limited(wavelength: Floats) -> Floats:
         grid = np.asarray(wavelength, dtype=np.float64)
         return np.clip(spectrum(grid), 0.0, 1.0)

@@ -341,7 +341,7 @@ class Haze:
 
 
 def _backward_share(g: float) -> float:
-    """Return the share of Henyey-Greenstein scattering beyond 90 degrees."""
+    # Share of Henyey-Greenstein scattering beyond 90 degrees.
     if abs(g) < 1e-6:
         return 0.5  # the formula is 0/0 there; its slope is -3/4
     return (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)

@@ -212,7 +212,7 @@ def trace(
 
 
 def _directions(suns: Any) -> tuple[Any, bool]:
-    """Return the different directions of suns, and whether an atmosphere among them is overcast."""
+    # Different directions, and whether an atmosphere among them is overcast.
     if isinstance(suns, str | Atmosphere):
         suns = [suns]
     if not isinstance(suns, list | tuple):
@@ -239,7 +239,7 @@ _DIMS = {"l": ALONG_TRACK, "s": SLOT, "u": SUN, "x": CROSS_TRACK}
 def _lazy_arrays(
     scene: Scene, platform: Platform, settings: TraceSettings, chunk_lines: int
 ) -> dict[str, da.Array]:
-    """Return every variable as a dask array; one task a block computes all."""
+    # One task a block computes all variables.
     # the scene is one node of the graph, prepared once; every task holds the poses of its lines only
     name = f"scene-{dask.base.tokenize(scene)}"
     packed = dask.delayed(_packed(scene), name=name, traverse=False)
@@ -261,7 +261,7 @@ def _lazy_arrays(
 
 
 def _packed(scene: Scene) -> bytes:
-    """Return a compressed scene for the graph: dask warns above 10 MB."""
+    # Compressed for the graph: dask warns above 10 MB.
     return bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
 
 
@@ -270,7 +270,7 @@ def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
 
 
 def _poses(platform: Platform) -> Array:
-    """Return number, origin and rotation of every scan line in one structured array, shape (line,)."""
+    # Number, origin and rotation of every scan line in one structured array, shape (line,).
     poses = np.empty(
         platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))]
     )

@@ -149,7 +149,7 @@ def leaf_transmittance(reflectance: Floats) -> Floats:
 
 
 def _draws(kind: int, columns: int) -> Floats:
-    """Return standard normal numbers (column, member, 1), the same at every call."""
+    # Standard normal numbers (column, member, 1), the same at every call.
     return np.random.default_rng([31, kind]).standard_normal((columns, MEMBERS, 1))
 
 

@@ -57,7 +57,7 @@ def add_path(table: PathTable, code: int, weight: float) -> None:
 
 @borrowing_kernel
 def _precedes(table: PathTable, a: int, b: int, by_weight: bool) -> Any:
-    """Return whether place a comes before b: heavier first, or smaller code first."""
+    # Heavier first, or smaller code first.
     if by_weight and table.sums[a] != table.sums[b]:
         return table.sums[a] > table.sums[b]
     return table.codes[a] < table.codes[b]
@@ -82,11 +82,9 @@ def _sort(table: PathTable, count: int, by_weight: bool) -> None:
 
 @borrowing_kernel
 def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
-    """Keep ``slots`` of the codes without bias or change of their total; return the number kept.
-
-    The heaviest stay as they are. Of the others, systematic sampling takes each with a probability
-    proportional to its weight, and gives all that are taken the same weight.
-    """
+    # Keep ``slots`` of the codes without bias or change of their total; the result is the number kept. The
+    # heaviest stay as they are. Of the others, systematic sampling takes each with a probability proportional
+    # to its weight, and gives all that are taken the same weight.
     sums, places = table.sums, table.used
     _sort(table, count, True)
     rest = 0.0

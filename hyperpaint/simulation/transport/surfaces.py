@@ -223,7 +223,6 @@ class Lobes(NamedTuple):
 
 @borrowing_kernel
 def _at_node(numbers: Array, material: int, first: int, cosine: float) -> Any:
-    """Return a material's table interpolated at a cosine."""
     place = math.sqrt(min(cosine, 1.0)) * (_NODES - 1)
     node = min(int(place), _NODES - 2)
     part = place - node
@@ -232,7 +231,6 @@ def _at_node(numbers: Array, material: int, first: int, cosine: float) -> Any:
 
 @borrowing_kernel
 def _between(row: Array, first: int, cosine: float) -> Any:
-    """Return the table of a single row interpolated at a cosine."""
     place = math.sqrt(cosine) * (_NODES - 1)
     node = min(int(place), _NODES - 2)
     part = place - node
@@ -241,7 +239,7 @@ def _between(row: Array, first: int, cosine: float) -> Any:
 
 @borrowing_kernel
 def _transmitted(numbers: Array, material: int, cosine: float, index: float) -> Any:
-    """Return the part of the light from a direction that enters a coat (or leaves it in that direction)."""
+    # Part of the light from a direction that enters a coat (or leaves it in that direction).
     if index <= 1.0:
         return 1.0
     return 1.0 - fresnel(cosine, index) * _at_node(numbers, material, _SINGLE, cosine)
@@ -358,7 +356,7 @@ def sun_weights(
 
 @borrowing_kernel
 def _returned(numbers: Array, material: int, cosine: float, entered: float) -> float:
-    """Return the directional dependence of recycled light: 1 on average over diffuse light."""
+    # Directional dependence of recycled light: 1 on average over diffuse light.
     whole = numbers[material, _RETURNED]
     return entered * _at_node(numbers, material, _LOST, cosine) / whole if whole > 0.0 else 0.0
 
@@ -410,7 +408,7 @@ def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int,
 
 @borrowing_kernel
 def _scatter_by_facets(view: Vector, alpha: float, index: Any, u: float, v: float) -> tuple[Vector, float]:
-    """Return a direction from a GGX surface, and F G2 / G1; an index of 0 reflects everything."""
+    # A direction from a GGX surface, and F G2 / G1; an index of 0 reflects everything.
     half = sample_facet(view, alpha, u, v)
     cosine = dot(view, half)
     direction = (
@@ -429,10 +427,7 @@ def _scatter_by_facets(view: Vector, alpha: float, index: Any, u: float, v: floa
 
 @borrowing_kernel
 def _scatter_by_flakes(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[Vector, float]:
-    """Return a direction from flakes, and G2 / G1 times the transmission on the way out.
-
-    The weight is 0 where the light does not leave the coat.
-    """
+    # G2 / G1 times the transmission on the way out; 0 where the light does not leave the coat.
     direction, weight = _leave_flakes(lobes.outgoing, lobes.refraction, lobes.flake_alpha, u, v)
     if weight > 0.0:
         weight *= _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
@@ -441,7 +436,7 @@ def _scatter_by_flakes(numbers: Array, lobes: Lobes, u: float, v: float) -> tupl
 
 @borrowing_kernel
 def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) -> tuple[Vector, float]:
-    """Return a direction outside, and G2 / G1; 0 beyond the critical angle."""
+    # A direction outside, and G2 / G1; 0 beyond the critical angle.
     inside, weight = _scatter_by_facets(_refracted(view, index), alpha, 0.0, u, v)
     square = 1.0 - index * index * (1.0 - inside[2] * inside[2])
     if weight == 0.0 or square < _GRAZING:
@@ -451,11 +446,9 @@ def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) 
 
 @borrowing_kernel
 def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> None:
-    """Write the energy of single reflections by a coat, and by flakes under it (alpha 0: none).
-
-    Sums over the facets that are visible, as paths meet them; then the means over diffuse light. ``row`` are
-    the columns of a material from the transmission of diffuse light on.
-    """
+    # Energy of single reflections by a coat, and by flakes under it (alpha 0: none). Sums over the facets
+    # that are visible, as paths meet them; then the means over diffuse light. ``row`` are the columns of a
+    # material from the transmission of diffuse light on.
     single, lost = _SINGLE - _ENTERING, _LOST - _ENTERING
     alpha, count = max(alpha, MIN_ALPHA), _DRAWS * _DRAWS
     for node in range(_NODES):
