@@ -68,10 +68,11 @@ def _is_old(library: xr.Dataset | xr.DataArray) -> bool:
     # Spectra, or thresholds of detections, had the dim `paint` or its scalar coordinate.
     if _NEW in library.dims or not (_OLD in library.dims or _OLD in library.coords):
         return False
-    if isinstance(library, xr.DataArray):
-        shapes = [library.dims]
-    else:
-        shapes = [library.variables[name].dims for name in _OF_LIBRARIES if name in library.variables]
+    shapes = (
+        [library.dims]
+        if isinstance(library, xr.DataArray)
+        else [library.variables[name].dims for name in _OF_LIBRARIES if name in library.variables]
+    )
     if any(_OLD in dims and set(dims) <= {_OLD, _BAND} for dims in shapes):
         return True
     name = library.coords.get(_OLD)  # as .isel(paint=0) leaves it

@@ -329,10 +329,11 @@ def with_integer_dtypes(dataset: xr.Dataset, table: Mapping[str, Variable] = VAR
         if kind not in "iub" or name == "counts" or variable.dims == (name,):
             continue
         integers = functools.partial(_integers, gap=row.gap, dtype=row.dtype)
-        if variable.chunks is None:
-            changed[name] = variable.copy(data=integers(variable.values))
-        else:
-            changed[name] = variable.copy(data=variable.data.map_blocks(integers, dtype=row.dtype))
+        changed[name] = (
+            variable.copy(data=integers(variable.values))
+            if variable.chunks is None
+            else variable.copy(data=variable.data.map_blocks(integers, dtype=row.dtype))
+        )
     return dataset.assign(changed) if changed else dataset
 
 
@@ -414,9 +415,11 @@ def numbers_of(line: xr.Dataset, dim: str) -> Floats:
 
     A crop keeps the numbers of the whole line, so that regions of the whole line fit it.
     """
-    if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf":
-        return np.asarray(line[dim].values, np.float64)
-    return np.arange(line.sizes[dim], dtype=np.float64)
+    return (
+        np.asarray(line[dim].values, np.float64)
+        if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf"
+        else np.arange(line.sizes[dim], dtype=np.float64)
+    )
 
 
 def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
@@ -521,10 +524,11 @@ def has_own_means(line: xr.Dataset) -> bool:
     stamp = line["coarse_reflectance"].encoding.get(_STAMP)
     if stamp is None:
         return False
-    if "reflectance" in line.variables:
-        names = {"reflectance"}
-    else:
-        names = (set(stamp) | {str(name) for name in line.variables}) - _NOT_INPUTS
+    names = (
+        {"reflectance"}
+        if "reflectance" in line.variables
+        else (set(stamp) | {str(name) for name in line.variables}) - _NOT_INPUTS
+    )
     now = {name: _identity(line[name].variable) for name in names if name in line.variables}
     return all(now.get(name) is not None and now[name] == stamp.get(name) for name in names)
 

@@ -379,10 +379,11 @@ def in_units(value: Any, wanted: str, name: str) -> Any:
     if not _carries_unit(value):
         return value
     try:
-        if _is_quantity(value):
-            number, factor = _magnitude(value), conversion_factor(_unit_text(value), wanted)
-        else:
-            number, factor = value / np.timedelta64(1, "s"), conversion_factor("s", wanted)
+        number, factor = (
+            (_magnitude(value), conversion_factor(_unit_text(value), wanted))
+            if _is_quantity(value)
+            else (value / np.timedelta64(1, "s"), conversion_factor("s", wanted))
+        )
     except UnitsError as error:
         raise error.about(name) from error
     return number if factor == 1.0 else number * factor

@@ -201,9 +201,11 @@ class Imager:
     def reach(self) -> float:
         """Distance from a band's nominal centre beyond which no column responds [nm]."""
         smile_reach = float(np.abs(self.wavelength_shift).max())
-        if self.shape == "gaussian":
-            return GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
-        return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+        return (
+            GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
+            if self.shape == "gaussian"
+            else float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+        )
 
     def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
         # R_b without the element factors at wavelength shifts [nm], shape (grid, shift).

@@ -288,9 +288,11 @@ class Sweep:
         settings = self.settings
         error = settings.flux_noise * self._rng(_POWER_METER).standard_normal(settings.steps)
         reading = self.power * (1.0 + settings.flux_bias) * (1.0 + error)
-        if settings.beam_fwhm_columns is None or not settings.beam_recorded:
-            return np.asarray(reading)
-        return np.asarray(reading[:, None] * self.beam)
+        return (
+            np.asarray(reading)
+            if settings.beam_fwhm_columns is None or not settings.beam_recorded
+            else np.asarray(reading[:, None] * self.beam)
+        )
 
     def line_integrals(self, step: int) -> Floats:
         """Return INT m_k R_b,x d lambda without the elements' own factors, shape (band, cross_track)."""
@@ -382,10 +384,11 @@ def _line_quadrature(fwhm: float, shape: str, other_width: float) -> tuple[Float
     step = fwhm / parts
     reach = parts if shape == "triangle" else int(np.ceil(GAUSSIAN_REACH * parts))
     offset = np.asarray(np.arange(-reach, reach + 1) * step, dtype=np.float64)
-    if shape == "triangle":
-        height = np.asarray(1.0 - np.abs(offset) / fwhm)
-    else:
-        height = np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2)
+    height = (
+        np.asarray(1.0 - np.abs(offset) / fwhm)
+        if shape == "triangle"
+        else np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2)
+    )
     return offset, np.asarray(height / height.sum())
 
 

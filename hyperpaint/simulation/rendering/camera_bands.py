@@ -149,9 +149,11 @@ class BandSet:
     @cached_property
     def reach(self) -> float:
         """Distance from a band's own centre beyond which it does not respond [nm]."""
-        if self.shape == "gaussian":
-            return _GAUSSIAN_REACH * float(self.fwhm.max())
-        return float((self.fwhm + self.spacing).max()) / 2 + 0.1
+        return (
+            _GAUSSIAN_REACH * float(self.fwhm.max())
+            if self.shape == "gaussian"
+            else float((self.fwhm + self.spacing).max()) / 2 + 0.1
+        )
 
     @property
     def _node_step(self) -> float:

@@ -520,9 +520,7 @@ def _faces(mesh: Any) -> NDArray[np.int64]:
 
 
 def _named(names: tuple[str, ...], number: str | None) -> str:
-    if number is None or not number.isdecimal() or int(number) >= len(names):
-        return ""
-    return names[int(number)]
+    return "" if number is None or not number.isdecimal() or int(number) >= len(names) else names[int(number)]
 
 
 _MAX_BYTES = 2**30

@@ -115,10 +115,11 @@ def pushbroom(
         speed = (angle * altitude if line_spacing is None else line_spacing) / frame_period
     time = np.rint(np.arange(lines) * (frame_period * 1e9)).astype(np.int64)
     ahead = np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading)), 0.0])
-    if start is None:
-        first = np.array([*centre, 0.0]) - ahead * (speed * time[-1] * 0.5e-9)
-    else:
-        first = np.array([*start, 0.0])
+    first = (
+        np.array([*centre, 0.0]) - ahead * (speed * time[-1] * 0.5e-9)
+        if start is None
+        else np.array([*start, 0.0])
+    )
     moment = time[:, None] * 1e-9 + exposure_time * np.array([-0.5, 0.5])
     spread = np.broadcast_to(np.asarray(wobble, dtype=np.float64), (3,))
     turned = spread[:, None, None] * _oscillations(moment, 3, seed, 0)
