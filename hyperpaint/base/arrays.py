@@ -28,5 +28,4 @@ def round_bits(values: Floats32, kept: int) -> Floats32:
     dropped = np.uint32(23 - kept)
     bits = np.ascontiguousarray(values).view(np.uint32)
     half = np.uint32((1 << (int(dropped) - 1)) - 1)
-    rounded = (bits + half + ((bits >> dropped) & np.uint32(1))) >> dropped
-    return (rounded << dropped).view(np.float32)
+    return ((bits + half + ((bits >> dropped) & np.uint32(1))) >> dropped << dropped).view(np.float32)

@@ -360,8 +360,7 @@ def declared(cls: _Class) -> _Class:
     heading = "" if own else "Attributes\n----------\n"
     before, after = doc[:place].rstrip("\n"), doc[place:].lstrip("\n")
     cls.__doc__ = f"{before}{'' if own else chr(10)}\n{heading}{entries}\n{after}"
-    units = {name: one.unit for name, one in facts.items() if one.unit}
-    return takes_quantities(**units)(cls)
+    return takes_quantities(**{name: one.unit for name, one in facts.items() if one.unit})(cls)
 
 
 def described(one: Fact) -> str:

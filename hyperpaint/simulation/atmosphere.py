@@ -185,8 +185,7 @@ def _water(wavelength: Floats) -> Floats:
     total = np.zeros_like(wavelength)
     for centre, spread, number, depth in _WATER:
         centres = rng.normal(centre, spread, number)
-        depths = rng.exponential(depth, number)
-        total += _sum_of_lines(wavelength, centres, depths, _LINE_WIDTH)
+        total += _sum_of_lines(wavelength, centres, rng.exponential(depth, number), _LINE_WIDTH)
     return total
 
 
@@ -194,8 +193,7 @@ def _solar_lines(wavelength: Floats) -> Floats:
     # Weak lines of metals, dense in the blue.
     rng = np.random.default_rng([_NATURE, 2])
     centres = 340.0 + rng.exponential(110.0, 2500)
-    depths = rng.exponential(0.06, 2500)
-    return _sum_of_lines(wavelength, centres, depths, 0.12)
+    return _sum_of_lines(wavelength, centres, rng.exponential(0.06, 2500), 0.12)
 
 
 @dataclass(frozen=True)
@@ -229,6 +227,5 @@ class Light:
 
     def mean_factors(self, start: Floats, stop: Floats, points: int = 32) -> Floats:
         """Return `factors` averaged from ``start`` to ``stop`` [s], by the midpoint rule."""
-        steps = (np.arange(points) + 0.5) / points
-        times = start[:, None] + (stop - start)[:, None] * steps
+        times = start[:, None] + (stop - start)[:, None] * ((np.arange(points) + 0.5) / points)
         return np.asarray(self.factors(times.ravel()).reshape(2, len(start), points).mean(axis=2))

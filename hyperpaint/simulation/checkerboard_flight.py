@@ -142,8 +142,7 @@ class CheckerboardFlight(Flight):
         seen = np.stack(self._map(self._places(origin[:, 1], rotation[:, 1], sides))[:2]).reshape(2, -1)
         low, high = seen.min(axis=1) - _SPARE, seen.max(axis=1) + _SPARE
         box = np.array([[low[0], low[0], high[0], high[0]], [low[1], high[1], low[1], high[1]]])
-        numbers = self.board.numbers(*box)
-        ranges = (np.arange(np.floor(n.min()), np.ceil(n.max()) + 1) for n in numbers)
+        ranges = (np.arange(np.floor(n.min()), np.ceil(n.max()) + 1) for n in self.board.numbers(*box))
         u, v = np.meshgrid(*ranges, indexing="ij")
         corners = self.board.corners(np.stack([u.ravel(), v.ravel()], axis=-1))
         east, north = corners[((corners >= low) & (corners <= high)).all(axis=1)].T

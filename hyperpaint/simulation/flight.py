@@ -270,8 +270,7 @@ class Flight(abc.ABC):
         if optics is None:
             return self._expose(self._view(start, stop, into), start)
         first, last = max(start - optics.reach, 0), min(stop + optics.reach, self.settings.lines)
-        seen = self._view(first, last, into)
-        return self._expose_through(optics, seen, first, range(start, stop))
+        return self._expose_through(optics, self._view(first, last, into), first, range(start, stop))
 
     @abc.abstractmethod
     def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
@@ -299,8 +298,7 @@ class Flight(abc.ABC):
         light *= 1.0 / np.pi
         signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
         signal[self.bad] = 0.0
-        rng = self._rng(_NOISE, line) if settings.noise else None
-        counts = self.detector.read(signal, rng)
+        counts = self.detector.read(signal, self._rng(_NOISE, line) if settings.noise else None)
         if settings.pedestal:
             counts += settings.pedestal
         return counts

@@ -128,8 +128,7 @@ def point_spread(fwhm: float) -> Floats:
     from scipy.special import ive
 
     variance = (_SIGMAS * fwhm) ** 2
-    reach = int(np.ceil(8.0 * _SIGMAS * fwhm + 8.0))
-    half = np.asarray(ive(np.arange(reach + 1), variance))
+    half = np.asarray(ive(np.arange(int(np.ceil(8.0 * _SIGMAS * fwhm + 8.0)) + 1), variance))
     half = half[: int(np.flatnonzero(half > _TAIL).max()) + 1]
     weights = np.concatenate([half[:0:-1], half])
     return np.asarray(weights / weights.sum())
@@ -197,8 +196,7 @@ class Optics:
     """
 
     def __init__(self, settings: OpticsSettings, wavelength: Floats) -> None:
-        bands = len(wavelength)
-        self.keystone = keystone(bands, settings.keystone_columns)
+        self.keystone = keystone(len(wavelength), settings.keystone_columns)
         self.stray_matrix = stray_light_wings(wavelength, settings.stray_light)
         self.has_stray_light = settings.stray_light > 0
         if settings.psf_kernel is None:

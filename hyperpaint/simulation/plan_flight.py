@@ -61,8 +61,7 @@ class CarPark:
     def surface(self, start: int, stop: int) -> NDArray[np.int16]:
         """Return the class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track)."""
         along = (np.arange(start, stop) + 0.5) * self.ground_sample
-        across = (np.arange(self.columns) + 0.5) * self.ground_sample
-        y, x = np.meshgrid(along, across, indexing="ij")
+        y, x = np.meshgrid(along, (np.arange(self.columns) + 0.5) * self.ground_sample, indexing="ij")
         classes = np.full(y.shape, _CLASS["asphalt"], dtype=np.int16)
         classes[x < _KERB_END] = _CLASS["concrete"]
         classes[x < _GRASS_END] = _CLASS["grass"]
@@ -114,8 +113,7 @@ class CarPark:
         # Twelve neighbouring bays have twelve paints.
         paints = list(CAR_PAINTS)
         deck, card = divmod(place + 2 * len(paints), len(paints))
-        order = np.random.default_rng([self.seed, 2, deck]).permutation(len(paints))
-        return paints[int(order[card])]
+        return paints[int(np.random.default_rng([self.seed, 2, deck]).permutation(len(paints))[card])]
 
 
 def _inside(

@@ -332,8 +332,7 @@ class Sweep:
         signal = energy * self.line_integrals(step) * imager.element_factor
         signal[self.camera.bad] = 0.0
         if settings.nonlinearity:
-            full = self.camera.detector(0.0).saturation_count
-            signal -= settings.nonlinearity * signal**2 / full
+            signal -= settings.nonlinearity * signal**2 / self.camera.detector(0.0).saturation_count
         return np.asarray(signal)
 
     def frames(self, step: int) -> Frames:

@@ -64,8 +64,7 @@ def north_east_down(latitude: ArrayLike, longitude: ArrayLike) -> Floats:
     """Return rotations from north, east, down at a place [degree] to the earth-centred frame (..., 3, 3)."""
     lat, lon = np.broadcast_arrays(np.radians(latitude), np.radians(longitude))
     (cl, co), (sl, so) = ([f(angle) for angle in (lat, lon)] for f in (np.cos, np.sin))
-    none = np.zeros_like(cl)
-    rows = [[-sl * co, -so, -cl * co], [-sl * so, co, -cl * so], [cl, none, -sl]]
+    rows = [[-sl * co, -so, -cl * co], [-sl * so, co, -cl * so], [cl, np.zeros_like(cl), -sl]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
@@ -224,8 +223,7 @@ class Motion:
         part = np.geomspace(0.2, 2.0, _SINES) * rng.uniform(0.94, 1.06, _SINES)
         amplitude = part**-0.5
         amplitude *= spread * np.sqrt(2 / (amplitude**2).sum())
-        rate_of_part = np.sqrt(((amplitude * part) ** 2).sum() / 2)
-        frequency = part * rate / rate_of_part / (2 * np.pi)
+        frequency = part * rate / np.sqrt(((amplitude * part) ** 2).sum() / 2) / (2 * np.pi)
         return cls(amplitude, frequency, rng.uniform(0, 2 * np.pi, _SINES))
 
     def at(self, seconds: Floats) -> Floats:
@@ -265,8 +263,7 @@ def _motions(settings: SimulationSettings) -> dict[str, Motion]:
             "altitude": Motion.slow(0.1, 11.0, 0.0),
         }
     rng = np.random.default_rng([settings.seed, _STREAM])
-    spreads = _SPREADS.get(settings.wobble, {})
-    return {name: Motion.random(*pair, rng) for name, pair in spreads.items()}
+    return {name: Motion.random(*pair, rng) for name, pair in _SPREADS.get(settings.wobble, {}).items()}
 
 
 @dataclass(frozen=True)
@@ -349,8 +346,7 @@ class Trajectory:
     @property
     def steepest(self) -> float:
         """Angle by which the camera's axis can lean from the vertical, along or across the track [degree]."""
-        tilt = max(self._peak("roll"), self._peak("pitch"))
-        return tilt + max(map(abs, self.boresight[:2]))
+        return max(self._peak("roll"), self._peak("pitch")) + max(map(abs, self.boresight[:2]))
 
     @property
     def max_yaw(self) -> float:

@@ -238,8 +238,7 @@ def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
 
 
 def _flop(geometries: list[_Lobes], share: float, pigment: Floats, metal: Floats) -> float:
-    grid = np.linspace(380.0, 780.0, len(_D65))
-    seen = np.array(_D65) * np.exp(-0.5 * ((grid - 556.1) / 46.14) ** 2)
+    seen = np.array(_D65) * np.exp(-0.5 * ((np.linspace(380.0, 780.0, len(_D65)) - 556.1) / 46.14) ** 2)
     lightness = []
     for lobes in geometries:
         luminance = float((seen * _factor_with_flakes(lobes, share, pigment, metal)).sum() / seen.sum())

@@ -183,8 +183,7 @@ def _stations(shape: CarShape, length: float) -> Floats:
     posts = [post for pillar in shape.pillars for post in pillar if post < 0.97]
     bed = [end + step for end in shape.bed or () for step in (0.0, gap)]
     stations = np.array(sorted({*bends, *glass, *posts, *bed, *(s + d for s in seams for d in (0.0, gap))}))
-    near = np.diff(stations, prepend=-1.0) < 0.6 * gap
-    return stations[~near]
+    return stations[~(np.diff(stations, prepend=-1.0) < 0.6 * gap)]
 
 
 def _boot_seam(shape: CarShape) -> float:

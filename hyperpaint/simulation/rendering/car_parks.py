@@ -381,8 +381,7 @@ def car_park(
     problems.raise_if_any()
     layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
     ground = put_together([paved(layout), *worn(layout, seed)])
-    made_of = chosen.surroundings
-    things = [ground.scene(made_of, Instance("ground", "ground"))]
+    things = [ground.scene(chosen.surroundings, Instance("ground", "ground"))]
     if panels:
         things += _panels(layout)
     things += _cars(layout, chosen)

@@ -109,8 +109,7 @@ class FleetPaint:
     def weathered(self, clean: Floats, wavelength: Floats) -> Floats:
         """Return the reflectance of a clean base (wavelength,) under dust, for many places on the car."""
         place = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_MEMBERS, 1))
-        cover = np.minimum(self.cover * np.exp(0.45 * place - 0.10), 0.6)
-        return dusty(clean, cover, wavelength)
+        return dusty(clean, np.minimum(self.cover * np.exp(0.45 * place - 0.10), 0.6), wavelength)
 
 
 @functools.lru_cache(maxsize=4096)

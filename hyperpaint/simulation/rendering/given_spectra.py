@@ -299,8 +299,7 @@ def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
         return spectrum
     last = spectrum.wavelength.size - 1
     start = min(max(int(np.searchsorted(spectrum.wavelength, bands.lowest())) - 1, 0), last)
-    stop = max(int(np.searchsorted(spectrum.wavelength, bands.highest())) + 1, start + 1)
-    near = slice(start, stop)
+    near = slice(start, max(int(np.searchsorted(spectrum.wavelength, bands.highest())) + 1, start + 1))
     members = None if spectrum.members is None else _whole(spectrum.members[:, near])
     return Table(spectrum.wavelength[near], spectrum.reflectance[near], members)
 

@@ -171,8 +171,7 @@ class Lighting:
         sums = np.empty((len(weight), parts.shape[1], weight.shape[2]), np.float32)
         mix(_varied(weight, code, variation), index, parts.astype(np.float32), sums)
         whole = sums[:, :1]
-        dark = np.full_like(sums[:, 1:], np.nan)
-        return np.divide(sums[:, 1:], whole, out=dark, where=whole > 0)
+        return np.divide(sums[:, 1:], whole, out=np.full_like(sums[:, 1:], np.nan), where=whole > 0)
 
 
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:

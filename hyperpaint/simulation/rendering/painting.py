@@ -223,8 +223,7 @@ def _flakes_of(name: str) -> Flakes | None:
 def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
     # The paint factor in a list; an empty one after a problem.
     members, name = record.members[instance], record.instances[instance].name
-    painted = [number for number in members if record.materials[number].kind == "paint"]
-    chosen = painted or list(members)
+    chosen = [number for number in members if record.materials[number].kind == "paint"] or list(members)
     if len(chosen) != 1:
         names = some_names([record.materials[number].name for number in chosen])
         problems.add(

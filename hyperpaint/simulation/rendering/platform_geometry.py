@@ -213,7 +213,6 @@ def attitude_of(rotation: Floats) -> Floats:
     middle = left @ right
     roll = np.arctan2(middle[:, 2, 1], middle[:, 2, 2])
     pitch = -np.arcsin(np.clip(middle[:, 2, 0], -1.0, 1.0))
-    heading = np.arctan2(middle[:, 1, 0], middle[:, 0, 0])
-    angles = np.degrees(np.stack([roll, pitch, heading], axis=-1))
+    angles = np.degrees(np.stack([roll, pitch, np.arctan2(middle[:, 1, 0], middle[:, 0, 0])], axis=-1))
     angles[:, 2] %= 360.0
     return np.asarray(angles)

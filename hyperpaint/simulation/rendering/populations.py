@@ -59,8 +59,7 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
             members.append((spectrum.octaves, factor.material, place, rows))
     if not members:
         return None
-    most = max(len(octaves.lengths) for octaves, *_ in members)
-    shape = len(record.materials), most
+    shape = len(record.materials), max(len(octaves.lengths) for octaves, *_ in members)
     lengths, shares, averaged = np.ones(shape), np.zeros(shape), np.zeros(shape[0], bool)
     ratios, factors, first = [], [], 0
     for octaves, material, place, rows in members:
@@ -77,8 +76,7 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 
 def _over_mean(rows: Floats) -> Floats:
     # Members (member, band) over their mean, darkest first.
-    mean = rows.mean(axis=0)
-    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _MIN_MEAN)
+    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(rows.mean(axis=0), _MIN_MEAN)
     ratio = np.minimum(ratio, _MAX_RATIO)
     # what was cut off below 0 or above 1 must not change the mean
     ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)

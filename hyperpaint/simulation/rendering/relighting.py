@@ -242,8 +242,7 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
 def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
     places = [_whole_lines(traced[name]).rechunk({0: chunks}) for name in ("east", "north")]
     first = np.datetime64(traced.attrs["time_coverage_start"], "ns")
-    seconds = (traced["time"].data - first) / np.timedelta64(1, "s")
-    times = da.asarray(seconds).rechunk((chunks,))
+    times = da.asarray((traced["time"].data - first) / np.timedelta64(1, "s")).rechunk((chunks,))
     columns = places[0].shape[1]
     return da.blockwise(
         _factors_task,

@@ -444,8 +444,7 @@ def _crossed(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
 
 def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which triangles have an area, shape (face,); thinner ones have no direction."""
-    edges = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
-    longest = (edges**2).sum(axis=2).max(axis=1)
+    longest = ((vertices[faces] - vertices[np.roll(faces, 1, axis=1)]) ** 2).sum(axis=2).max(axis=1)
     return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _MIN_SHAPE * longest)
 
 

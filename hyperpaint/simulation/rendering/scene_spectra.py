@@ -371,7 +371,6 @@ def spectrum_of(name: str) -> Spectrum:
 def _limited(spectrum: Spectrum) -> Spectrum:
     # Straight lines leave 0 to 1 far from their points.
     def limited(wavelength: Floats) -> Floats:
-        grid = np.asarray(wavelength, dtype=np.float64)
-        return np.clip(spectrum(grid), 0.0, 1.0)
+        return np.clip(spectrum(np.asarray(wavelength, dtype=np.float64)), 0.0, 1.0)
 
     return limited

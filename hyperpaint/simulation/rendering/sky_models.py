@@ -304,8 +304,7 @@ class Haze:
     def _coefficients(self, wavelength: Floats) -> tuple[Floats, Floats]:
         relative = wavelength / _HAZE_REFERENCE_NM
         molecules = _MOLECULES * relative**_MOLECULES_EXPONENT
-        particles = (_CONTRAST / self.visibility - _MOLECULES) * relative**-self.angstrom
-        return molecules, particles
+        return molecules, (_CONTRAST / self.visibility - _MOLECULES) * relative**-self.angstrom
 
     def extinction(self, wavelength: Floats) -> Floats:
         """Return the extinction coefficient at ``wavelength`` [nm], same shape [m-1]."""

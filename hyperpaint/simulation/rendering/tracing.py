@@ -207,8 +207,7 @@ def trace(
         )
     record = SceneRecord.of(scene)
     record.codes(settings)  # raises here, before any task, if they do not fit
-    arrays = _lazy_arrays(scene, platform, settings, chunk_lines)
-    return _labelled(arrays, record, platform, settings)
+    return _labelled(_lazy_arrays(scene, platform, settings, chunk_lines), record, platform, settings)
 
 
 def _directions(suns: Any) -> tuple[Any, bool]:
@@ -319,5 +318,4 @@ def _labelled(
             "time_coverage_end": str(utc.max()),
         },
     )
-    named = {name: label(traced[name], name, **labels.attrs(name)) for name in arrays}
-    return traced.assign(named)
+    return traced.assign({name: label(traced[name], name, **labels.attrs(name)) for name in arrays})

@@ -89,8 +89,7 @@ class Weathered:
 
     def population(self, wavelength: Floats) -> Floats:
         """Return the members at ``wavelength`` [nm], (member, wavelength), 0 to 1."""
-        grid = np.atleast_1d(np.asarray(wavelength, np.float64))
-        return np.clip(self.members(grid), 0.0, 1.0)
+        return np.clip(self.members(np.atleast_1d(np.asarray(wavelength, np.float64))), 0.0, 1.0)
 
     def __call__(self, wavelength: Floats) -> Floats:
         """Return the reflectance at ``wavelength`` [nm], the mean of the members."""

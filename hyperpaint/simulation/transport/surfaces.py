@@ -115,8 +115,7 @@ def surfaces_of(
         none if part is None else part for part in (through_factor, turned_factor)
     )
     factors = (base_factor, flake_factor, through_factor, turned_factor)
-    rest = (np.ascontiguousarray(part, np.int32) for part in factors)
-    return Surfaces(numbers, *rest)
+    return Surfaces(numbers, *(np.ascontiguousarray(part, np.int32) for part in factors))
 
 
 @borrowing_kernel
