@@ -95,7 +95,6 @@ def one_of(
 
 
 def shown(value: object) -> str:
-    """Return a value for a message, shortened."""
     try:
         text = str(value) if isinstance(value, datetime.date | datetime.time) else repr(value)
     except ValueError:  # Python does not print whole numbers of over 4300 digits, which hexadecimals can have
@@ -174,7 +173,6 @@ class Fact:
 
     @property
     def expected(self) -> str:
-        """Accepted values in words."""
         if self.phrase:
             return self.phrase
         phrases = {
@@ -314,7 +312,6 @@ def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
 
 
 def facts_of(owner: Any) -> dict[str, Fact]:
-    """Return the declarations of the fields of a dataclass, by field."""
     return {
         one.name: dataclasses.replace(one.metadata["fact"], name=one.name)
         for one in dataclasses.fields(owner)

@@ -56,7 +56,6 @@ def with_new_names(library: _Labelled) -> _Labelled:
 
 
 def warn_of_old_names(source: str) -> None:
-    """Warn that a library was renamed."""
     text = (
         f"{source} has the dimension {_OLD!r} of hyperpaint 0.2 and before, which is now {_NEW!r}; write the "
         "library again to store the new name"

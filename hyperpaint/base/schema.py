@@ -433,7 +433,6 @@ def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def quality_attrs() -> dict[str, Any]:
-    """Return the CF attributes of ``quality``."""
     return {
         **VARIABLES["quality"].attrs,
         "flag_masks": np.array([int(flag) for flag in Quality], dtype=np.uint16),
@@ -505,7 +504,6 @@ def find(
 
 
 def dtype_of(name: str) -> np.dtype[Any]:
-    """Return the numpy dtype of a variable of the table."""
     return np.dtype(VARIABLES[name].dtype)
 
 

@@ -50,7 +50,6 @@ class Variable:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes written with the variable."""
         attrs: dict[str, Any] = {"long_name": self.meaning}
         if self.units:
             attrs["units"] = self.units

@@ -112,7 +112,7 @@ class CountLimits(NamedTuple):
 
 
 def count_limits(saturation: Array, noise_margin: Array, most_negative: Any, whole: Any) -> CountLimits:
-    """Return `CountLimits` from a ``saturation`` of shape (1, 1) or (band, column)."""
+    # ``saturation`` has shape (1, 1) or (band, column)
     each = saturation if saturation.size > 1 else None
     return CountLimits(saturation.min(), saturation.max(), each, noise_margin, most_negative, whole)
 

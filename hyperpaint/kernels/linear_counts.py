@@ -51,7 +51,7 @@ def signal_of(linear: LinearMemory | None) -> Array | None:
 
 @borrowing_kernel
 def polynomial_row(polynomial: Array | None, counts: Array) -> None:
-    """Linearise counts (column,) in place: c + a2 c^2 + ... + a5 c^5."""
+    # Linearise counts (column,) in place: c + a2 c^2 + ... + a5 c^5.
     if polynomial is not None:
         a2, a3, a4, a5 = polynomial[0], polynomial[1], polynomial[2], polynomial[3]
         for x in range(counts.size):

@@ -62,13 +62,12 @@ def gather_row(counts: Array, level: Array, tally: Tally, place: tuple[Any, Any]
 
 @inlined_kernel
 def limit_of(saturation: Array | None, limits: CountLimits, band: Any, x: Any) -> Any:
-    """Return the saturation count of an element."""
     return limits.highest if saturation is None else saturation[band, x]
 
 
 @inlined_kernel
 def look_at(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band: Any, x: Any) -> None:
-    """Mark a column whose element is saturated (if it has a margin), or is below its floor."""
+    # Mark a column whose element is saturated (if it has a margin), or is below its floor.
     raw, margin = counts[band, x], limits.noise_margin[band, x]
     reached = raw >= limit_of(limits.saturation, limits, band, x)
     tally.saturated[x] |= np.uint16(reached & (margin == margin))

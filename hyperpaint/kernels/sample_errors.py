@@ -31,7 +31,7 @@ class ErrorMemory(NamedTuple):
 
 @inlined_kernel
 def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
-    """Evaluate a cubic in ``shift`` (column,)."""
+    # Evaluate a cubic in ``shift`` (column,).
     c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
     for x in range(irradiance.size):
         s = shift[x]

@@ -98,7 +98,7 @@ def sort_steps(places: Array, values: Array, other_places: Array, other_values: 
 
 @kernel
 def root_of(parent: Array, pixel: Any) -> Any:
-    """Return the root of a pixel's tree, halving the path to it."""
+    # Root of a pixel's tree, halving the path to it.
     while parent[pixel] != pixel:
         parent[pixel] = parent[parent[pixel]]
         pixel = parent[pixel]
@@ -135,7 +135,7 @@ def join_segments(
 
 @kernel
 def count_cores(parent: Array, columns: Any, core: Array) -> None:
-    """Write, at the root of every segment, the number of its pixels whose four neighbours belong to it."""
+    # Write, at the root of every segment, the number of its pixels whose four neighbours belong to it.
     lines = parent.size // columns
     for pixel in range(parent.size):
         root_of(parent, pixel)
@@ -267,7 +267,7 @@ def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> N
 
 @kernel
 def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
-    """Insert a source into a short list of the nearest, in which every label stands once."""
+    # Insert a source into a short list of the nearest, in which every label stands once.
     count = labels.size
     for place in range(count):
         if labels[place] == label:

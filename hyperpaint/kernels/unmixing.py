@@ -169,8 +169,6 @@ def _cost(gram: Array, right: Array, amount: Array) -> Any:
 
 
 class Equations(NamedTuple):
-    """Normal equations of a pixel."""
-
     #: gram (part, part), right (part,)
     gram: Array
     right: Array

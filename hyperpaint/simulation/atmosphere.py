@@ -94,7 +94,7 @@ class Sky:
 
 
 def solar_irradiance(wavelength: Floats) -> Floats:
-    """Return the sun's irradiance above the atmosphere, with its lines [W m-2 nm-1]."""
+    # Sun's irradiance above the atmosphere, with its lines [W m-2 nm-1].
     table, fine = sunlight_table(), _fine_structure()
     lines = np.interp(wavelength, fine.wavelength, fine.lines)
     return np.asarray(np.interp(wavelength, table.wavelength, table.extraterrestrial) * lines)

@@ -301,7 +301,6 @@ class Detector:
 
     @property
     def saturation_count(self) -> int:
-        """Count at which the converter is full."""
         return int(2**self.bit_depth - 1)
 
     def read(self, signal: Floats, rng: np.random.Generator | None) -> Floats:

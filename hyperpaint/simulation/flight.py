@@ -102,7 +102,6 @@ class Lines:
     layers: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
 
     def part(self, start: int, stop: int) -> Lines:
-        """Return the rows ``start`` to ``stop``, without a copy."""
         rows = slice(start, stop)
         return Lines(
             self.surface[rows],
@@ -190,7 +189,6 @@ class Flight(abc.ABC):
         return reflectance(names, wavelength)
 
     def paint_properties(self, _paint: str) -> Mapping[str, str]:
-        """Return further properties of a paint: ``colour``, ``finish``."""
         return {}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
@@ -340,7 +338,6 @@ class Flight(abc.ABC):
         return dark
 
     def sky_samples(self) -> SkySamples:
-        """Return the irradiance record from before the first line to after the last."""
         settings = self.settings
         second, offset = 10**9, round(settings.clock_offset_s * 1e9)
         margin = round(settings.irradiance_margin_s * 1e9) + second
@@ -377,7 +374,6 @@ class Flight(abc.ABC):
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """Trajectory of the platform; it does not move a plan scene."""
         speed = self.ground_sample / (self.settings.frame_period_ms / 1e3)
         return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE)
 

@@ -66,7 +66,6 @@ class BilWriter:
         return self
 
     def append(self, counts: NDArray[np.uint16]) -> None:
-        """Write whole lines, shape (along_track, band, cross_track)."""
         self._file.write(np.ascontiguousarray(counts, dtype="<u2").data)
         self._lines += len(counts)
 

@@ -18,8 +18,6 @@ from hyperpaint.base.arrays import Floats
 
 
 class Feature(Protocol):
-    """A local feature of a spectrum."""
-
     def __call__(self, wavelength: Floats) -> Floats:
         """Return its height at ``wavelength`` [nm]."""
 

@@ -132,8 +132,6 @@ _TEXTURED = np.array([not name.startswith("panel") for name in MATERIALS])
 
 
 class PlanFlight(Flight):
-    """A flight over the car park in plan view."""
-
     surfaces = tuple(MATERIALS)
     paints = tuple(CAR_PAINTS)
 

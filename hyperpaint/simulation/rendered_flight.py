@@ -107,7 +107,6 @@ class RenderedFlight(Flight):
         )
 
     def paint_properties(self, paint: str) -> Mapping[str, str]:
-        """Return the colour of a paint, and its finish."""
         # no paint of a solid fleet has flakes, whatever the catalogue says
         finish = paint_spec(paint).finish if self._flakes(paint) else "solid"
         return {"colour": paint_spec(paint).colour, "finish": finish}

@@ -187,7 +187,6 @@ class TruthStore:
         _consolidate(path)
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
-        """Write the lines from ``start`` on."""
         here = slice(start, start + len(recorded))
         saturated = _saturated(lines, self._full)
         layers = {"glint": lines.glint, "saturated": saturated, "no_data": ~recorded, **lines.layers}
@@ -227,7 +226,6 @@ def _create_array(
 
 
 def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
-    """Return all lines of a flight as a flight line Dataset with its truth."""
     settings, detector = flight.settings, flight.detector
     recorded = settings.recorded
     counts = detector.convert(block.counts) if settings.quantise else block.counts
@@ -450,7 +448,6 @@ def write_sweep(
 
 
 def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progress | None = None) -> None:
-    """Write a sweep to a new store, and its truth beside it."""
     if truth:
         _write_small(sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION), _truth_beside(path))
         _consolidate(_truth_beside(path))

@@ -246,8 +246,6 @@ def is_simulated_sweep(store: Path, truth: str) -> bool:
 
 
 class Sweep:
-    """A simulated sweep, computed step by step."""
-
     def __init__(self, settings: SweepSettings) -> None:
         self.settings = settings
         self.camera = Camera.of(settings.camera)
@@ -295,7 +293,7 @@ class Sweep:
         )
 
     def line_integrals(self, step: int) -> Floats:
-        """Return INT m_k R_b,x d lambda without the elements' own factors, shape (band, cross_track)."""
+        # INT m_k R_b,x d lambda without the elements' own factors, shape (band, cross_track).
         integrals = self._order(step, 1)
         if self.settings.second_order:
             integrals += self.settings.second_order * self._order(step, 2)
@@ -336,7 +334,6 @@ class Sweep:
         return np.asarray(signal)
 
     def frames(self, step: int) -> Frames:
-        """Return the frames of a step."""
         settings = self.settings
         dark = self.camera.detector(float(settings.exposure_time[step])).dark + self.camera.pedestal
         rng = self._rng(_LINE_NOISE, step) if settings.camera.noise else None

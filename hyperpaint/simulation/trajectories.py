@@ -61,7 +61,7 @@ def geodetic(place: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def north_east_down(latitude: ArrayLike, longitude: ArrayLike) -> Floats:
-    """Return rotations from north, east, down at a place [degree] to the earth-centred frame (..., 3, 3)."""
+    # Rotations from north, east, down at a place [degree] to the earth-centred frame (..., 3, 3).
     lat, lon = np.broadcast_arrays(np.radians(latitude), np.radians(longitude))
     (cl, co), (sl, so) = ([f(angle) for angle in (lat, lon)] for f in (np.cos, np.sin))
     rows = [[-sl * co, -so, -cl * co], [-sl * so, co, -cl * so], [cl, np.zeros_like(cl), -sl]]
@@ -298,7 +298,6 @@ class Trajectory:
 
     @classmethod
     def of(cls, settings: SimulationSettings, frame: LocalFrame, speed: float, altitude: float) -> Trajectory:
-        """Return the flight of these settings."""
         first, second, third = settings.boresight
         forward, right, down = settings.lever_arm
         return cls(

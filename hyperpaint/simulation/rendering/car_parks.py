@@ -72,28 +72,25 @@ class Layout:
 
     @property
     def kerb(self) -> tuple[float, float]:
-        """Ends of the kerb in the west."""
         west = -0.5 * self.width + _GRASS
         return west, west + _KERB
 
     @property
     def east_kerb(self) -> tuple[float, float]:
-        """Ends of the kerb in the east."""
         west = self.rows[-1][1] + _GUTTER
         return west, west + _KERB
 
     @property
     def wall(self) -> float:
-        """Middle of the wall in the east."""
         return max(0.5 * self.width - 0.5, self.east_kerb[1] + 0.2)
 
     @property
     def west_trees(self) -> float:
-        """Line of trees in the west, just outside the park."""
+        # Line of trees in the west, just outside the park.
         return -0.5 * self.width - 0.3
 
     def is_island(self, bay: int, row: int) -> bool:
-        """Return whether an island takes the place of a bay; those of two rows back to back lie together."""
+        # Whether an island takes the place of a bay; those of two rows back to back lie together.
         return self.with_islands and (bay + 5 * ((row + 1) // 2)) % _ISLAND_PERIOD == _ISLAND_START
 
     def islands(self) -> Iterator[tuple[int, tuple[float, float]]]:

@@ -149,7 +149,6 @@ class SpectrumReader:
         return None
 
     def warn(self) -> None:
-        """Warn of clipped reflectances and of mirror reflections counted twice."""
         if self._clipped:
             msg = (
                 f"noise takes reflectances of {some_names(self._clipped)} up to {_NOISE:g} beyond 0 to 1; "
@@ -327,6 +326,5 @@ def _runs(wavelength: Floats, missing: Bools) -> str:
 
 
 def some_names(names: Iterable[str]) -> str:
-    """Return up to twelve different names, in quotes."""
     different = list(dict.fromkeys(names))
     return ", ".join(map(repr, different[:12])) + (", ..." if len(different) > 12 else "")

@@ -313,7 +313,7 @@ class ProductTable:
         return np.ascontiguousarray(gathered.swapaxes(0, 1))
 
     def to_columns(self, at_nodes: Floats) -> Floats:
-        """Return values at nodes (..., node, band) as every column sees them, (..., band, cross_track)."""
+        # Values at nodes (..., node, band) as every column sees them, (..., band, cross_track).
         if self.bands.wavelength_shift is None:
             return np.moveaxis(at_nodes, -2, -1)
         first, weight = self.bands.between_nodes()

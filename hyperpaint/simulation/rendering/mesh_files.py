@@ -148,7 +148,7 @@ _MAX_HEADER_BYTES = 65536
 
 
 def read_ply(data: bytes, where: str) -> RawTriangles:
-    """Return the triangles of a PLY file; raises as `check_ply`, and for files that trimesh cannot read."""
+    # Triangles of a PLY file; raises as `check_ply`, and for files that trimesh cannot read.
     trimesh = _trimesh(where)
     check_ply(data, where)
     mesh = _loaded(trimesh.load_mesh, data, "ply", where, skip_materials=True)
@@ -227,7 +227,7 @@ class Stripped(NamedTuple):
 
 
 def read_glb(data: bytes, where: str) -> RawTriangles:
-    """Return the triangles of a GLB file; raises as `strip_glb`, and for files that trimesh cannot read."""
+    # Triangles of a GLB file; raises as `strip_glb`, and for files that trimesh cannot read.
     trimesh = _trimesh(where)
     stripped = strip_glb(data, where)
     if stripped.triangles > _MAX_TRIANGLES:

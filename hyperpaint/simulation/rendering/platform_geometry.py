@@ -206,7 +206,7 @@ def interpolate(first: Floats, second: Floats, part: Floats) -> Floats:
 
 
 def attitude_of(rotation: Floats) -> Floats:
-    """Return roll, pitch, heading halfway between two rotations (line, 2, 3, 3), shape (line, 3) [degree]."""
+    # Roll, pitch, heading halfway between two rotations (line, 2, 3, 3), shape (line, 3) [degree].
     sum_of_both = _SCENE @ rotation.sum(axis=1)
     # the rotation nearest to the sum is the one halfway (Moakher 2002)
     left, _, right = np.linalg.svd(sum_of_both)

@@ -152,7 +152,6 @@ def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats
 def note_pushbroom_faults(
     values: dict[str, Any], problems: Problems, spelled: Spelling = as_argument
 ) -> None:
-    """Note wrong arguments of `pushbroom`, and arguments that contradict each other."""
     before = len(problems)
     present = {name: value for name, value in values.items() if value is not None}
     for name, value in present.items():

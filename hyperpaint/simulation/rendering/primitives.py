@@ -91,7 +91,6 @@ def put_together(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def uniform(vertices: ArrayLike, faces: ArrayLike, surface: str, part: str = "") -> Mesh:
-    """Return a mesh of one surface and one part."""
     triangles = np.asarray(faces, np.int64).reshape(-1, 3)
     same = np.zeros(len(triangles), np.int64)
     return Mesh(np.asarray(vertices, np.float64), triangles, same, (surface,), same + PARTS.index(part))

@@ -161,7 +161,6 @@ def paint_spec(name: str) -> PaintSpec:
 
 
 def is_paint(name: str) -> bool:
-    """Return whether a spectrum is a car paint of the catalogue or a generated one."""
     named = name in _CATALOGUE or parse_name(name) is not None or _FLEET.fullmatch(name) is not None
     return named and not name.endswith(":flakes")
 
@@ -221,12 +220,11 @@ def generate_paint(family: str, number: int) -> PaintSpec:
 
 
 def pigments_of(family: str, number: int) -> Pigments:
-    """Return the pigments of a generated paint."""
     return _generate(family, number)[1]
 
 
 def parse_name(name: str) -> tuple[str, int, bool] | None:
-    """Return family, number and whether it names flakes, for the name of a generated spectrum."""
+    # Family, number and whether it names flakes, for the name of a generated spectrum.
     match = _NAME.fullmatch(name)
     if match is None or match[1] not in FAMILIES:
         return None

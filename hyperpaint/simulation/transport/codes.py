@@ -37,7 +37,6 @@ def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
 
 @borrowing_kernel
 def add_path(table: PathTable, code: int, weight: float) -> None:
-    """Add a weight to its code."""
     if not weight > 0.0:
         return
     codes, sums, in_use = table.codes, table.sums, table.in_use

@@ -63,8 +63,6 @@ _LIFT = 1e-9  # of the size of the coordinates
 
 
 class Hit(NamedTuple):
-    """Where a path meets a surface."""
-
     point: Vector  # lifted off the surface
     own: Vector  # normal of the triangle, on the side the path comes from
     frame: Frame  # its last vector is the shading normal

@@ -113,7 +113,6 @@ class PathCodes:
     def code(
         self, source: int, factors: Sequence[int] = (), *, mirror: bool = False, indirect: bool = False
     ) -> int:
-        """Return the code of a path."""
         code = source | (MIRROR if mirror else 0) | (INDIRECT if indirect else 0)
         for place, factor in enumerate(sorted(factors, reverse=True)):
             code |= (factor + 1) << (FIRST_DIGIT + place * self.digit_bits)

@@ -120,7 +120,7 @@ def surfaces_of(
 
 @borrowing_kernel
 def fresnel(cosine: float, index: float) -> float:
-    """Return the reflectance of a smooth dielectric for unpolarised light from outside."""
+    # Reflectance of a smooth dielectric for unpolarised light from outside.
     g2 = index * index - 1.0 + cosine * cosine
     g = math.sqrt(g2)
     a = (g - cosine) / (g + cosine)
@@ -130,7 +130,7 @@ def fresnel(cosine: float, index: float) -> float:
 
 @borrowing_kernel
 def refracted_cosine(cosine: float, index: float) -> float:
-    """Return the cosine inside a medium for a cosine outside (Snell's law)."""
+    # Cosine inside a medium for a cosine outside (Snell's law).
     return math.sqrt(1.0 - (1.0 - cosine * cosine) / (index * index))
 
 
@@ -180,7 +180,7 @@ def sample_facet(view: Vector, alpha: float, u: float, v: float) -> Vector:
 
 @borrowing_kernel
 def sample_cosine(u: float, v: float) -> Vector:
-    """Return a direction with density cos / pi (Lambert's lobe)."""
+    # A direction with density cos / pi (Lambert's lobe).
     radius = math.sqrt(u)
     angle = 2.0 * math.pi * v
     return radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
