@@ -103,10 +103,9 @@ class Convention:
 
     def to_attrs(self) -> dict[str, str | float]:
         """Return the declaration as attributes of a dataset, ``convention_...``; None is left out."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {
             f"{_PREFIX}{name}": value if isinstance(value, str) else float(value)
-            for name, value in values.items()
+            for name, value in {field.name: getattr(self, field.name) for field in fields(self)}.items()
             if value is not None
         }
 

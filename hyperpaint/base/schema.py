@@ -325,8 +325,7 @@ def with_integer_dtypes(dataset: xr.Dataset, table: Mapping[str, Variable] = VAR
         variable = dataset.variables.get(name)
         if variable is None or variable.dtype.kind not in "fO" or row.dtype in ("str", "datetime64[ns]"):
             continue
-        kind = np.dtype(row.dtype).kind
-        if kind not in "iub" or name == "counts" or variable.dims == (name,):
+        if np.dtype(row.dtype).kind not in "iub" or name == "counts" or variable.dims == (name,):
             continue
         integers = functools.partial(_integers, gap=row.gap, dtype=row.dtype)
         changed[name] = (

@@ -386,7 +386,6 @@ def _write_flight(
 def _collect_text(flight: Flight, with_sweep: bool) -> str:
     settings = flight.settings
     recorded = np.flatnonzero(settings.recorded)
-    names = [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     flightlines = "".join(
         f"""
 [[flightlines]]
@@ -395,7 +394,7 @@ cube = "flight/raw_{name}.hdr"
 frame_index = "flight/frameIndex_{name}.txt"
 nav = "flight/imu_gps.txt"
 """
-        for name in names
+        for name in [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     )
     navigation = "\n".join(f'{key} = "{value}"' for key, value in CONVENTION.items())
     half_width = settings.columns / 2 * PIXEL_ANGLE

@@ -67,11 +67,10 @@ def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr
 
 
 def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
-    bands = flight.settings.bands
     return {
         "wavelength": _variable("wavelength", flight.wavelength),
         "fwhm": _variable("fwhm", flight.imager.band_fwhm),
-        "good": _variable("good", np.ones(bands)),
+        "good": _variable("good", np.ones(flight.settings.bands)),
         "wavelength_shift": _variable("wavelength_shift", flight.imager.wavelength_shift, (CROSS_TRACK,)),
     }
 
@@ -313,10 +312,9 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     """Return the expected results of a sweep's calibration; names begin with `TRUTH`."""
     camera = sweep.camera
     imager = camera.imager
-    responsivity = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
     values: dict[str, Any] = {
         "radiance_gain": camera.radiance_gain(),
-        "responsivity": responsivity,
+        "responsivity": np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None]),
         "wavelength": imager.wavelength,
         "wavelength_shift": imager.wavelength_shift,
         "fwhm": imager.band_fwhm,

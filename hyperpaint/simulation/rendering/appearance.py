@@ -230,10 +230,9 @@ def _paint_curves(
 
 def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
     views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]  # positive on the mirror's side
-    sides = [180.0 if view >= 0 else 0.0 for view in views]
     return [
         _lobe_factors(index, alpha, _LIGHT_DEG, abs(view), side)
-        for view, side in zip(views, sides, strict=True)
+        for view, side in zip(views, [180.0 if view >= 0 else 0.0 for view in views], strict=True)
     ]
 
 

@@ -263,11 +263,10 @@ class BandResponses:
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
-        rows = zip(offset, bands.fwhm, bands.spacing, strict=True)
         response = np.stack(
             [
                 line_shape(row, float(fwhm), float(spacing), bands.shape, self._fine_step)
-                for row, fwhm, spacing in rows
+                for row, fwhm, spacing in zip(offset, bands.fwhm, bands.spacing, strict=True)
             ]
         )
         if bands.responsivity is not None:

@@ -123,12 +123,11 @@ def pushbroom(
     moment = time[:, None] * 1e-9 + exposure_time * np.array([-0.5, 0.5])
     spread = np.broadcast_to(np.asarray(wobble, dtype=np.float64), (3,))
     turned = spread[:, None, None] * _oscillations(moment, 3, seed, 0)
-    swayed = sway * _oscillations(moment, 3, seed, 1)
     origin = (
         first
         + np.array([0.0, 0.0, altitude])
         + ahead * (speed * moment)[..., None]
-        + swayed.transpose(1, 2, 0)
+        + (sway * _oscillations(moment, 3, seed, 1)).transpose(1, 2, 0)
     )
     rotation = matrices(quaternions(turned[0], turned[1], turned[2] + heading))
     edges = np.asarray((np.arange(columns + 1) - 0.5 * columns) * angle)

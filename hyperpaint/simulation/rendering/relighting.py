@@ -242,8 +242,6 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
 def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
     places = [_whole_lines(traced[name]).rechunk({0: chunks}) for name in ("east", "north")]
     first = np.datetime64(traced.attrs["time_coverage_start"], "ns")
-    times = da.asarray((traced["time"].data - first) / np.timedelta64(1, "s")).rechunk((chunks,))
-    columns = places[0].shape[1]
     return da.blockwise(
         _factors_task,
         "lvx",
@@ -253,11 +251,11 @@ def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...])
         "lx",
         places[1],
         "lx",
-        times,
+        da.asarray((traced["time"].data - first) / np.timedelta64(1, "s")).rechunk((chunks,)),
         "l",
         new_axes={"v": 2},
         dtype=np.float64,
-        meta=np.empty((0, 2, columns)),
+        meta=np.empty((0, 2, places[0].shape[1])),
     )
 
 
@@ -418,11 +416,10 @@ def _irradiance_record(
     elif variation is not None:
         record = dask.delayed(_at_times, pure=True)(traced["time"].data, times, variation, spectra)
         values = da.from_delayed(record, (times.size, centres.size), dtype=dtype_of("irradiance"))
-    gap = np.diff(times).max() / np.timedelta64(1, "s")
     variables = {
         "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), values),
         "irradiance_fwhm": ((), np.float64(_FWHM)),
-        "irradiance_max_gap": ((), np.float64(2.5 * gap)),
+        "irradiance_max_gap": ((), np.float64(2.5 * (np.diff(times).max() / np.timedelta64(1, "s")))),
         "irradiance_clock_uncertainty": ((), np.float64(0.0)),
         IRRADIANCE_TIME: (IRRADIANCE_TIME, times),
         IRRADIANCE_WAVELENGTH: (IRRADIANCE_WAVELENGTH, centres),

@@ -242,13 +242,12 @@ def _lazy_arrays(
     # the scene is one node of the graph, prepared once; every task holds the poses of its lines only
     name = f"scene-{dask.base.tokenize(scene)}"
     packed = dask.delayed(_packed(scene), name=name, traverse=False)
-    prepared = dask.delayed(_prepare_packed, pure=True)(packed, settings)
     blocks = da.blockwise(
         _trace_task,
         "l",
         da.from_array(_poses(platform), chunks=chunk_lines),
         "l",
-        prepared,
+        dask.delayed(_prepare_packed, pure=True)(packed, settings),
         None,
         edges=(platform.column_edges, platform.along_edges),
         dtype=object,
