@@ -376,7 +376,8 @@ def in_units(value: Any, wanted: str, name: str) -> Any:
         raise UnitsError(
             f"{name}={str(value)!r}", expected=f"a number [{wanted}] or a Quantity", code="type-wrong"
         )
-    if not _carries_unit(value):
+    is_duration = getattr(getattr(value, "dtype", None), "kind", "") == "m"
+    if not (is_duration or isinstance(value, datetime.timedelta | xr.DataArray) or _is_quantity(value)):
         return value
     try:
         number, factor = (
@@ -387,11 +388,6 @@ def in_units(value: Any, wanted: str, name: str) -> Any:
     except UnitsError as error:
         raise error.about(name) from error
     return number if factor == 1.0 else number * factor
-
-
-def _carries_unit(value: object) -> bool:
-    is_duration = getattr(getattr(value, "dtype", None), "kind", "") == "m"
-    return is_duration or isinstance(value, datetime.timedelta | xr.DataArray) or _is_quantity(value)
 
 
 def takes_quantities(**units: str) -> Callable[[_Public], _Public]:

@@ -118,7 +118,9 @@ def _fine_structure() -> _FineStructure:
     first, last = _LINED
     # cells reach half a step of the table to both sides of its wavelengths
     nm: Floats = first - 0.5 + GRID_STEP * np.arange(round((last - first + 1.0) * per_cell), dtype=np.float64)
-    solar = np.exp(-_solar_lines(nm))
+    rng = np.random.default_rng([_NATURE, 2])  # weak lines of metals, dense in the blue
+    centres = 340.0 + rng.exponential(110.0, 2500)
+    solar = np.exp(-_sum_of_lines(nm, centres, rng.exponential(0.06, 2500), 0.12))
     for centre, width, depth in _FRAUNHOFER:
         solar *= 1.0 - depth * np.exp(-4 * np.log(2) * ((nm - centre) / width) ** 2)
     half = per_cell // 2
@@ -187,13 +189,6 @@ def _water(wavelength: Floats) -> Floats:
         centres = rng.normal(centre, spread, number)
         total += _sum_of_lines(wavelength, centres, rng.exponential(depth, number), _LINE_WIDTH)
     return total
-
-
-def _solar_lines(wavelength: Floats) -> Floats:
-    # Weak lines of metals, dense in the blue.
-    rng = np.random.default_rng([_NATURE, 2])
-    centres = 340.0 + rng.exponential(110.0, 2500)
-    return _sum_of_lines(wavelength, centres, rng.exponential(0.06, 2500), 0.12)
 
 
 @dataclass(frozen=True)

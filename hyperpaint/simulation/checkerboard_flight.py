@@ -91,13 +91,9 @@ class Checkerboard:
             here = middle.copy()
             for weight, way in zip(step_weights.tolist(), ways, strict=True):
                 here += weight * way
-            bright += _is_odd(*np.floor(here))
+            half = 0.5 * np.floor(here).sum(axis=0)
+            bright += half != np.floor(half)  # the square is odd
         return bright / len(weights)
-
-
-def _is_odd(first: Floats, second: Floats) -> NDArray[np.bool_]:
-    half = 0.5 * (first + second)
-    return np.asarray(half != np.floor(half))
 
 
 class CheckerboardFlight(Flight):

@@ -168,14 +168,11 @@ class PlanFlight(Flight):
         term *= diffuse
         seen += term
         if self.settings.texture:
-            seen *= self._texture(line, surface)
+            normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
+            seen *= np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
         if mirrored.any():
             seen += mirrored * direct * self._incident[0]
         return np.asarray(seen)
-
-    def _texture(self, line: int, surface: NDArray[np.int16]) -> Floats:
-        normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
-        return np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
 
     def _mirrored(self, line: int, surface: NDArray[np.int16]) -> Floats:
         # Reflectance factor of the clear coat's mirror image of the sun, zero for most pixels.

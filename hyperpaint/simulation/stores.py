@@ -132,41 +132,37 @@ def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> d
     return {name: _variable(name, each) for name, each in values.items()}
 
 
-def _corners(flight: Flight) -> dict[str, xr.Variable]:
-    if not isinstance(flight, CheckerboardFlight):
-        return {}
-    return {
-        f"corner_{name}": xr.Variable(
-            "corner", values, {"long_name": f"{name.capitalize()} of a corner of four squares", "units": "m"}
-        )
-        for name, values in flight.corners.items()
-    }
-
-
 class TruthStore:
     """``truth.zarr`` of a flight, filled line block by line block; replaced where it exists."""
 
     def __init__(self, flight: Flight, path: Path) -> None:
         settings = flight.settings
         self._full = flight.detector.saturation_count
-        coords = {
-            **_band_coords(flight),
-            **_line_coords(flight),
-        }
-        attrs = {
-            "hyperpaint_format": FORMAT_VERSION,
-            "name": "truth of a simulated collect",
-            "srf_shape": settings.srf_shape,
-            "irradiance_srf_shape": "gaussian",
-            "crs": flight.plane.crs,
-            "ground": flight.frame.height,
-            "boresight": list(flight.trajectory.boresight),
-            "lever_arm": list(flight.trajectory.lever_arm),
-            "frame_clock_offset_s": float(settings.frame_clock_offset_s),
-        }
-        head = xr.Dataset(_corners(flight), coords, attrs)
-        time = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
-        _write_small(head, path, time=time)
+        head = xr.Dataset(
+            {
+                f"corner_{name}": xr.Variable(
+                    "corner",
+                    values,
+                    {"long_name": f"{name.capitalize()} of a corner of four squares", "units": "m"},
+                )
+                for name, values in (flight.corners.items() if isinstance(flight, CheckerboardFlight) else ())
+            },
+            {**_band_coords(flight), **_line_coords(flight)},
+            {
+                "hyperpaint_format": FORMAT_VERSION,
+                "name": "truth of a simulated collect",
+                "srf_shape": settings.srf_shape,
+                "irradiance_srf_shape": "gaussian",
+                "crs": flight.plane.crs,
+                "ground": flight.frame.height,
+                "boresight": list(flight.trajectory.boresight),
+                "lever_arm": list(flight.trajectory.lever_arm),
+                "frame_clock_offset_s": float(settings.frame_clock_offset_s),
+            },
+        )
+        _write_small(
+            head, path, time={"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
+        )
         group = zarr.open_group(path, mode="r+")
         layers: dict[str, tuple[tuple[str, ...], str, dict[str, Any]]] = {
             "reflectance": (CUBE, "float32", VARIABLES["reflectance"].attrs),
@@ -187,10 +183,12 @@ class TruthStore:
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
         here = slice(start, start + len(recorded))
-        saturated = _saturated(lines, self._full)
-        layers = {"glint": lines.glint, "saturated": saturated, "no_data": ~recorded, **lines.layers}
-        for name in ("reflectance", "radiance", "surface"):
-            self._arrays[name][here] = getattr(lines, name)
+        layers = {
+            **{name: getattr(lines, name) for name in ("reflectance", "radiance", "surface", "glint")},
+            "saturated": _saturated(lines, self._full),
+            "no_data": ~recorded,
+            **lines.layers,
+        }
         for name, values in layers.items():
             self._arrays[name][here] = values
 
@@ -330,8 +328,11 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     variables["bad"] = xr.Variable(
         (BAND, CROSS_TRACK), camera.bad, {"long_name": "True at elements that see no light"}
     )
-    flux_attrs = {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"}
-    variables["flux"] = xr.Variable((STEP, CROSS_TRACK), sweep.power[:, None] * sweep.beam, flux_attrs)
+    variables["flux"] = xr.Variable(
+        (STEP, CROSS_TRACK),
+        sweep.power[:, None] * sweep.beam,
+        {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"},
+    )
     variables |= {name: xr.Variable(*each) for name, each in camera.imperfections.items()}
     return xr.Dataset(
         {f"{TRUTH}{name}": variable for name, variable in variables.items()},

@@ -168,7 +168,12 @@ def paved(layout: Layout) -> Mesh:
     lawns += [(layout.kerb[0], layout.east_kerb[1], *ends) for ends in ((south, first), (last, north))]
     pieces += [_level(*lawn, "grass", _LAWN) for lawn in lawns if lawn[1] > lawn[0] and lawn[3] > lawn[2]]
     for bay, (begin, end) in layout.islands():
-        pieces += _island(bay, begin, end)
+        at = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
+        length, wide = end - begin - 0.1, BAY[1] - 0.3
+        pieces += [
+            cuboid((length, wide, _KERB_HEIGHT + 0.03), "concrete").shifted((*at, -0.03)),
+            cuboid((length - 0.4, wide - 0.4, 0.06), "grass").shifted((*at, _KERB_HEIGHT - 0.03)),
+        ]
     pieces += _arrows(layout)
     return put_together(pieces)
 
@@ -234,13 +239,6 @@ def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -
             south = high
     if last > south:
         yield _level(begin, end, south, last, "asphalt")
-
-
-def _island(bay: int, begin: float, end: float) -> Iterator[Mesh]:
-    at = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
-    length, wide = end - begin - 0.1, BAY[1] - 0.3
-    yield cuboid((length, wide, _KERB_HEIGHT + 0.03), "concrete").shifted((*at, -0.03))
-    yield cuboid((length - 0.4, wide - 0.4, 0.06), "grass").shifted((*at, _KERB_HEIGHT - 0.03))
 
 
 def _arrows(layout: Layout) -> Iterator[Mesh]:

@@ -151,9 +151,7 @@ def _chosen(shares: Mapping[str, float], place: float) -> str:
 
 
 def _pigments(group: str, finish: str, rng: np.random.Generator) -> tuple[str, Pigments]:
-    film = None
-    if finish == "pearl":
-        film = float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))
+    film = (float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))) if finish == "pearl" else None
     if group == "coloured":
         hue = _chosen(HUE_SHARES, rng.random())
         strength, floor = np.exp(rng.uniform(np.log(0.6), np.log(1.6))), np.exp(rng.uniform(-3.5, -1.2))
@@ -165,7 +163,5 @@ def _pigments(group: str, finish: str, rng: np.random.Generator) -> tuple[str, P
     base, _ = mix(family, "blue", rng)
     # grey is ground in carbon from light to anthracite; silver is nearly all flakes
     ranges = {"grey": (0.3, 4.0), "silver": (0.08, 0.3)}
-    absorption = base.absorption
-    if group in ranges:
-        absorption = float(np.exp(rng.uniform(*np.log(ranges[group]))))
+    absorption = float(np.exp(rng.uniform(*np.log(ranges[group])))) if group in ranges else base.absorption
     return group, Pigments(absorption, base.absorbers, film)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
@@ -19,9 +20,6 @@ from hyperpaint.base.units import convert
 from .camera_bands import BandSet
 from .scene_spectra import Spectrum, spectrum_of
 from .weathering import MEASURED
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 #: Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %.
 MAX_MEMBERS = 512
@@ -223,9 +221,7 @@ class SpectrumReader:
         # Bands in order, NaN in bands that are not good.
         nm, reflectance = _columns(paint["reflectance"])
         order = np.argsort(nm, kind="stable")
-        good = np.ones(nm.size, bool)
-        if "good" in paint.coords:
-            good = np.asarray(paint["good"].values, bool)
+        good = np.asarray(paint["good"].values, bool) if "good" in paint.coords else np.ones(nm.size, bool)
         values = np.where(good, reflectance, np.nan)[order]
         members = None
         if "member_reflectance" in paint:

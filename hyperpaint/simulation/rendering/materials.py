@@ -317,9 +317,8 @@ def measured_factor(
                 code="option-conflict",
             )
         measured = measured - (0.0 if index is None else float(fresnel_reflectance(1.0, index)))
-    crossed, back = 1.0, 0.0
-    if index is not None:
-        crossed, back = _through_interface(index, geometry), internal_reflectance(index)
+    crossed = 1.0 if index is None else _through_interface(index, geometry)
+    back = 0.0 if index is None else internal_reflectance(index)
     factor = measured * ((1.0 - back) / crossed)
     wrong = (factor < 0.0) | (factor > 1.0 + 1e-12)
     if wrong.any():

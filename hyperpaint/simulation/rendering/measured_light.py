@@ -6,10 +6,11 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
@@ -20,9 +21,6 @@ from hyperpaint.light.sky_fit import fit_sky
 from hyperpaint.simulation.setting_checks import moment_of
 
 from .sky_models import Spread, check_curves, check_wavelengths
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _MAX_BYTES = 16 * 2**20
 _MAX_LINES = 200_000

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 from .camera_bands import BandSet
 from .given_spectra import SpectrumReader, by_name, is_library, some_names
-from .materials import Flakes, measured_factor
+from .materials import measured_factor
 from .scene_record import SceneRecord
 from .scene_spectra import Spectrum, paint_spec
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +196,10 @@ def _exchange_flakes(
     old = record.materials[material].flakes
     if record.factors[place].flakes or old is None:
         return
-    new = _flakes_of(name)
+    try:
+        new = paint_spec(name).flakes
+    except SchemaError:
+        new = None
     if old.share >= 1.0:
         problems.add(
             f"{record.materials[material].name!r} has flakes only and cannot be repainted",
@@ -211,13 +212,6 @@ def _exchange_flakes(
             scales[other] = new.share / old.share if new else 0.0
             if new is not None:
                 assigned[other] = new.turned if factor.turned and new.turned else new.spectrum
-
-
-def _flakes_of(name: str) -> Flakes | None:
-    try:
-        return paint_spec(name).flakes
-    except SchemaError:
-        return None
 
 
 def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[int]:

@@ -178,9 +178,9 @@ def relight(
     light = dask.delayed(make_lighting, pure=True)(*shared)
     paths = [_whole_lines(variables[name]) for name in _PATHS]
     texture = _texture(traced, record, painted, camera, settings.seed) if population else None
-    varied: Any = factors
-    if isinstance(variation, BrokenClouds):
-        varied = _shadowed(traced, variation, paths[0].chunks[0])
+    varied: Any = (
+        _shadowed(traced, variation, paths[0].chunks[0]) if isinstance(variation, BrokenClouds) else factors
+    )
     cubes = _lazy_cubes(paths, light, varied, camera, texture, truth=truth)
     names = [""] * len(record.materials)  # spectra of the bases
     for factor, name in zip(record.factors, painted.names, strict=True):

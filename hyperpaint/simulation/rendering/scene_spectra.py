@@ -179,9 +179,11 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
 def _fleet_spec(number: int) -> PaintSpec:
     # Older coats are duller.
     car, name = fleet_paint(number), f"fleet-{number}"
-    flakes = None
-    if car.flake_share:
-        flakes = _flopping(_flakes_of(name, car.finish, car.flake_share), car.flop, car.pigments)
+    flakes = (
+        _flopping(_flakes_of(name, car.finish, car.flake_share), car.flop, car.pigments)
+        if car.flake_share
+        else None
+    )
     coat = Coat()
     coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _DULLED * car.age))
     adjective = _ADJECTIVES[number % len(_ADJECTIVES)]

@@ -241,7 +241,9 @@ def _lazy_arrays(
     # One task a block computes all variables.
     # the scene is one node of the graph, prepared once; every task holds the poses of its lines only
     name = f"scene-{dask.base.tokenize(scene)}"
-    packed = dask.delayed(_packed(scene), name=name, traverse=False)
+    # compressed: dask warns of graphs above 10 MB
+    pickled = bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
+    packed = dask.delayed(pickled, name=name, traverse=False)
     blocks = da.blockwise(
         _trace_task,
         "l",
@@ -256,11 +258,6 @@ def _lazy_arrays(
     sizes = {"s": settings.slot_count, "u": len(settings.suns), "x": platform.columns}
     layout = {name: (dims, dtype_of(name)) for name, dims in _LAYOUT.items()}
     return split_outputs(blocks, "l", layout, sizes)
-
-
-def _packed(scene: Scene) -> bytes:
-    # Compressed for the graph: dask warns above 10 MB.
-    return bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
 
 
 def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
