@@ -147,8 +147,11 @@ def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> byt
         try:
             return file.read(os.fstat(file.fileno()).st_size)
         except OSError as error:
-            found = f"{path}: cannot be read ({error.strerror or error})"
-            raise FormatError(found, mend="copy it again", code="file-unreadable") from error
+            raise FormatError(
+                f"{path}: cannot be read ({error.strerror or error})",
+                mend="copy it again",
+                code="file-unreadable",
+            ) from error
 
 
 def head_of(path: str | os.PathLike[str], count: int) -> bytes:

@@ -486,8 +486,12 @@ def find(
         row = table[name]
         if name not in dataset.variables:
             shape = ", ".join(row.dims) or "a scalar"
-            found = f"{name!r} is missing: {row.meaning.lower()} ({shape}) [{row.units or row.dtype}]"
-            problems.append(Problem(found, code="variable-missing"))
+            problems.append(
+                Problem(
+                    f"{name!r} is missing: {row.meaning.lower()} ({shape}) [{row.units or row.dtype}]",
+                    code="variable-missing",
+                )
+            )
             continue
         array = plain(dataset[name])
         fault = row.dim_problem(array) or row.unit_problem(array)

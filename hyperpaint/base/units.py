@@ -237,8 +237,11 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     name = name or str(array.name)
     units = array.attrs.get("units")
     if units is None:
-        mend = f"set {name}.attrs['units'], for example to {wanted!r}"
-        raise UnitsError(f"{name!r} has no units", mend=mend, code="units-missing")
+        raise UnitsError(
+            f"{name!r} has no units",
+            mend=f"set {name}.attrs['units'], for example to {wanted!r}",
+            code="units-missing",
+        )
     try:
         factor = conversion_factor(str(units), wanted)
     except UnitsError as error:

@@ -101,8 +101,11 @@ class Variable:
         if not self.units:
             return None
         if units is None:
-            mend = f"set {self.name}.attrs['units'], for example to {self.units!r}"
-            return Problem(f"{self.name!r} has no units", mend=mend, code="units-missing")
+            return Problem(
+                f"{self.name!r} has no units",
+                mend=f"set {self.name}.attrs['units'], for example to {self.units!r}",
+                code="units-missing",
+            )
         if str(units) == self.units or same_dimension(str(units), self.units):
             return None
         return Problem(

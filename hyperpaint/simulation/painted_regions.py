@@ -120,8 +120,10 @@ class PaintedRectangles:
         """
         features = ",\n".join(json.dumps(feature) for feature in self.features())
         head = '"type": "FeatureCollection",\n"coordinates": "sensor",\n'
-        text = f'{{\n{head}"generator": {json.dumps(generator)},\n"features": [\n{features}\n]\n}}\n'
-        path.write_text(text, encoding="utf-8")
+        path.write_text(
+            f'{{\n{head}"generator": {json.dumps(generator)},\n"features": [\n{features}\n]\n}}\n',
+            encoding="utf-8",
+        )
 
 
 def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:

@@ -129,8 +129,9 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
     lobes = lobes_at(surfaces, 0, seen, seen, 0.0)
     base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, towards, towards, 0.0)
     scale = (2.0 if alpha else 1.0) / towards[2]  # half of the light meets flakes, where there are any
-    part = turned_part(lobes, towards)
-    return _Lobes(scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2], part)
+    return _Lobes(
+        scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2], turned_part(lobes, towards)
+    )
 
 
 def _factor_with_flakes(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:

@@ -256,8 +256,7 @@ class ProductTable:
         normalise: bool = True,
     ) -> None:
         self.bands, self.codes = bands, codes
-        covered = float(wavelength[0]), float(wavelength[-1])
-        responses = BandResponses(bands, covered, normalise=normalise)
+        responses = BandResponses(bands, (float(wavelength[0]), float(wavelength[-1])), normalise=normalise)
         means = {
             number: cell_means(wavelength, np.asarray(spectrum, np.float64), responses.fine)
             for number, spectrum in sources.items()

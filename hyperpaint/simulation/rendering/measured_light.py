@@ -43,8 +43,9 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
 
     Arguments, errors and the warning are those of `Atmosphere.from_irradiance`.
     """
-    names = ["irradiance", "irradiance_wavelength"]
-    arrays = require(series, names, "the atmosphere of an irradiance series")
+    arrays = require(
+        series, ["irradiance", "irradiance_wavelength"], "the atmosphere of an irradiance series"
+    )
     values = np.asarray(arrays["irradiance"].values, dtype=np.float64)
     grid = np.asarray(arrays["irradiance_wavelength"].values, dtype=np.float64)
     check_wavelengths(grid)
@@ -66,9 +67,10 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
         )
     when = moment.astype(np.int64)
     if not len(stamps) or not stamps[0] <= when <= stamps[-1]:
-        span = f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples"
         raise SchemaError(
-            f"time {moment} is outside the irradiance series", expected=span, code="irradiance-coverage"
+            f"time {moment} is outside the irradiance series",
+            expected=f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples",
+            code="irradiance-coverage",
         )
     after = min(max(int(np.searchsorted(stamps, when)), 1), len(stamps) - 1) if len(stamps) > 1 else 0
     before = max(after - 1, 0)
@@ -81,8 +83,13 @@ def _without_noise(irradiance: Floats) -> Floats:
     low, high = irradiance.min(), irradiance.max()
     if -_NOISE * high <= low < 0.0:
         count = int((irradiance < 0.0).sum())
-        msg = f"{count} of {irradiance.size} irradiances below zero, down to {low:.3g}, were set to 0"
-        warnings.warn(PaintWarning(msg, code="irradiance-negative"), stacklevel=4)
+        warnings.warn(
+            PaintWarning(
+                f"{count} of {irradiance.size} irradiances below zero, down to {low:.3g}, were set to 0",
+                code="irradiance-negative",
+            ),
+            stacklevel=4,
+        )
         return np.maximum(irradiance, 0.0)
     return irradiance
 
@@ -121,8 +128,13 @@ def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], S
     worst = float(fit["misfit"].max())
     if worst > _MAX_RESIDUAL:
         source = table.attrs.get("source", "the table")
-        msg = f"clear-sky functions fit the radiance of {source} with a residual of {worst:.0%}"
-        warnings.warn(PaintWarning(msg, code="sky-fit-poor"), stacklevel=3)
+        warnings.warn(
+            PaintWarning(
+                f"clear-sky functions fit the radiance of {source} with a residual of {worst:.0%}",
+                code="sky-fit-poor",
+            ),
+            stacklevel=3,
+        )
     return curves, Spread(*(fit["share"].sel(function=name).values for name in Spread._fields))
 
 

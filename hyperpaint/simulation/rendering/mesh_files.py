@@ -121,8 +121,12 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             material, thing = (name, thing) if keyword == "usemtl" else (material, name)
             group = -1
     vertices = np.asarray(coordinates, np.float64).reshape(-1, 3)
-    faces = np.asarray(corners, np.int64).reshape(-1, 3)
-    return RawTriangles(vertices, faces, np.asarray(face_group, np.int64), tuple(groups))
+    return RawTriangles(
+        vertices,
+        np.asarray(corners, np.int64).reshape(-1, 3),
+        np.asarray(face_group, np.int64),
+        tuple(groups),
+    )
 
 
 def _numbers(kind: Callable[[str], Any], words: list[str]) -> list[Any]:

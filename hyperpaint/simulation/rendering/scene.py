@@ -451,5 +451,10 @@ def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
     if not with_area.all():
         dropped = int((~with_area).sum())
-        msg = f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped"
-        warnings.warn(PaintWarning(msg, code="triangle-without-area"), stacklevel=4)
+        warnings.warn(
+            PaintWarning(
+                f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
+                code="triangle-without-area",
+            ),
+            stacklevel=4,
+        )

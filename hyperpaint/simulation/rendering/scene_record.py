@@ -296,8 +296,7 @@ class LabelTables:
         if name not in ("surface_class", "paint_id"):
             return {}
         meanings = KINDS if name == "surface_class" else [paint.replace(" ", "_") for paint in self.paints]
-        numbers = np.arange(len(meanings), dtype=np.int16)
-        return {"flag_values": numbers, "flag_meanings": " ".join(meanings)}
+        return {"flag_values": np.arange(len(meanings), dtype=np.int16), "flag_meanings": " ".join(meanings)}
 
 
 def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:

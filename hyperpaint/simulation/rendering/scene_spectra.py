@@ -257,8 +257,9 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
         low, high = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
         flop = float(rng.uniform(4.0, 15.0))
         flakes = _flopping(_flakes_of(name, finish, float(rng.uniform(low, high))), flop, pigments)
-    trade_name = f"{adjective} {colour.title()}"
-    return PaintSpec(name, finish, colour, trade_name, Coat(roughness=roughness), flakes), pigments
+    return PaintSpec(
+        name, finish, colour, f"{adjective} {colour.title()}", Coat(roughness=roughness), flakes
+    ), pigments
 
 
 def _flakes_of(name: str, finish: str, share: float) -> Flakes:
@@ -364,8 +365,11 @@ def spectrum_of(name: str) -> Spectrum:
     if name in SPECTRA:
         return _limited(SPECTRA[name])
     close = difflib.get_close_matches(name, SPECTRA, 1)
-    hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SPECTRA)}"
-    raise SchemaError(f"there is no spectrum {name!r}", mend=hint, code="spectrum-unknown")
+    raise SchemaError(
+        f"there is no spectrum {name!r}",
+        mend=f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SPECTRA)}",
+        code="spectrum-unknown",
+    )
 
 
 def _limited(spectrum: Spectrum) -> Spectrum:

@@ -106,8 +106,13 @@ def built_in_sky(
         The sun is not above the horizon, or the wavelengths are no grid.
     """
     check_wavelengths(wavelength)
-    mass = relative_air_mass(sun_zenith)
-    sky = Sky(sun_zenith=sun_zenith, aerosol=aerosol, ozone=ozone, water=water, airmass=mass)
+    sky = Sky(
+        sun_zenith=sun_zenith,
+        aerosol=aerosol,
+        ozone=ozone,
+        water=water,
+        airmass=relative_air_mass(sun_zenith),
+    )
     direct, diffuse = sky.irradiance(wavelength)
     # Sky gives the direct light of a level surface
     return direct / np.cos(np.radians(sun_zenith)), diffuse
