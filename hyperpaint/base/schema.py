@@ -193,7 +193,18 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         ``dims`` names a role or a dim that does not exist; a dim of the cube has size 0; or arrays are of
         cubed or cupy.
     """
-    _refuse_foreign_arrays(dataset)
+    # arrays of other packages look like numpy's or dask's; none of the packages is imported here
+    for label_of, variable in dataset.variables.items():
+        data = variable._data
+        for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
+            package = type(array).__module__.partition(".")[0]
+            if package in _FOREIGN_ARRAYS:
+                raise SchemaError(
+                    f"{label_of!r} is an array of {package}",
+                    expected="numpy or dask",
+                    mend=_FOREIGN_ARRAYS[package],
+                    code="array-foreign",
+                )
     # every cell of a map has its own line and time
     is_map = {"y", "x"} <= {*dataset.dims, *dataset.coords} or "spatial_ref" in dataset.variables
     dataset = _with_table_units(plain(dataset))
@@ -323,9 +334,14 @@ def with_integer_dtypes(dataset: xr.Dataset, table: Mapping[str, Variable] = VAR
     changed = {}
     for name, row in table.items():
         variable = dataset.variables.get(name)
-        if variable is None or variable.dtype.kind not in "fO" or row.dtype in ("str", "datetime64[ns]"):
-            continue
-        if np.dtype(row.dtype).kind not in "iub" or name == "counts" or variable.dims == (name,):
+        if (
+            variable is None
+            or variable.dtype.kind not in "fO"
+            or row.dtype in ("str", "datetime64[ns]")
+            or np.dtype(row.dtype).kind not in "iub"
+            or name == "counts"
+            or variable.dims == (name,)
+        ):
             continue
         integers = functools.partial(_integers, gap=row.gap, dtype=row.dtype)
         changed[name] = (
@@ -345,21 +361,6 @@ _FOREIGN_ARRAYS = {
     "cubed": "map hyperpaint.slab over its blocks (docs/howto/engines.md), or open with dask or chunks=None",
     "cupy": "take it from the GPU first, by dataset.as_numpy() or array.get(): the kernels run on the CPU",
 }
-
-
-def _refuse_foreign_arrays(dataset: xr.Dataset) -> None:
-    # Arrays of other packages look like numpy's or dask's; none of the packages is imported here.
-    for name, variable in dataset.variables.items():
-        data = variable._data
-        for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
-            package = type(array).__module__.partition(".")[0]
-            if package in _FOREIGN_ARRAYS:
-                raise SchemaError(
-                    f"{name!r} is an array of {package}",
-                    expected="numpy or dask",
-                    mend=_FOREIGN_ARRAYS[package],
-                    code="array-foreign",
-                )
 
 
 #: Attribute of ``radiance_gain``: names of the other variables of the calibration that change values.

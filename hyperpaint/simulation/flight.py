@@ -266,7 +266,15 @@ class Flight(abc.ABC):
         """
         optics = self.camera.optics
         if optics is None:
-            return self._expose(self._view(start, stop, into), start)
+            seen = self._view(start, stop, into)
+
+            def expose(row: int) -> None:
+                seen.lines.counts[row] = self._count(self._note(seen, row, start + row), start + row)
+
+            # rows go in threads: numpy releases the interpreter, each line draws its own numbers
+            with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+                list(pool.map(expose, range(len(seen.lines.counts))))
+            return seen.lines
         first, last = max(start - optics.reach, 0), min(stop + optics.reach, self.settings.lines)
         return self._expose_through(optics, self._view(first, last, into), first, range(start, stop))
 
@@ -300,15 +308,6 @@ class Flight(abc.ABC):
         if settings.pedestal:
             counts += settings.pedestal
         return counts
-
-    def _expose(self, seen: Seen, start: int) -> Lines:
-        # Rows go in threads: numpy releases the interpreter, each line draws its own numbers.
-        def expose(row: int) -> None:
-            seen.lines.counts[row] = self._count(self._note(seen, row, start + row), start + row)
-
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            list(pool.map(expose, range(len(seen.lines.counts))))
-        return seen.lines
 
     def _expose_through(self, optics: Optics, seen: Seen, first: int, lines: range) -> Lines:
         factor = self.imager.element_factor

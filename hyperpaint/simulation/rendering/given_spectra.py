@@ -229,7 +229,10 @@ class SpectrumReader:
             rows = np.asarray(
                 (convert(population, "1") if "units" in population.attrs else population).values
             )
-            members = _thinned(np.where(good, rows, np.nan)[:, order].astype(np.float64))
+            members = np.where(good, rows, np.nan)[:, order].astype(np.float64)
+            members = members[np.isfinite(members).any(axis=1)]
+            if len(members) > MAX_MEMBERS:  # evenly spaced ones are kept
+                members = members[np.linspace(0, len(members) - 1, MAX_MEMBERS).round().astype(np.int64)]
         if mirror_reflection(paint) == INCLUDED:
             self._mirroring.append(name)
         outside = (values < 0.0) | (values > 1.0)
@@ -297,14 +300,6 @@ def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
     near = slice(start, max(int(np.searchsorted(spectrum.wavelength, bands.highest())) + 1, start + 1))
     members = None if spectrum.members is None else _whole(spectrum.members[:, near])
     return Table(spectrum.wavelength[near], spectrum.reflectance[near], members)
-
-
-def _thinned(members: Floats) -> Floats:
-    # At most `MAX_MEMBERS` members with values, evenly spaced.
-    used = members[np.isfinite(members).any(axis=1)]
-    if len(used) <= MAX_MEMBERS:
-        return used
-    return np.asarray(used[np.linspace(0, len(used) - 1, MAX_MEMBERS).round().astype(np.int64)])
 
 
 def _whole(members: Floats) -> Floats | None:

@@ -63,7 +63,11 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
     lengths, shares, averaged = np.ones(shape), np.zeros(shape), np.zeros(shape[0], bool)
     ratios, factors, first = [], [], 0
     for octaves, material, place, rows in members:
-        ratios.append(_over_mean(rows))
+        # members over their mean, darkest first
+        ratio = np.minimum(np.clip(rows, 0.0, 1.0) / np.maximum(rows.mean(axis=0), _MIN_MEAN), _MAX_RATIO)
+        # what was cut off below 0 or above 1 must not change the mean
+        ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
+        ratios.append(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
         factors.append(np.full(len(rows), place, np.int64))
         count[:, material] = first, len(rows)
         first += len(rows)
@@ -72,15 +76,6 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
         averaged[material] = octaves.is_averaged
     grain = Grain(count[0], count[1], lengths, shares, averaged)
     return Populations(grain, np.concatenate(factors), np.concatenate(ratios).astype(np.float32))
-
-
-def _over_mean(rows: Floats) -> Floats:
-    # Members (member, band) over their mean, darkest first.
-    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(rows.mean(axis=0), _MIN_MEAN)
-    ratio = np.minimum(ratio, _MAX_RATIO)
-    # what was cut off below 0 or above 1 must not change the mean
-    ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
-    return np.asarray(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
 
 
 def rows_of_pixels(

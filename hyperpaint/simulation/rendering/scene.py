@@ -151,7 +151,14 @@ class Scene:
         instance = _array(problems, "face_instance", self.face_instance, np.int32, (count,))
         part = _array(problems, "face_part", self.face_part, np.int8, (count,))
         for name, values in (("vertices", vertices), ("normals", normals)):
-            _check_finite(problems, name, values)
+            bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            if len(bad):
+                where = ", ".join(str(index) for index in bad[:5]) + (", ..." if len(bad) > 5 else "")
+                problems.add(
+                    f"{name} {where} ({len(bad)} of {len(values)}) are not finite",
+                    mend="mend or remove them",
+                    code="not-finite",
+                )
         _check_range(problems, "faces", faces, len(vertices), "vertices")
         _check_range(problems, "face_material", material, len(self.materials), "materials")
         _check_range(problems, "face_instance", instance, len(self.instances), "instances")
@@ -404,18 +411,6 @@ def _array(
         # whole numbers stay wide until their range has been looked at
         return array.astype(np.int64 if np.issubdtype(dtype, np.integer) else np.float64)
     return np.zeros([length or 0 for length in shape], dtype)
-
-
-def _check_finite(problems: Problems, name: str, values: NDArray[Any]) -> None:
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if len(bad):
-        where = ", ".join(str(index) for index in bad[:5])
-        more = ", ..." if len(bad) > 5 else ""
-        problems.add(
-            f"{name} {where}{more} ({len(bad)} of {len(values)}) are not finite",
-            mend="mend or remove them",
-            code="not-finite",
-        )
 
 
 def _check_range(problems: Problems, name: str, numbers: NDArray[Any], count: int, of: str) -> None:

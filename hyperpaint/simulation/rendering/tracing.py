@@ -207,7 +207,26 @@ def trace(
         )
     record = SceneRecord.of(scene)
     record.codes(settings)  # raises here, before any task, if they do not fit
-    return _labelled(_lazy_arrays(scene, platform, settings, chunk_lines), record, platform, settings)
+    arrays = _lazy_arrays(scene, platform, settings, chunk_lines)
+    labels = LabelTables.of(record)
+    utc = platform.utc.astype("datetime64[ns]")
+    coords = {
+        "time": (ALONG_TRACK, utc),
+        "sun_zenith": (SUN, np.array([zenith for zenith, _ in settings.suns], np.float64)),
+        "sun_azimuth": (SUN, np.array([azimuth for _, azimuth in settings.suns], np.float64)),
+    }
+    traced = xr.Dataset(
+        {name: ([_DIMS[dim] for dim in _LAYOUT[name]], array) for name, array in arrays.items()},
+        {name: (dims, values, VARIABLES[name].attrs) for name, (dims, values) in coords.items()},
+        {
+            "hyperpaint_format": FORMAT_VERSION,
+            "name": record.name,
+            **record.to_attrs(settings),
+            "time_coverage_start": str(utc.min()),
+            "time_coverage_end": str(utc.max()),
+        },
+    )
+    return traced.assign({name: label(traced[name], name, **labels.attrs(name)) for name in arrays})
 
 
 def _directions(suns: Any) -> tuple[Any, bool]:
@@ -291,27 +310,3 @@ def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array
         "sun_incidence": block.incidence,
         **prepared.labels.layers(block.material, block.instance),
     }
-
-
-def _labelled(
-    arrays: dict[str, da.Array], record: SceneRecord, platform: Platform, settings: TraceSettings
-) -> xr.Dataset:
-    labels = LabelTables.of(record)
-    utc = platform.utc.astype("datetime64[ns]")
-    coords = {
-        "time": (ALONG_TRACK, utc),
-        "sun_zenith": (SUN, np.array([zenith for zenith, _ in settings.suns], np.float64)),
-        "sun_azimuth": (SUN, np.array([azimuth for _, azimuth in settings.suns], np.float64)),
-    }
-    traced = xr.Dataset(
-        {name: ([_DIMS[dim] for dim in _LAYOUT[name]], array) for name, array in arrays.items()},
-        {name: (dims, values, VARIABLES[name].attrs) for name, (dims, values) in coords.items()},
-        {
-            "hyperpaint_format": FORMAT_VERSION,
-            "name": record.name,
-            **record.to_attrs(settings),
-            "time_coverage_start": str(utc.min()),
-            "time_coverage_end": str(utc.max()),
-        },
-    )
-    return traced.assign({name: label(traced[name], name, **labels.attrs(name)) for name in arrays})
