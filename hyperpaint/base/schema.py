@@ -269,11 +269,14 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
             dropped.append(name)  # made for the whole line, not for this part
     if "quality" in dataset.variables and _is_averaged(dataset):
         dropped.append("quality")
-        text = (
-            "flags of 'quality' are means over pixels, and are left out; choose pixels by their flags before "
-            "averaging"
+        warnings.warn(
+            PaintWarning(
+                "flags of 'quality' are means over pixels, and are left out; choose pixels by their flags "
+                "before averaging",
+                code="flags-averaged",
+            ),
+            stacklevel=3,
         )
-        warnings.warn(PaintWarning(text, code="flags-averaged"), stacklevel=3)
     dataset = dataset.drop_vars(dropped) if dropped else dataset
     return with_integer_dtypes(dataset.assign(changed) if changed else dataset)
 

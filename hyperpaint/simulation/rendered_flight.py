@@ -69,13 +69,19 @@ class RenderedFlight(Flight):
         scene = self._car_park()
         record = SceneRecord.of(scene)
         overcast = settings.sky == "overcast"
-        numbers = {"samples": settings.samples, "seed": settings.seed}
-        trace = TraceSettings((settings.sun,), overcast=overcast, clear=not overcast, **numbers)
+        trace = TraceSettings(
+            (settings.sun,),
+            samples=settings.samples,
+            seed=settings.seed,
+            overcast=overcast,
+            clear=not overcast,
+        )
         self._scene: PreparedScene = prepare_scene(scene, trace)
         spectra = [material.spectrum for material in record.materials]
         self.surfaces = tuple(dict.fromkeys(spectra))
-        paint_names = {material.spectrum for material in record.materials if material.kind == "paint"}
-        self.paints = tuple(sorted(paint_names))
+        self.paints = tuple(
+            sorted({material.spectrum for material in record.materials if material.kind == "paint"})
+        )
         self.layers = _layers(self._scene.labels, self.plane)
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
@@ -179,10 +185,12 @@ class RenderedFlight(Flight):
         # on its way to counts, INT L R stands where the radiance will be
         direct, diffuse = factors[:, :, None, None]
         weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
-        texture = None
-        if self._populations is not None:
-            place = np.moveaxis(block.position, 1, 0)
-            texture = self._populations.texture(block.material, block.instance, place, self.settings.seed)
+        place = np.moveaxis(block.position, 1, 0)
+        texture = (
+            None
+            if self._populations is None
+            else self._populations.texture(block.material, block.instance, place, self.settings.seed)
+        )
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
         return Seen(record, lambda row: record.radiance[row] * per_element)

@@ -304,5 +304,4 @@ def flakes_of_flop(
             mend="for more flop, raise the flake share or darken the pigment",
             code="value-out-of-range",
         )
-    roughness = float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
-    return replace(own, roughness=roughness)
+    return replace(own, roughness=float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:])))))

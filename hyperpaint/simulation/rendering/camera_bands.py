@@ -249,8 +249,9 @@ class BandResponses:
         self._cells = int(np.ceil((2 * bands.reach + np.ptp(nodes)) / _FACTOR_STEP_NM)) + 1
         points = int(self._starts[-1]) + self._cells + 2
         self.grid: Floats = np.asarray((low + np.arange(points)) * _FACTOR_STEP_NM, np.float64)
-        fine = low * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step
-        self.fine: Floats = np.asarray(fine, np.float64)
+        self.fine: Floats = np.asarray(
+            low * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step, np.float64
+        )
         self._inside = (self.fine >= covered[0]) & (self.fine <= covered[1])
         # cells reach one point back and two points on, by the cubic
         stops, places = self._starts + self._cells + 2, np.arange(points)

@@ -154,7 +154,13 @@ def paved(layout: Layout) -> Mesh:
     west, east = layout.kerb[1], layout.east_kerb[0]
     far_west, far_east = -0.5 * layout.width - layout.margin, 0.5 * layout.width + layout.margin
     pieces = [_level(far_west, far_east, south, north, "asphalt", -0.05)]
-    for begin, end in (*_gaps(layout.rows, west, east), (layout.kerb[0], west), (east, layout.east_kerb[1])):
+    # between the rows, and under the kerbs
+    gaps = [
+        (before[1], behind[0])
+        for before, behind in itertools.pairwise([(west, west), *layout.rows, (east, east)])
+        if behind[0] - before[1] > 1e-6
+    ]
+    for begin, end in (*gaps, (layout.kerb[0], west), (east, layout.east_kerb[1])):
         pieces.append(_level(begin, end, first, last, "asphalt"))
     for begin, end in layout.rows:
         pieces += _bays(layout, begin, end, first, last)
@@ -217,12 +223,6 @@ def _tufts(layout: Layout, seed: int) -> list[Mesh]:
         corners = np.stack([foot - side, foot + side, foot + lean], axis=1)
         tufts.append(uniform(corners.reshape(-1, 3), np.arange(3 * count), "grass"))
     return tufts
-
-
-def _gaps(rows: tuple[tuple[float, float], ...], west: float, east: float) -> Iterator[tuple[float, float]]:
-    for begin, end in itertools.pairwise([(west, west), *rows, (east, east)]):
-        if end[0] - begin[1] > 1e-6:
-            yield begin[1], end[0]
 
 
 def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -> Iterator[Mesh]:

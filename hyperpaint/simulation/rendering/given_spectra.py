@@ -148,17 +148,23 @@ class SpectrumReader:
 
     def warn(self) -> None:
         if self._clipped:
-            msg = (
-                f"noise takes reflectances of {some_names(self._clipped)} up to {_NOISE:g} beyond 0 to 1; "
-                "they are clipped for the render"
+            warnings.warn(
+                PaintWarning(
+                    f"noise takes reflectances of {some_names(self._clipped)} up to {_NOISE:g} beyond 0 to 1"
+                    "; they are clipped for the render",
+                    code="reflectance-clipped",
+                ),
+                stacklevel=4,
             )
-            warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=4)
         if self._mirroring:
-            msg = (
-                f"{some_names(self._mirroring)} contain the mirror reflection of the coat, which the "
-                "renderer adds once more; extract signatures with specular_sky=True (--specular-sky)"
+            warnings.warn(
+                PaintWarning(
+                    f"{some_names(self._mirroring)} contain the mirror reflection of the coat, which the "
+                    "renderer adds once more; extract signatures with specular_sky=True (--specular-sky)",
+                    code="mirror-counted-twice",
+                ),
+                stacklevel=4,
             )
-            warnings.warn(PaintWarning(msg, code="mirror-counted-twice"), stacklevel=4)
 
     def _spectrum(self, value: Any, name: str) -> Spectrum | None:
         problems = self._problems
@@ -173,8 +179,11 @@ class SpectrumReader:
                 hint = (
                     f"name one of {some_names(inside)}" if inside else f"or pass spectra={{{value!r}: ...}}"
                 )
-                found, mend = error.problem.found, error.problem.mend
-                problems.add(found, mend="; ".join(filter(None, (mend, hint))), code="spectrum-unknown")
+                problems.add(
+                    error.problem.found,
+                    mend="; ".join(filter(None, (error.problem.mend, hint))),
+                    code="spectrum-unknown",
+                )
                 return None
         try:
             table = self._measured(value, name) if hasattr(value, "data_vars") else Table(*_columns(value))

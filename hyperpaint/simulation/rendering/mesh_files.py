@@ -420,10 +420,13 @@ class _GlbCheck:
         meshes = [self.mesh(mesh, number) for number, mesh in enumerate(self.many("meshes"))]
         nodes = [self.node(node, number) for number, node in enumerate(self.many("nodes"))]
         roots = self.roots(nodes)
-        own = []
-        for mesh in meshes:
-            places = [part.get("indices", part["attributes"]["POSITION"]) for part in mesh["primitives"]]
-            own.append(sum(self.accessors[place]["count"] // 3 for place in places))
+        own = [
+            sum(
+                self.accessors[part.get("indices", part["attributes"]["POSITION"])]["count"] // 3
+                for part in mesh["primitives"]
+            )
+            for mesh in meshes
+        ]
         return {
             "asset": {"version": "2.0"},
             "scene": 0,

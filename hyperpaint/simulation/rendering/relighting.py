@@ -190,8 +190,9 @@ def relight(
     if truth and "sun_visibility" in traced.variables:
         visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
         line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
-    at_station = variation if isinstance(variation, BrokenClouds) else factors
-    series = _irradiance_record(traced, sky, cosine, camera, at_station)
+    series = _irradiance_record(
+        traced, sky, cosine, camera, variation if isinstance(variation, BrokenClouds) else factors
+    )
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
         "name": str(traced.attrs.get("name", record.name)),

@@ -106,14 +106,13 @@ def built_in_sky(
         The sun is not above the horizon, or the wavelengths are no grid.
     """
     check_wavelengths(wavelength)
-    sky = Sky(
+    direct, diffuse = Sky(
         sun_zenith=sun_zenith,
         aerosol=aerosol,
         ozone=ozone,
         water=water,
         airmass=relative_air_mass(sun_zenith),
-    )
-    direct, diffuse = sky.irradiance(wavelength)
+    ).irradiance(wavelength)
     # Sky gives the direct light of a level surface
     return direct / np.cos(np.radians(sun_zenith)), diffuse
 
@@ -153,8 +152,9 @@ def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[F
     mass = relative_air_mass(sun_zenith)
     with needs_extra("pvlib", "sim", "the SPECTRL2 atmosphere"):
         from pvlib.spectrum import spectrl2
-    angles = {"apparent_zenith": sun_zenith, "aoi": sun_zenith, "surface_tilt": 0.0, "relative_airmass": mass}
-    table = spectrl2(**angles, **air)
+    table = spectrl2(
+        apparent_zenith=sun_zenith, aoi=sun_zenith, surface_tilt=0.0, relative_airmass=mass, **air
+    )
     coarse = np.asarray(table["wavelength"], dtype=np.float64)
     first, last = wavelength[[0, -1]]
     if not (coarse[0] <= first and last <= coarse[-1]):
