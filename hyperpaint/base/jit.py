@@ -92,11 +92,14 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
             super().save_overload(sig, data)
         except Exception as error:  # of a torn index that could not be removed, too
             reason = getattr(error, "strerror", None) or error
-            text = (
-                f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that every process "
-                "compiles them again; set NUMBA_CACHE_DIR to a folder with room"
+            warnings.warn(
+                PaintWarning(
+                    f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that every process "
+                    "compiles them again; set NUMBA_CACHE_DIR to a folder with room",
+                    code="kernel-cache-unwritable",
+                ),
+                stacklevel=2,
             )
-            warnings.warn(PaintWarning(text, code="kernel-cache-unwritable"), stacklevel=2)
 
 
 # The folder need not be writable.

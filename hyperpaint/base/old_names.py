@@ -56,11 +56,14 @@ def with_new_names(library: _Labelled) -> _Labelled:
 
 
 def warn_of_old_names(source: str) -> None:
-    text = (
-        f"{source} has the dimension {_OLD!r} of hyperpaint 0.2 and before, which is now {_NEW!r}; write the "
-        "library again to store the new name"
+    warnings.warn(
+        PaintWarning(
+            f"{source} has the dimension {_OLD!r} of hyperpaint 0.2 and before, which is now {_NEW!r}; write "
+            "the library again to store the new name",
+            code="dim-renamed",
+        ),
+        stacklevel=3,
     )
-    warnings.warn(PaintWarning(text, code="dim-renamed"), stacklevel=3)
 
 
 def _is_old(library: xr.Dataset | xr.DataArray) -> bool:

@@ -394,12 +394,15 @@ def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
     names = str(gain.attrs.get(CALIBRATION_NAMES, "")).split() if gain is not None else []
     lost = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
     if lost:
-        text = (
-            f"{purpose} is computed without {', '.join(map(repr, lost))}, which the calibration of this line "
-            "has; keep them beside 'radiance_gain'"
-        )
         smile = " (smile is not corrected)" if "wavelength_shift" in lost else ""
-        warnings.warn(PaintWarning(text + smile, code="calibration-incomplete"), stacklevel=4)
+        warnings.warn(
+            PaintWarning(
+                f"{purpose} is computed without {', '.join(map(repr, lost))}, which the calibration of this "
+                f"line has; keep them beside 'radiance_gain'{smile}",
+                code="calibration-incomplete",
+            ),
+            stacklevel=4,
+        )
 
 
 def with_numbers(line: xr.Dataset) -> xr.Dataset:

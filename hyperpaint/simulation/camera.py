@@ -450,11 +450,17 @@ class Camera:
             row = VARIABLES["stray_light"]
             values["stray_light"] = row.dims, self.optics.stray_matrix, dict(row.attrs)
         if self.optics is not None and self.optics.keystone.any():
-            text = {"long_name": "Displacement of a band's image to the right", "units": "column"}
-            values["keystone"] = (BAND,), self.optics.keystone, text
+            values["keystone"] = (
+                (BAND,),
+                self.optics.keystone,
+                {"long_name": "Displacement of a band's image to the right", "units": "column"},
+            )
         if self.pedestal:
-            text = {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"}
-            values["pedestal"] = (), np.asarray(self.pedestal), text
+            values["pedestal"] = (
+                (),
+                np.asarray(self.pedestal),
+                {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"},
+            )
         return values
 
     @cached_property

@@ -322,11 +322,14 @@ def measured_factor(
     factor = measured * ((1.0 - back) / crossed)
     wrong = (factor < 0.0) | (factor > 1.0 + 1e-12)
     if wrong.any():
-        msg = (
-            f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} to "
-            f"{measured.max():.4g}, were clipped to the possible range, 0 to {crossed / (1.0 - back):.4g}"
+        warnings.warn(
+            PaintWarning(
+                f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} to "
+                f"{measured.max():.4g}, were clipped to the possible range, 0 to {crossed / (1.0 - back):.4g}",
+                code="reflectance-clipped",
+            ),
+            stacklevel=2,
         )
-        warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
     return np.clip(factor, 0.0, 1.0)
 
 

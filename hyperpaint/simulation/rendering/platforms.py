@@ -157,16 +157,23 @@ def note_pushbroom_faults(
         PUSHBROOM[name].note(problems, spelled(name, value), value)
     for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
         if one in present and other in present:
-            found = f"{spelled(one, values[one])} and {spelled(other, values[other])}"
-            problems.add(found, expected="one of them", mend="keep one", code="option-conflict")
+            problems.add(
+                f"{spelled(one, values[one])} and {spelled(other, values[other])}",
+                expected="one of them",
+                mend="keep one",
+                code="option-conflict",
+            )
     if len(problems) > before:
         return
     exposure, period = (
         present.get(name, PUSHBROOM[name].default) for name in ("exposure_time", "frame_period")
     )
     if exposure > period:
-        found = f"{spelled('exposure_time', exposure)} exceeds {spelled('frame_period', period)}"
-        problems.add(found, mend="shorten the exposure, or lengthen the period", code="exposure-too-long")
+        problems.add(
+            f"{spelled('exposure_time', exposure)} exceeds {spelled('frame_period', period)}",
+            mend="shorten the exposure, or lengthen the period",
+            code="exposure-too-long",
+        )
     angle = _pixel_angle(values)
     if angle * values["columns"] / 2 > MAX_VIEW_TANGENT:
         aside = np.degrees(np.arctan(angle * values["columns"] / 2))
