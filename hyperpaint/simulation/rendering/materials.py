@@ -324,8 +324,9 @@ def measured_factor(
     if wrong.any():
         warnings.warn(
             PaintWarning(
-                f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} to "
-                f"{measured.max():.4g}, were clipped to the possible range, 0 to {crossed / (1.0 - back):.4g}",
+                f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} "
+                f"to {measured.max():.4g}, were clipped to the possible range, "
+                f"0 to {crossed / (1.0 - back):.4g}",
                 code="reflectance-clipped",
             ),
             stacklevel=2,
