@@ -228,7 +228,7 @@ def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits
 
 @kernel
 def profiles(places: Array, width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
-    """Write the `line_profile` of every lamp line at distances (line, sample) from its centre."""
+    # Write the `line_profile` of every lamp line at distances (line, sample) from its centre.
     for line in range(places.shape[0]):
         for i in range(places.shape[1]):
             out[line, i] = line_profile(places[line, i], width[line], source[line], shape, triangular)
@@ -236,7 +236,7 @@ def profiles(places: Array, width: Array, source: Array, shape: int, triangular:
 
 @kernel
 def full_widths(width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
-    """Write the full width at half maximum (line,) of observed lamp lines, by bisection."""
+    # Write the full width at half maximum (line,) of observed lamp lines, by bisection.
     for line in range(width.shape[0]):
         if not np.isfinite(width[line] + source[line]):
             out[line] = np.nan

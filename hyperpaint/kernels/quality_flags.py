@@ -18,9 +18,8 @@ _BELOW_DARK = np.uint16(2)
 _DOUBTFUL_SHARE = 20
 
 
+# Per-column statistics of a line.
 class Tally(NamedTuple):
-    """Per-column statistics of a line."""
-
     #: peak, negative (column,): highest count over the bands, and number of bands below the dark
     peak: Array
     negative: Array
@@ -51,7 +50,7 @@ def count_levels(dark: Array, margin: Array, whole: Any, level: Array, floor: Ar
 
 @inlined_kernel
 def gather_row(counts: Array, level: Array, tally: Tally, place: tuple[Any, Any]) -> None:
-    """Update each column's highest count, and its number of bands below the dark."""
+    # Update each column's highest count, and its number of bands below the dark.
     line, band = place
     peak, negative = tally.peak, tally.negative
     for x in range(counts.shape[2]):

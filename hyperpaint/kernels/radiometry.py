@@ -38,7 +38,7 @@ _NAN = np.float32(np.nan)
 
 @borrowing_kernel
 def blend(low: Array, high: Array, weight: Any, out: Array) -> None:
-    """Write low + weight (high - low) over (band, column)."""
+    # Write low + weight (high - low) over (band, column).
     for band in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[band, x] = low[band, x] + weight * (high[band, x] - low[band, x])

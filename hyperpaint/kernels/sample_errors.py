@@ -18,9 +18,8 @@ _ONE_F32 = np.float32(1.0)
 _NOTHING = np.float32(0.0)
 
 
+# Buffers of `propagate_band`.
 class ErrorMemory(NamedTuple):
-    """Buffers of `propagate_band`."""
-
     #: irradiance E, inverse 1 / E (3, column) float32: of a band and the two before, band ``b`` in row
     #: ``b % 3``
     irradiance: Array

@@ -152,7 +152,7 @@ def count_cores(parent: Array, columns: Any, core: Array) -> None:
 
 @kernel
 def mark_large(parent: Array, size: Array, columns: Any, least: Any, least_core: Any, large: Array) -> None:
-    """Write, at the root of every segment, whether it has enough pixels and core pixels, see `absorb`."""
+    # Write, at the root of every segment, whether it has enough pixels and core pixels, see `absorb`.
     core = np.zeros(parent.size, np.int32)
     count_cores(parent, columns, core)
     for pixel in range(parent.size):
@@ -199,7 +199,7 @@ def number_segments(parent: Array, valid: Array, number: Array) -> Any:
 
 @kernel
 def count_pixels(number: Array, chosen: Array, counts: Array) -> None:
-    """Count the pixels of every segment (2, segment): those not chosen, and those chosen."""
+    # Count the pixels of every segment (2, segment): those not chosen, and those chosen.
     for line in range(number.shape[0]):
         for x in range(number.shape[1]):
             if number[line, x] >= 0:
@@ -227,7 +227,7 @@ def sample_places(
 
 @kernel
 def to_pixels(parent: Array, of_roots: Array, of_pixels: Array) -> None:
-    """Write to every pixel the value at the root of its segment."""
+    # Write to every pixel the value at the root of its segment.
     for pixel in range(parent.size):
         of_pixels[pixel] = of_roots[root_of(parent, pixel)]
 

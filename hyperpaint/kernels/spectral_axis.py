@@ -51,7 +51,7 @@ def average_slab(values: Array, width: int, out: Array) -> None:
 
 @borrowing_kernel
 def has_gap(values: Array) -> Any:
-    """Return whether any of values (band, column) is NaN."""
+    # Whether any of values (band, column) is NaN.
     for band in range(values.shape[0]):
         gap = False
         for x in range(values.shape[1]):

@@ -63,11 +63,11 @@ class Checkerboard:
         return np.array([[sine, cosine], [cosine, -sine]])
 
     def corners(self, numbers: Floats) -> Floats:
-        """Return east and north (..., 2) [m] of corners by their numbers along both axes."""
+        # East and north (..., 2) [m] of corners by their numbers along both axes.
         return np.asarray(self.origin + self.square * (numbers @ self._axes))
 
     def numbers(self, east: Floats, north: Floats) -> Floats:
-        """Return places in squares along both axes, shape (2, ...)."""
+        # Places in squares along both axes, shape (2, ...).
         first, second = self._axes / self.square
         x, y = east - self.origin[0], north - self.origin[1]
         return np.stack([first[0] * x + first[1] * y, second[0] * x + second[1] * y])
@@ -132,7 +132,7 @@ class CheckerboardFlight(Flight):
 
     @cached_property
     def corners(self) -> dict[str, Floats]:
-        """East and north of the corners on the ground in view, and a little around [m]."""
+        # East and north of the corners on the ground in view, and a little around [m].
         origin, rotation = self._cameras
         sides = self._tangents[[0, -1]]
         seen = np.stack(self._map(self._places(origin[:, 1], rotation[:, 1], sides))[:2]).reshape(2, -1)
@@ -166,7 +166,7 @@ class CheckerboardFlight(Flight):
         return Seen(block, seen)
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return the paint of pixels within a square, -1 of all others."""
+        # Paint of pixels within a square, -1 of all others.
         shares = lines.layers["bright_share"]
         return np.where((shares == 0.0) | (shares == 1.0), super().clean_paint(lines), np.int32(-1))
 

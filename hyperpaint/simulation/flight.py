@@ -69,9 +69,8 @@ PIXEL_ANGLE = 7.4e-6 / 12e-3
 _NOISE, _DARK_FRAMES, _SKY = 12, 16, 17
 
 
+# Description of a truth layer, shape (along_track, cross_track).
 class Layer(NamedTuple):
-    """Description of a truth layer, shape (along_track, cross_track)."""
-
     dtype: str
     attrs: Mapping[str, object]  # ``long_name``, ``units`` and the like
 
@@ -113,9 +112,8 @@ class Lines:
         )
 
 
+# Scan lines, and a function from a row to pi INT L R of its elements (band, column).
 class Seen(NamedTuple):
-    """Scan lines, and a function from a row to pi INT L R of its elements (band, column)."""
-
     lines: Lines
     elements: Callable[[int], Floats]
 
@@ -185,7 +183,7 @@ class Flight(abc.ABC):
         self.response_area = incident[2]
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
-        """Return the reflectance of paints, shape (name, wavelength)."""
+        # Reflectance of paints, shape (name, wavelength).
         return reflectance(names, wavelength)
 
     def paint_properties(self, _paint: str) -> Mapping[str, str]:
@@ -213,29 +211,29 @@ class Flight(abc.ABC):
 
     @property
     def ground_sample(self) -> float:
-        """Side of a pixel on the ground [m]."""
+        # Side of a pixel on the ground [m].
         return self.settings.swath / self.settings.columns
 
     @property
     def look_angle(self) -> Floats:
-        """Angle of every column's line of sight, positive to the right, shape (column,) [degree]."""
+        # Angle of every column's line of sight, positive to the right, shape (column,) [degree].
         column = np.arange(self.settings.columns) - 0.5 * (self.settings.columns - 1)
         return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE)))
 
     @cached_property
     def start(self) -> int:
-        """UTC at mid exposure of the first line [ns since 1970]."""
+        # UTC at mid exposure of the first line [ns since 1970].
         return int(self.settings.start.astype(np.int64))
 
     @cached_property
     def line_times(self) -> NDArray[np.int64]:
-        """Mid exposure of every line, shape (along_track,) [ns after the first]."""
+        # Mid exposure of every line, shape (along_track,) [ns after the first].
         period = self.settings.frame_period_ms * 1e6
         return np.asarray(np.rint(np.arange(self.settings.lines) * period), dtype=np.int64)
 
     @property
     def radiance_gain(self) -> Floats:
-        """1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1]."""
+        # 1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1].
         return self.camera.radiance_gain(self.response_area)
 
     def matched_irradiance(self, factors: Floats) -> Floats:
@@ -329,7 +327,7 @@ class Flight(abc.ABC):
         return self.light.factors(self.line_times[start:stop] / 1e9)
 
     def dark_frames(self) -> NDArray[np.uint16]:
-        """Return the dark cube, shape (along_track, band, cross_track)."""
+        # Dark cube, shape (along_track, band, cross_track).
         dark = np.empty((self.settings.dark_frames, *self.detector.dark.shape), dtype=np.uint16)
         for frame in range(len(dark)):
             rng = self._rng(_DARK_FRAMES, frame) if self.settings.dark_noise else None
@@ -363,12 +361,12 @@ class Flight(abc.ABC):
 
     @cached_property
     def frame(self) -> LocalFrame:
-        """The scene's axes: x east, y north, z up of `ORIGIN`."""
+        # The scene's axes: x east, y north, z up of `ORIGIN`.
         return LocalFrame(*ORIGIN)
 
     @cached_property
     def plane(self) -> TransverseMercator:
-        """The map projection of places in the truth."""
+        # The map projection of places in the truth.
         return TransverseMercator.of(*ORIGIN[:2])
 
     @cached_property
@@ -377,5 +375,5 @@ class Flight(abc.ABC):
         return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE)
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
-        """Return position and attitude of the navigation system at times from the first line [s]."""
+        # Position and attitude of the navigation system at times from the first line [s].
         return self.trajectory.pose(seconds)

@@ -208,7 +208,7 @@ class Optics:
 
     @classmethod
     def of(cls, settings: OpticsSettings, wavelength: Floats) -> Optics | None:
-        """Return the optics of these settings, or None where all effects are off."""
+        # Optics of these settings, or None where all effects are off.
         blurs = settings.psf_across_columns or settings.psf_along_lines or settings.psf_kernel is not None
         is_on = blurs or settings.keystone_columns or settings.stray_light
         return cls(settings, wavelength) if is_on else None
@@ -233,7 +233,7 @@ class Optics:
         return total
 
     def displaced(self, profile: Floats) -> Floats:
-        """Return a profile along the slit (column,) as every band receives it, shape (band, column)."""
+        # A profile along the slit (column,) as every band receives it, shape (band, column).
         return _convolved(np.broadcast_to(profile, (len(self.keystone), len(profile))),
                           _displaced(np.ones(1), self.keystone))  # fmt: skip
 

@@ -52,7 +52,7 @@ class PaintedRectangles:
         self.begin("")
 
     def begin(self, flightline: str) -> None:
-        """Begin a flight line; no rectangle reaches from one to the next."""
+        # Begin a flight line; no rectangle reaches from one to the next.
         columns = self._flight.settings.columns
         self._flightline, self._line = flightline, 0
         self._label = np.full(columns, -1, np.int32)
@@ -60,7 +60,7 @@ class PaintedRectangles:
         self._tall = np.zeros(columns, np.int64)
 
     def add(self, lines: Lines, recorded: NDArray[np.bool_]) -> None:
-        """Add further scan lines in order; only ``recorded`` ones (along_track,) count."""
+        # Add further scan lines in order; only ``recorded`` ones (along_track,) count.
         labels = self._flight.clean_paint(lines)
         ups = np.asarray(lines.layers.get("up", np.zeros(labels.shape)), np.float64)
         for label, up in zip(labels[recorded], ups[recorded], strict=True):
@@ -93,7 +93,7 @@ class PaintedRectangles:
                 yield begin, end + 1
 
     def features(self) -> list[dict[str, Any]]:
-        """Return a GeoJSON Feature of every paint with a rectangle, in the order of the paints."""
+        # A GeoJSON Feature of every paint with a rectangle, in the order of the paints.
         return [self._feature(self._flight.paints[paint], *self._best[paint]) for paint in sorted(self._best)]
 
     def _feature(self, paint: str, flightline: str, box: _Box) -> dict[str, Any]:

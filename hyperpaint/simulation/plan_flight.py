@@ -55,11 +55,11 @@ class CarPark:
 
     @property
     def ground_sample(self) -> float:
-        """Side of a pixel on the ground [m]."""
+        # Side of a pixel on the ground [m].
         return SWATH_M / self.columns
 
     def surface(self, start: int, stop: int) -> NDArray[np.int16]:
-        """Return the class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track)."""
+        # Class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track).
         along = (np.arange(start, stop) + 0.5) * self.ground_sample
         y, x = np.meshgrid(along, (np.arange(self.columns) + 0.5) * self.ground_sample, indexing="ij")
         classes = np.full(y.shape, _CLASS["asphalt"], dtype=np.int16)

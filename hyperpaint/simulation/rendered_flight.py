@@ -106,7 +106,7 @@ class RenderedFlight(Flight):
         self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
-        """Return the reflectance of paints without mirror reflection and flakes, shape (name, wavelength)."""
+        # Reflectance of paints without mirror reflection and flakes, shape (name, wavelength).
         shares = [self._flakes(name) for name in names]
         return np.stack(
             [(1 - s) * spectrum_of(name)(wavelength) for s, name in zip(shares, names, strict=True)]
@@ -124,7 +124,7 @@ class RenderedFlight(Flight):
         return flakes.share if flakes is not None and has_some else 0.0
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return which pixels show the paint of one car only, in full sun and without glint."""
+        # Which pixels show the paint of one car only, in full sun and without glint.
         paint, car = super().clean_paint(lines), np.asarray(lines.layers["car_id"], np.int32)
         clean = (paint >= 0) & (car >= 0)
         clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
@@ -164,7 +164,7 @@ class RenderedFlight(Flight):
 
     @cached_property
     def platform(self) -> Platform:
-        """Camera poses at begin and end of every exposure."""
+        # Camera poses at begin and end of every exposure.
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
         edges = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64) * PIXEL_ANGLE

@@ -132,9 +132,8 @@ def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> d
     return {name: _variable(name, each) for name, each in values.items()}
 
 
+# ``truth.zarr`` of a flight, filled line block by line block; replaced where it exists.
 class TruthStore:
-    """``truth.zarr`` of a flight, filled line block by line block; replaced where it exists."""
-
     def __init__(self, flight: Flight, path: Path) -> None:
         settings = flight.settings
         self._full = flight.detector.saturation_count

@@ -227,9 +227,8 @@ _GRID_STEP = {"gaussian": 0.05, "triangle": 0.02}  # nm, coarsest allowed; corne
 _SHIFT_STEP = 0.1  # nm, coarsest allowed
 
 
+# Frames of one step, reduced, shape (band, cross_track).
 class Frames(NamedTuple):
-    """Frames of one step, reduced, shape (band, cross_track)."""
-
     mean: Floats32  # [count]
     variance: Floats32  # of one frame over the frames [count2]
 
@@ -258,14 +257,14 @@ class Sweep:
 
     @cached_property
     def wavelength(self) -> Floats:
-        """True centre wavelength of every step, shape (step,) [nm]."""
+        # True centre wavelength of every step, shape (step,) [nm].
         settings = self.settings
         jitter = settings.monochromator_jitter_nm * self._rng(_DIAL).standard_normal(settings.steps)
         return np.asarray(settings.dial + settings.monochromator_offset_nm + jitter)
 
     @cached_property
     def beam(self) -> Floats:
-        """Power of the beam in a column relative to the brightest, shape (step, cross_track)."""
+        # Power of the beam in a column relative to the brightest, shape (step, cross_track).
         settings, columns = self.settings, self.settings.camera.columns
         if settings.beam_fwhm_columns is None:
             return np.ones((settings.steps, columns))
@@ -276,13 +275,13 @@ class Sweep:
 
     @cached_property
     def power(self) -> Floats:
-        """Power of the beam at every step, shape (step,) [W]: a halogen lamp behind a blazed grating."""
+        # Power of the beam at every step, shape (step,) [W]: a halogen lamp behind a blazed grating.
         lamp = 0.25 + 0.75 * np.exp(-0.5 * ((self.wavelength - 660.0) / 170.0) ** 2)
         return self.settings.beam_power_w * lamp
 
     @cached_property
     def recorded_flux(self) -> Floats:
-        """Reading of the power meter, shape (step,) or (step, cross_track) [W]."""
+        # Reading of the power meter, shape (step,) or (step, cross_track) [W].
         settings = self.settings
         error = settings.flux_noise * self._rng(_POWER_METER).standard_normal(settings.steps)
         reading = self.power * (1.0 + settings.flux_bias) * (1.0 + error)
@@ -320,7 +319,7 @@ class Sweep:
         return integrals
 
     def signal(self, step: int) -> Floats:
-        """Return the noise-free counts above dark, shape (band, cross_track) [count]."""
+        # Noise-free counts above dark, shape (band, cross_track) [count].
         settings, imager = self.settings, self.camera.imager
         energy = settings.exposure_time[step] * settings.capture_fraction * self.power[step] * self.beam[step]
         # the beam is what enters the slit, which the fore optics have blurred already; behind it, a band's
@@ -340,7 +339,7 @@ class Sweep:
         return self._average(self.signal(step), dark, settings.frames, rng)
 
     def dark(self, step: int) -> Frames:
-        """Return the dark frames of a step, or, with one dark for all, that of step 0."""
+        # Dark frames of a step, or, with one dark for all, that of step 0.
         settings = self.settings.camera
         level = self.camera.detector(float(self.settings.dark_exposure_time[step])).dark
         rng = self._rng(_DARK_NOISE, step) if settings.noise and settings.dark_noise else None

@@ -99,16 +99,16 @@ class LocalFrame:
 
     @cached_property
     def axes(self) -> Floats:
-        """Rotation from this frame to the earth-centred one, (3, 3)."""
+        # Rotation from this frame to the earth-centred one, (3, 3).
         north, east, down = north_east_down(self.latitude, self.longitude).T
         return np.stack([east, north, -down], axis=-1)
 
     def local(self, latitude: ArrayLike, longitude: ArrayLike, height: ArrayLike) -> Floats:
-        """Return x, y, z (..., 3) of places."""
+        # x, y, z (..., 3) of places.
         return np.asarray((geocentric(latitude, longitude, height) - self._origin) @ self.axes)
 
     def geodetic(self, place: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return latitude, longitude [degree] and height [m] of x, y, z (..., 3)."""
+        # Latitude, longitude [degree] and height [m] of x, y, z (..., 3).
         return geodetic(self._origin + place @ self.axes.T)
 
 
@@ -137,18 +137,18 @@ class TransverseMercator:
 
     @classmethod
     def of(cls, latitude: float, longitude: float) -> TransverseMercator:
-        """Return the map of a place [degree], north of the equator."""
+        # Map of a place [degree], north of the equator.
         if not 0.0 <= latitude < 84.0:
             raise ValueError(latitude)
         return cls(int((longitude + 180.0) // 6.0) % 60 + 1)
 
     @property
     def crs(self) -> str:
-        """EPSG code."""
+        # EPSG code.
         return f"EPSG:{32600 + self.zone}"
 
     def project(self, latitude: ArrayLike, longitude: ArrayLike) -> tuple[Floats, Floats]:
-        """Return east and north [m] of latitude and longitude [degree]."""
+        # East and north [m] of latitude and longitude [degree].
         lat = np.radians(np.asarray(latitude, np.float64))
         lon = np.radians(np.asarray(longitude, np.float64) - (6.0 * self.zone - 183.0))
         tau = np.tan(lat)
@@ -214,12 +214,12 @@ class Motion:
 
     @classmethod
     def slow(cls, amplitude: float, period: float, phase: float, mean: float = 0.0) -> Motion:
-        """Return one sine of a period [s]."""
+        # One sine of a period [s].
         return cls(np.array([amplitude]), np.array([1 / period]), np.array([phase]), mean)
 
     @classmethod
     def random(cls, spread: float, rate: float, rng: np.random.Generator) -> Motion:
-        """Return sines with these standard deviations of the motion and of its rate of change [s-1]."""
+        # Sines with these standard deviations of the motion and of its rate of change [s-1].
         part = np.geomspace(0.2, 2.0, _SINES) * rng.uniform(0.94, 1.06, _SINES)
         amplitude = part**-0.5
         amplitude *= spread * np.sqrt(2 / (amplitude**2).sum())
@@ -227,7 +227,7 @@ class Motion:
         return cls(amplitude, frequency, rng.uniform(0, 2 * np.pi, _SINES))
 
     def at(self, seconds: Floats) -> Floats:
-        """Return the motion at times [s]."""
+        # Motion at times [s].
         motion = np.full(np.shape(seconds), self.mean)
         for a, f, p in zip(
             self.amplitude.tolist(), self.frequency.tolist(), self.phase.tolist(), strict=True
@@ -237,7 +237,7 @@ class Motion:
 
     @property
     def peak(self) -> float:
-        """Largest possible magnitude."""
+        # Largest possible magnitude.
         return abs(self.mean) + float(np.abs(self.amplitude).sum())
 
 
@@ -311,7 +311,7 @@ class Trajectory:
         )
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
-        """Return position and attitude of the navigation system [degree, m]; heading from 0 to 360."""
+        # Position and attitude of the navigation system [degree, m]; heading from 0 to 360.
         seconds = np.asarray(seconds, np.float64)
         sine, cosine = np.sin(np.radians(self.course)), np.cos(np.radians(self.course))
         ahead, right = self.speed * seconds, self._motion("right", seconds)
@@ -344,12 +344,12 @@ class Trajectory:
 
     @property
     def steepest(self) -> float:
-        """Angle by which the camera's axis can lean from the vertical, along or across the track [degree]."""
+        # Angle by which the camera's axis can lean from the vertical, along or across the track [degree].
         return max(self._peak("roll"), self._peak("pitch")) + max(map(abs, self.boresight[:2]))
 
     @property
     def max_yaw(self) -> float:
-        """Angle by which the camera can be turned from its course [degree]."""
+        # Angle by which the camera can be turned from its course [degree].
         return self._peak("heading") + abs(self.boresight[2])
 
     def _motion(self, name: str, seconds: Floats) -> Floats:

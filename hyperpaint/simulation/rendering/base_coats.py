@@ -58,7 +58,7 @@ class Pigments:
     interference: tuple[float, float] | None = None
 
     def albedo(self, wavelength: Floats) -> Floats:
-        """Return the albedo of the base under the coat at ``wavelength`` [nm], 0 to 1."""
+        # Albedo of the base under the coat at ``wavelength`` [nm], 0 to 1.
         # without an interface, Paint is the bare Kubelka-Munk layer
         return Paint(self.absorption, self.absorbers, interface=0.0, internal=0.0)(wavelength)
 

@@ -302,7 +302,7 @@ class BandResponses:
         return grid_weights
 
     def means(self, spectra: Floats) -> Floats:
-        """Return band means of spectra on the fine grid, shape (spectrum, node, band)."""
+        # Band means of spectra on the fine grid, shape (spectrum, node, band).
         band_means = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
         for node in range(band_means.shape[1]):
             points, responses = self._responses(node)

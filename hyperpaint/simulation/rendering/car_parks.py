@@ -67,7 +67,7 @@ class Layout:
 
     @property
     def bays(self) -> int:
-        """Number of bays in a row, the last one perhaps only begun."""
+        # Number of bays in a row, the last one perhaps only begun.
         return int(np.ceil(round(self.length / BAY[1], 9)))
 
     @property
@@ -94,7 +94,7 @@ class Layout:
         return self.with_islands and (bay + 5 * ((row + 1) // 2)) % _ISLAND_PERIOD == _ISLAND_START
 
     def islands(self) -> Iterator[tuple[int, tuple[float, float]]]:
-        """Yield bay, and west and east end, of every island."""
+        # Bay, and west and east end, of every island.
         for bay in range(self.bays):
             for row, ends in enumerate(self.rows):
                 if self.is_island(bay, row):

@@ -107,7 +107,7 @@ class FleetPaint:
     index: float
 
     def weathered(self, clean: Floats, wavelength: Floats) -> Floats:
-        """Return the reflectance of a clean base (wavelength,) under dust, for many places on the car."""
+        # Reflectance of a clean base (wavelength,) under dust, for many places on the car.
         place = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_MEMBERS, 1))
         return dusty(clean, np.minimum(self.cover * np.exp(0.45 * place - 0.10), 0.6), wavelength)
 

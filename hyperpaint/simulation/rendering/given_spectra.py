@@ -54,7 +54,7 @@ class Table:
         return np.interp(wavelength, self.wavelength, self.reflectance)
 
     def population(self, wavelength: Floats) -> Floats | None:
-        """Return the members at ``wavelength`` [nm], (member, wavelength); None without."""
+        # Members at ``wavelength`` [nm], (member, wavelength); None without.
         if self.members is None:
             return None
         return np.stack([np.interp(wavelength, self.wavelength, row) for row in self.members])
@@ -139,7 +139,7 @@ class SpectrumReader:
         self._mirroring: list[str] = []
 
     def read(self, name: str) -> Spectrum | None:
-        """Return a spectrum by name as a function; None after a problem."""
+        # A spectrum by name as a function; None after a problem.
         spectrum = self._spectrum(self._given.get(name, name), name)
         if spectrum is not None:
             self._check_values(name, spectrum)

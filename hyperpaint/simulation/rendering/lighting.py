@@ -140,7 +140,7 @@ class Lighting:
         return out
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
-        """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; no air for NaN."""
+        # L exp(-k d) + Lp d, the radiance behind a distance d of air; no air for NaN.
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
         out = surface if in_place else np.empty_like(surface)
@@ -148,7 +148,7 @@ class Lighting:
         return out
 
     def reflectance(self, surface: Floats32, variation: Floats | None) -> Floats32:
-        """Return pi L / E of the radiance at the surface [1]; NaN without light."""
+        # pi L / E of the radiance at the surface [1]; NaN without light.
         out = np.empty_like(surface)
         factors = np.ones((len(surface), 2)) if variation is None else variation
         for line, (direct, diffuse) in enumerate(factors):
@@ -158,7 +158,7 @@ class Lighting:
         return out
 
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
-        """Return the shares of the light by source, (line, share, column); see `SHARES`."""
+        # Shares of the light by source, (line, share, column); see `SHARES`.
         distinct, index = index_paths(code)
         node = int(np.abs(self.table.bands.nodes).argmin())
         level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
@@ -352,7 +352,7 @@ class ProductTable:
         mix_shifted(weight, index, products, *nodes, out, texture)
 
     def irradiance(self, source: int) -> Floats:
-        """Return the irradiance of a source in the bands, shape (node, band)."""
+        # Irradiance of a source in the bands, shape (node, band).
         return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
 
     def _make(self, codes: Ints) -> NDArray[np.float32]:

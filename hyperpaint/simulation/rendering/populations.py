@@ -27,19 +27,18 @@ _MIN_MEAN = 1e-4
 _MAX_RATIO = 50.0
 
 
+# Members of all populations of a scene, as needed by the mixing of paths.
 class Populations(NamedTuple):
-    """Members of all populations of a scene, as needed by the mixing of paths."""
-
     grain: Grain
     factor: Array  # (row,) that a member changes
     ratio: Floats32  # (row, band) member over mean
 
     def texture(self, material: Array, instance: Array, place: Array, seed: int) -> Texture:
-        """Return the members of pixels at places (3, line, column) [m]; see `texturing.member_rows`."""
+        # Members of pixels at places (3, line, column) [m]; see `texturing.member_rows`.
         return self.of_rows(member_rows(material, instance, place, self.grain, seed))
 
     def of_rows(self, rows: Array) -> Texture:
-        """Return the members of pixels, by rows (line, column)."""
+        # Members of pixels, by rows (line, column).
         return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
 
 

@@ -285,7 +285,7 @@ class LabelTables:
         )
 
     def layers(self, material: Array, instance: Array) -> dict[str, Array]:
-        """Return the label layers of pixels; -1, the sky, takes the last entry of each table."""
+        # Label layers of pixels; -1, the sky, takes the last entry of each table.
         return {
             "surface_class": self.surface_class[material],
             "paint_id": self.paint_id[material],

@@ -92,7 +92,7 @@ class PaintSpec:
         return spectrum_of(self.name)(wavelength)
 
     def material(self, name: str = "") -> Material:
-        """Return the surface of this paint, called ``name`` (by default, as its spectrum)."""
+        # Surface of this paint, called ``name`` (by default, as its spectrum).
         return Material(name or self.name, self.name, "paint", self.coat, self.flakes)
 
 

@@ -46,9 +46,8 @@ from .scene_record import SUN_RADIUS_DEG, LabelTables, SceneRecord, TraceSetting
 Sun = tuple[float, float] | Atmosphere | str
 
 
+# A scene as the kernel takes it; prepared once, shared by all tasks.
 class PreparedScene(NamedTuple):
-    """A scene as the kernel takes it; prepared once, shared by all tasks."""
-
     geometry: Geometry
     surfaces: Surfaces
     sources: Sources

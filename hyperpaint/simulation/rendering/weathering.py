@@ -88,7 +88,7 @@ class Weathered:
     octaves: Octaves
 
     def population(self, wavelength: Floats) -> Floats:
-        """Return the members at ``wavelength`` [nm], (member, wavelength), 0 to 1."""
+        # Members at ``wavelength`` [nm], (member, wavelength), 0 to 1.
         return np.clip(self.members(np.atleast_1d(np.asarray(wavelength, np.float64))), 0.0, 1.0)
 
     def __call__(self, wavelength: Floats) -> Floats:

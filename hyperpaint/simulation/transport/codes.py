@@ -14,9 +14,8 @@ from .path_codes import FIRST_DIGIT
 _MULTIPLIER = np.uint64(0x9E3779B1)
 
 
+# Weights of a pixel's paths by code: an open-addressing table whose length is a power of two.
 class PathTable(NamedTuple):
-    """Weights of a pixel's paths by code: an open-addressing table whose length is a power of two."""
-
     codes: Array  # by place; -1 where empty
     sums: Array  # weights by place
     used: Array  # places in use
@@ -25,7 +24,7 @@ class PathTable(NamedTuple):
 
 @borrowing_kernel
 def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
-    """Return a code with one more factor, its digits still in descending order."""
+    # A code with one more factor, its digits still in descending order.
     digit = np.int64(factor) + 1
     full = (np.int64(1) << digit_bits) - 1
     place = FIRST_DIGIT

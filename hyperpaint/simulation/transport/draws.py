@@ -82,7 +82,7 @@ def uniforms(seed: Any, line: Any, column: Any, sample: Any, draw: Any) -> tuple
 
 @borrowing_kernel
 def pixel_key(seed: Any, line: Any, column: Any) -> Any:
-    """Return a word of 32 bits, in uint64, that belongs to a pixel."""
+    # A word of 32 bits, in uint64, that belongs to a pixel.
     key = np.uint64(seed)
     word, _, _, _ = philox(
         np.uint64(line), np.uint64(column), _0, np.uint64(_PIXEL), key & _MASK, key >> _HALF

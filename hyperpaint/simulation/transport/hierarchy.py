@@ -472,7 +472,7 @@ def closest(
 
 @borrowing_kernel
 def occluded(geometry: Geometry, stack: Array, origin: Vector, direction: Vector, limit: float) -> bool:
-    """Return whether a ray hits any triangle; parameters as for `closest`."""
+    # Whether a ray hits any triangle; parameters as for `closest`.
     nodes, links, triangles = geometry.nodes, geometry.links, geometry.triangles
     ray = _ray_of(origin, direction)
     size = 0

@@ -144,7 +144,7 @@ def hit_at(
 
 @borrowing_kernel
 def behind(hit: Hit, point: Vector) -> Hit:
-    """Return the other side of a thin plate at a point of its triangle."""
+    # Other side of a thin plate at a point of its triangle.
     own, normal = hit.own, hit.frame[2]
     back = (-own[0], -own[1], -own[2])
     frame = frame_of((-normal[0], -normal[1], -normal[2]))
@@ -159,5 +159,5 @@ def _lifted(point: Vector, normal: Vector) -> Vector:
 
 @borrowing_kernel
 def leaves(hit: Hit, direction: Vector) -> bool:
-    """Return whether a direction leads away from a surface; a shading normal alone can be wrong."""
+    # Whether a direction leads away from a surface; a shading normal alone can be wrong.
     return hit.raised or dot(hit.own, direction) > 0.0

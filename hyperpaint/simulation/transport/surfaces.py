@@ -204,9 +204,8 @@ _BASE_PREFERENCE = 0.25
 _GRAZING = 1e-9  # cosines below this carry no light
 
 
+# A surface, seen from one direction.
 class Lobes(NamedTuple):
-    """A surface, seen from one direction."""
-
     material: int
     refraction: float  # index of the coat; 1 for none
     coat_alpha: float
@@ -379,14 +378,14 @@ def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vect
 
 @borrowing_kernel
 def scatter_coat(lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    """Return the same for the coat alone."""
+    # Same for the coat alone.
     direction, weight = _scatter_by_facets(lobes.mirrored, lobes.coat_alpha, lobes.refraction, u, v)
     return COAT if weight > 0.0 else ENDED, direction, weight
 
 
 @borrowing_kernel
 def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    """Return the same for the layers under the coat: base, flakes or recycled light."""
+    # Same for the layers under the coat: base, flakes or recycled light.
     direct = lobes.share * (1.0 - lobes.lost)
     twice = direct + lobes.share * (lobes.share - direct)
     if u < direct:
