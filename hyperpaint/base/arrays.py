@@ -13,8 +13,8 @@ Bools: TypeAlias = npt.NDArray[np.bool_]
 Floats: TypeAlias = npt.NDArray[np.float64]
 Floats32: TypeAlias = npt.NDArray[np.float32]
 Ints: TypeAlias = npt.NDArray[np.int64]
+#: Called with the number of steps done and the total.
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the number of steps done and the total."""
 
 
 def round_bits(values: Floats32, kept: int) -> Floats32:
@@ -28,5 +28,4 @@ def round_bits(values: Floats32, kept: int) -> Floats32:
     dropped = np.uint32(23 - kept)
     bits = np.ascontiguousarray(values).view(np.uint32)
     half = np.uint32((1 << (int(dropped) - 1)) - 1)
-    rounded = (bits + half + ((bits >> dropped) & np.uint32(1))) >> dropped
-    return (rounded << dropped).view(np.float32)
+    return ((bits + half + ((bits >> dropped) & np.uint32(1))) >> dropped << dropped).view(np.float32)

@@ -103,10 +103,9 @@ class Convention:
 
     def to_attrs(self) -> dict[str, str | float]:
         """Return the declaration as attributes of a dataset, ``convention_...``; None is left out."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {
             f"{_PREFIX}{name}": value if isinstance(value, str) else float(value)
-            for name, value in values.items()
+            for name, value in {field.name: getattr(self, field.name) for field in fields(self)}.items()
             if value is not None
         }
 
@@ -200,7 +199,7 @@ class Convention:
         return replace(self, **changes)
 
     def _north(self, convergence: npt.ArrayLike | None) -> Floats:
-        """Return the direction that headings count from, clockwise from true north [degree]."""
+        # Headings count from this direction, clockwise from true north [degree].
         if self.heading_reference == "true":
             return np.zeros(())
         if self.heading_reference == "magnetic":
@@ -222,7 +221,6 @@ class Convention:
 
 
 def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the angles, all NaN where one of them is not finite."""
     unknown = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
     return np.where(unknown, np.nan, x), np.where(unknown, np.nan, y), np.where(unknown, np.nan, z)
 
@@ -233,7 +231,7 @@ def wrapped(angle: Floats) -> Floats:
 
 
 def _reordered(roll: Floats, pitch: Floats, heading: Floats, order: str) -> tuple[Floats, Floats, Floats]:
-    """Return the angles of the same rotation in the order heading, pitch, roll."""
+    # The same rotation in the order heading, pitch, roll.
     axes = {"X": roll, "Y": pitch, "Z": heading}
     turned = np.eye(3)
     for axis in order:
@@ -247,7 +245,7 @@ def _reordered(roll: Floats, pitch: Floats, heading: Floats, order: str) -> tupl
 
 
 def _turn(axis: int, angle: Floats) -> Floats:
-    """Return rotations about one axis (..., 3, 3)."""
+    # Rotations about one axis, shape (..., 3, 3).
     rotations = np.zeros((*angle.shape, 3, 3))
     first, second = (axis + 1) % 3, (axis + 2) % 3
     rotations[..., axis, axis] = 1.0

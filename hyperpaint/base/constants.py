@@ -5,39 +5,39 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, get_args
 
+#: Distance from the largest count of the converter within which a sample is saturated (DESIGN.md,
+#: `saturated`).
 SATURATION_MARGIN_COUNTS = 16
-"""Distance from the largest count of the converter within which a sample is saturated (DESIGN.md,
-`saturated`)."""
 
+#: Variance that conversion to whole counts adds [count2]: a uniform error of the width of one count.
 QUANTISATION_VARIANCE_COUNT2 = 1.0 / 12.0
-"""Variance that conversion to whole counts adds [count2]: a uniform error of the width of one count."""
 
+#: Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4.
 KEPT_BITS = 12
-"""Mantissa bits of the stored reflectance: a relative error of at most 2**-13, 1.2e-4."""
 
 WGS84_SEMI_MAJOR_AXIS_M = 6378137.0
+#: NIMA TR8350.2, World Geodetic System 1984. The simulator's ellipsoid has its own, to check against.
 WGS84_ECCENTRICITY_SQUARED = 6.69437999014e-3
-"""NIMA TR8350.2, World Geodetic System 1984. The simulator's ellipsoid has its own, to check against."""
 
+#: Time from the stamp of a frame to the middle of its exposure, by the instant that it marks [exposures].
 STAMP_TO_MID_EXPOSURES: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": -0.5}
-"""Time from the stamp of a frame to the middle of its exposure, by the instant that it marks [exposures]."""
 
+#: Version of the numbers that `process` and `render` store. Raise it with every change after which the same
+#: inputs and settings may give other bits (a formula, a constant, a threshold, an order of summation); not
+#: for speed, words or layout. `tests/workflows/test_numerics_version.py` holds the checksums that go with it.
+#: Stores made by another version say so, and are computed again on request.
 NUMERICS_VERSION = 1
-"""Version of the numbers that `process` and `render` store. Raise it with every change after which the same
-inputs and settings may give other bits (a formula, a constant, a threshold, an order of summation); not for
-speed, words or layout. `tests/workflows/test_numerics_version.py` holds the checksums that go with it. Stores
-made by another version say so, and are computed again on request."""
 
+#: Output of one task; a larger block costs the allocator a trip to the kernel each time.
 MAX_TASK_BYTES = 24_000_000
-"""Output of one task; a larger block costs the allocator a trip to the kernel each time."""
 
+#: When differences between camera and irradiance record are corrected: see `hyperpaint.alignment.align`.
 Alignment = Literal["auto", "never", "always"]
-"""When differences between camera and irradiance record are corrected: see `hyperpaint.alignment.align`."""
 ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
 
+#: Relative standard uncertainty of stray light from which it is not subtracted: it is then less than two
+#: standard uncertainties from zero [1].
 MAX_STRAY_LIGHT_U = 0.5
-"""Relative standard uncertainty of stray light from which it is not subtracted: it is then less than two
-standard uncertainties from zero [1]."""
 
 
 def lines_a_task(bytes_a_line: int, most: int = 32) -> int:

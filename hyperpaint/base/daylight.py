@@ -8,14 +8,14 @@ import numpy as np
 
 from .arrays import Floats
 
+#: Range of plausible median irradiance over 400-1000 nm [W m-2 nm-1]. Above the atmosphere the sun has a
+#: maximum of 2.2 and a median of 1.5, and light from clouds hardly adds more than the air takes; 3e-4 is deep
+#: twilight, yet more than full sun whose W m-2 nm-1 are read as W cm-2 nm-1.
 HIGHEST_MEDIAN, LOWEST_MEDIAN = 3.0, 3e-4
-"""Range of plausible median irradiance over 400-1000 nm [W m-2 nm-1]. Above the atmosphere the sun has a
-maximum of 2.2 and a median of 1.5, and light from clouds hardly adds more than the air takes; 3e-4 is deep
-twilight, yet more than full sun whose W m-2 nm-1 are read as W cm-2 nm-1."""
 
+#: Median irradiance below which the light is too dim to fly [W m-2 nm-1]: a dull sky with the lowest usable
+#: sun has 0.04.
 DULL_MEDIAN = 0.02
-"""Median irradiance below which the light is too dim to fly [W m-2 nm-1]: a dull sky with the lowest usable
-sun has 0.04."""
 
 _JUDGED_NM = (400.0, 1000.0)
 _IN_W_M2_NM = {

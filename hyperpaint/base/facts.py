@@ -20,11 +20,11 @@ import numpy as np
 from .errors import PaintError, Problems, SchemaError
 from .units import takes_quantities
 
+#: Magnitude from which a number counts as infinite.
 MAX_NUMBER = 1e300
-"""Magnitude from which a number counts as infinite."""
 
+#: Length of a value in a message.
 MAX_SHOWN_CHARS = 60
-"""Length of a value in a message."""
 
 _Class = TypeVar("_Class", bound=type)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -95,7 +95,6 @@ def one_of(
 
 
 def shown(value: object) -> str:
-    """Return a value for a message, shortened."""
     try:
         text = str(value) if isinstance(value, datetime.date | datetime.time) else repr(value)
     except ValueError:  # Python does not print whole numbers of over 4300 digits, which hexadecimals can have
@@ -174,7 +173,6 @@ class Fact:
 
     @property
     def expected(self) -> str:
-        """Accepted values in words."""
         if self.phrase:
             return self.phrase
         phrases = {
@@ -279,8 +277,8 @@ class Fact:
         return value if self.scale is None else float(f"{value * self.scale:.12g}")
 
 
+#: Declarations by name, or by key of a TOML table.
 Facts = Mapping[str, Fact]
-"""Declarations by name, or by key of a TOML table."""
 
 
 def toml_text(value: Any) -> str:
@@ -314,7 +312,6 @@ def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
 
 
 def facts_of(owner: Any) -> dict[str, Fact]:
-    """Return the declarations of the fields of a dataclass, by field."""
     return {
         one.name: dataclasses.replace(one.metadata["fact"], name=one.name)
         for one in dataclasses.fields(owner)
@@ -327,8 +324,8 @@ def by_key(facts: Iterable[Fact]) -> dict[str, Fact]:
     return {one.key or one.name: one.in_file() for one in facts}
 
 
+#: Returns a name and its value as the user wrote them.
 Spelling = Callable[[str, Any], str]
-"""Returns a name and its value as the user wrote them."""
 
 
 def as_argument(name: str, value: Any) -> str:
@@ -360,8 +357,7 @@ def declared(cls: _Class) -> _Class:
     heading = "" if own else "Attributes\n----------\n"
     before, after = doc[:place].rstrip("\n"), doc[place:].lstrip("\n")
     cls.__doc__ = f"{before}{'' if own else chr(10)}\n{heading}{entries}\n{after}"
-    units = {name: one.unit for name, one in facts.items() if one.unit}
-    return takes_quantities(**units)(cls)
+    return takes_quantities(**{name: one.unit for name, one in facts.items() if one.unit})(cls)
 
 
 def described(one: Fact) -> str:
@@ -391,6 +387,7 @@ def key_line(facts: Facts, key: str, value: Any = None, note: str = "") -> str:
     return f"{'# ' if value is None else ''}{key} = {text}  # {note or f'{one.doc}{unit}{words}'}"
 
 
+#: Descriptions of the parameters that many functions share.
 PARAMETERS = {
     "overwrite": "Replace the output where it exists.",
     "progress": "Called with the share done, from 0 to 1.",
@@ -398,7 +395,6 @@ PARAMETERS = {
     "memory_limit": 'Memory that the computation may use, such as "4 GiB"; by default half of what is free.',
     "chunks": "Chunks of the arrays, as in `xarray.open_zarr`.",
 }
-"""Descriptions of the parameters that many functions share."""
 
 
 def documented(**own: str) -> Callable[[_Function], _Function]:

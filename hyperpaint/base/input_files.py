@@ -13,11 +13,11 @@ from pathlib import Path
 
 from .errors import FormatError, PaintError
 
+#: Bytes of one name of a path: NAME_MAX of Linux, macOS and Windows.
 MAX_NAME_BYTES = 255
-"""Bytes of one name of a path: NAME_MAX of Linux, macOS and Windows."""
 
+#: Bytes of a path: PATH_MAX of Linux.
 MAX_PATH_BYTES = 4096
-"""Bytes of a path: PATH_MAX of Linux."""
 
 #: ``https://...``, ``dask::...``; pathlib makes one slash of two. A drive of Windows has one letter.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/)")
@@ -86,7 +86,7 @@ a local disk; download it, and give the path of the copy [url-not-local]
 
 
 def _is_there(text: str) -> bool:
-    """Return whether a name that looks like a URL exists on this disk, such as `field::day1`."""
+    # A name that looks like a URL may be a file, such as `field::day1`.
     try:
         return os.path.lexists(text)
     except ValueError:
@@ -147,8 +147,11 @@ def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> byt
         try:
             return file.read(os.fstat(file.fileno()).st_size)
         except OSError as error:
-            found = f"{path}: cannot be read ({error.strerror or error})"
-            raise FormatError(found, mend="copy it again", code="file-unreadable") from error
+            raise FormatError(
+                f"{path}: cannot be read ({error.strerror or error})",
+                mend="copy it again",
+                code="file-unreadable",
+            ) from error
 
 
 def head_of(path: str | os.PathLike[str], count: int) -> bytes:

@@ -71,15 +71,11 @@ def _borrowing_options() -> dict[str, Any]:
     return options
 
 
+# The cache may be full, read-only or damaged; the kernel is then compiled.
 class _OptionalCache(FunctionCache):  # type: ignore[misc]
-    """A cache on disk that may be full, read-only or damaged; the kernel is then compiled."""
-
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a compiled kernel, or None: numba then compiles it.
-
-        numba would first register everything that it can compile, which takes longer than the load; its
-        compiler does that anyway when it is needed.
-        """
+        # None lets numba compile. numba would first register everything that it can compile, which takes
+        # longer than the load; its compiler does that anyway when it is needed.
         rtsys.initialize(target_context)
         try:
             with self._guard_against_spurious_io_errors():
@@ -92,23 +88,24 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store a compiled kernel, or warn."""
         try:
             super().save_overload(sig, data)
         except Exception as error:  # of a torn index that could not be removed, too
             reason = getattr(error, "strerror", None) or error
-            text = (
-                f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that every process "
-                "compiles them again; set NUMBA_CACHE_DIR to a folder with room"
+            warnings.warn(
+                PaintWarning(
+                    f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that every process "
+                    "compiles them again; set NUMBA_CACHE_DIR to a folder with room",
+                    code="kernel-cache-unwritable",
+                ),
+                stacklevel=2,
             )
-            warnings.warn(PaintWarning(text, code="kernel-cache-unwritable"), stacklevel=2)
 
 
+# The folder need not be writable.
 class _Readable(_CacheLocator):  # type: ignore[misc]
-    """A folder that holds compiled kernels, whether or not it may be written."""
-
     def ensure_cache_path(self) -> None:
-        """Raise for a missing folder; numba would raise for a read-only one as well."""
+        # numba would refuse a read-only folder as well.
         os.listdir(self.get_cache_path())
 
 
@@ -124,21 +121,19 @@ class _ReadableImplementation(CompileResultCacheImpl):  # type: ignore[misc]
     _locator_classes: ClassVar = [_Given, _Installed]
 
 
+# Kernels that `hyperpaint warm` stored in a folder that may be read-only, as in a container image.
 class _ReadableCache(_OptionalCache):
-    """Kernels that `hyperpaint warm` stored in a folder that may be read-only, as in a container image."""
-
     _impl_class = _ReadableImplementation
 
 
+# Caches are located on the first call from Python, which most kernels never get.
 class _KernelCaches(NullCache):  # type: ignore[misc]
-    """Caches of a kernel, located on its first call from Python, which most kernels never get."""
-
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
 
     @functools.cached_property
     def _caches(self) -> list[_OptionalCache]:
-        """Folders to read from; the first may be written, unless it is a `_ReadableCache`."""
+        # The first folder may be written, unless it is a `_ReadableCache`.
         caches: list[_OptionalCache] = []
         for kind in (_OptionalCache, _ReadableCache):
             with contextlib.suppress(RuntimeError):  # numba has no folder for it
@@ -147,17 +142,14 @@ class _KernelCaches(NullCache):  # type: ignore[misc]
 
     @property
     def cache_path(self) -> str | None:
-        """The folder that is written to, or None."""
         writable = [cache for cache in self._caches if not isinstance(cache, _ReadableCache)]
         return writable[0].cache_path if writable else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a kernel from the first folder that has it, or None."""
         loads = (cache.load_overload(sig, target_context) for cache in self._caches)
         return next((kernel for kernel in loads if kernel is not None), None)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store a compiled kernel where there is a folder for it."""
         for cache in self._caches:
             if not isinstance(cache, _ReadableCache):
                 cache.save_overload(sig, data)
@@ -165,7 +157,7 @@ class _KernelCaches(NullCache):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    """Suspend garbage collection: a compiler makes millions of objects that are all in use."""
+    # A compiler makes millions of objects that are all in use: no garbage collection meanwhile.
     with global_compiler_lock:  # one thread at a time switches
         was_enabled = gc.isenabled()
         gc.disable()
@@ -176,11 +168,9 @@ def _uncollected() -> Iterator[None]:
                 gc.enable()
 
 
+# A kernel with an entry point for Python; other kernels that call it include a `_Part`.
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
-    """A kernel with an entry point for Python; other kernels that call it include a `_Part`."""
-
     def compile(self, sig: Any) -> Any:
-        """Compile for one signature, or load it from disk."""
         with _uncollected():
             return super().compile(sig)
 
@@ -190,15 +180,11 @@ class _Kernel(CPUDispatcher):  # type: ignore[misc]
         return _Part(self.py_func, targetoptions=options, pipeline_class=_PartCompiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return the template by which another kernel calls this one.
-
-        Constants in the call lose their literal type: numba would compile a part again for every number.
-        """
+        # Constants in the call lose their literal type: numba would compile a part again for every number.
         kinds = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
         return self._part.get_call_template(tuple(map(types.unliteral, args)), kinds)
 
     def get_overload(self, sig: Any) -> Any:
-        """Return the overload for calls from another kernel."""
         return self._part.get_overload(sig)
 
 
@@ -214,7 +200,7 @@ class _Part(CPUDispatcher):  # type: ignore[misc]
         self._compiler._customize_flags = _without_machine_code
 
     def add_overload(self, cres: Any) -> None:
-        """Register the compiled function under a unique name."""
+        # Names must be unique.
         name = object()
         self.targetctx.insert_user_function(name, cres.fndesc, [cres.library])
         self.overloads[tuple(cres.signature.args)] = cres._replace(entry_point=name)
@@ -226,8 +212,6 @@ def _without_machine_code(flags: Any) -> Any:
 
 
 class _PartCompiler(Compiler):  # type: ignore[misc]
-    """numba's own steps, into a `_PartLibrary`."""
-
     def __init__(self, typing: Any, target: Any, _library: Any, *args: Any) -> None:
         super().__init__(typing, target, _PartLibrary(target.codegen(), "part"), *args)
 
@@ -245,7 +229,6 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
 
 
 def _compiled(function: Function, options: dict[str, Any]) -> Function:
-    """Compile, and store the result on disk where there is a folder for it."""
     if numba.config.DISABLE_JIT:
         return function
     compiled = _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options})

@@ -6,18 +6,18 @@ import xarray as xr
 
 from .errors import SchemaError
 
+#: Values of the attribute ``mirror_reflection``.
 INCLUDED, EXCLUDED = "included", "excluded"
-"""Values of the attribute ``mirror_reflection``."""
 
+#: Attribute ``quantity``: painted surface lit and seen near its normal, without its mirror image.
 BODY = "body reflectance factor under the clear coat"
-"""Attribute ``quantity``: painted surface lit and seen near its normal, without its mirror image."""
 
+#: Attribute ``quantity``: without the mirror image, but under the light of the flight: a coat passes less of
+#: a low sun.
 THROUGH_COAT = "reflectance factor of the body through its clear coat"
-"""Attribute ``quantity``: without the mirror image, but under the light of the flight: a coat passes less of
-a low sun."""
 
+#: Attribute ``quantity``: all light from the painted surface, including its mirror image of the sky.
 OUTSIDE = "reflectance factor of the outside of the coat"
-"""Attribute ``quantity``: all light from the painted surface, including its mirror image of the sky."""
 
 _DECLARED = "mirror_reflection"
 _COMPONENT = "specular_component"

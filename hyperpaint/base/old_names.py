@@ -9,14 +9,14 @@ import xarray as xr
 
 from .errors import PaintWarning
 
+#: Dimension of a paint library: `paint` until 0.2, a name that the accessor hides. A property of regions that
+#: was called `signature` gets the free name `paint`.
 NEW_NAMES = {"paint": "signature", "signature": "paint"}
-"""Dimension of a paint library: `paint` until 0.2, a name that the accessor hides. A property of regions that
-was called `signature` gets the free name `paint`."""
 
 _OLD, _NEW, _BAND = "paint", "signature", "band"
 _FREE = "property_signature"
+#: Attribute of a library: the version of its specification (docs/paint-library.md).
 VERSION_NAME = "paint_library_version"
-"""Attribute of a library: the version of its specification (docs/paint-library.md)."""
 
 _OF_LIBRARIES = ("reflectance", "score_threshold")  # the second: of detections
 
@@ -56,22 +56,25 @@ def with_new_names(library: _Labelled) -> _Labelled:
 
 
 def warn_of_old_names(source: str) -> None:
-    """Warn that a library was renamed."""
-    text = (
-        f"{source} has the dimension {_OLD!r} of hyperpaint 0.2 and before, which is now {_NEW!r}; write the "
-        "library again to store the new name"
+    warnings.warn(
+        PaintWarning(
+            f"{source} has the dimension {_OLD!r} of hyperpaint 0.2 and before, which is now {_NEW!r}; write "
+            "the library again to store the new name",
+            code="dim-renamed",
+        ),
+        stacklevel=3,
     )
-    warnings.warn(PaintWarning(text, code="dim-renamed"), stacklevel=3)
 
 
 def _is_old(library: xr.Dataset | xr.DataArray) -> bool:
-    """Return whether spectra, or thresholds of detections, have the dim `paint` or its scalar coordinate."""
+    # Spectra, or thresholds of detections, had the dim `paint` or its scalar coordinate.
     if _NEW in library.dims or not (_OLD in library.dims or _OLD in library.coords):
         return False
-    if isinstance(library, xr.DataArray):
-        shapes = [library.dims]
-    else:
-        shapes = [library.variables[name].dims for name in _OF_LIBRARIES if name in library.variables]
+    shapes = (
+        [library.dims]
+        if isinstance(library, xr.DataArray)
+        else [library.variables[name].dims for name in _OF_LIBRARIES if name in library.variables]
+    )
     if any(_OLD in dims and set(dims) <= {_OLD, _BAND} for dims in shapes):
         return True
     name = library.coords.get(_OLD)  # as .isel(paint=0) leaves it

@@ -79,20 +79,20 @@ __all__ = [
     "with_numbers",
 ]  # fmt: skip
 
+#: Version of the layout on disk, repeated in every group as ``hyperpaint_format``: 3 has one manifest; 2 (of
+#: 0.2) had a record in every array's folder and one in the root; 1 (of 0.1) had none in the root.
 FORMAT_VERSION = 3
-"""Version of the layout on disk, repeated in every group as ``hyperpaint_format``: 3 has one manifest; 2 (of
-0.2) had a record in every array's folder and one in the root; 1 (of 0.1) had none in the root."""
 
+#: Lines in one storage chunk, and in one task on threads (see docs/explanation/design.md).
 CHUNK_LINES = 32
-"""Lines in one storage chunk, and in one task on threads (see docs/explanation/design.md)."""
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
 
+#: Line shapes of a monochromator, named by the attribute ``monochromator_shape`` of a sweep.
 MONOCHROMATOR_SHAPES = ("gaussian", "triangle")
-"""Line shapes of a monochromator, named by the attribute ``monochromator_shape`` of a sweep."""
 
+#: Line shapes of a band, named by the dataset attribute ``srf_shape``.
 SRF_SHAPES = ("gaussian", "slit", "tabulated")
-"""Line shapes of a band, named by the dataset attribute ``srf_shape``."""
 
 #: Names of our dims in other packages, in lower case.
 DIM_ALIASES: Mapping[str, tuple[str, ...]] = {
@@ -193,7 +193,18 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         ``dims`` names a role or a dim that does not exist; a dim of the cube has size 0; or arrays are of
         cubed or cupy.
     """
-    _refuse_foreign_arrays(dataset)
+    # arrays of other packages look like numpy's or dask's; none of the packages is imported here
+    for label_of, variable in dataset.variables.items():
+        data = variable._data
+        for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
+            package = type(array).__module__.partition(".")[0]
+            if package in _FOREIGN_ARRAYS:
+                raise SchemaError(
+                    f"{label_of!r} is an array of {package}",
+                    expected="numpy or dask",
+                    mend=_FOREIGN_ARRAYS[package],
+                    code="array-foreign",
+                )
     # every cell of a map has its own line and time
     is_map = {"y", "x"} <= {*dataset.dims, *dataset.coords} or "spatial_ref" in dataset.variables
     dataset = _with_table_units(plain(dataset))
@@ -241,10 +252,8 @@ _WHOLE_LINE_VARIABLES = ("overview", "coarse_reflectance")
 
 
 def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
-    """Return variables with the dims and integers of the table, where `where` or `concat` changed them.
-
-    Lazy arrays stay lazy: that they are constant along a removed dim is checked when they are computed.
-    """
+    # `where` and `concat` change dims and integers. Lazy arrays stay lazy: that they are constant along a
+    # removed dim is checked when they are computed.
     changed: dict[Hashable, xr.Variable] = {}
     dropped = []
     # after where() on counts, darks and gain have the dims of the cube: require refuses them, naming isel
@@ -260,17 +269,20 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
             dropped.append(name)  # made for the whole line, not for this part
     if "quality" in dataset.variables and _is_averaged(dataset):
         dropped.append("quality")
-        text = (
-            "flags of 'quality' are means over pixels, and are left out; choose pixels by their flags before "
-            "averaging"
+        warnings.warn(
+            PaintWarning(
+                "flags of 'quality' are means over pixels, and are left out; choose pixels by their flags "
+                "before averaging",
+                code="flags-averaged",
+            ),
+            stacklevel=3,
         )
-        warnings.warn(PaintWarning(text, code="flags-averaged"), stacklevel=3)
     dataset = dataset.drop_vars(dropped) if dropped else dataset
     return with_integer_dtypes(dataset.assign(changed) if changed else dataset)
 
 
 def _is_averaged(dataset: xr.Dataset) -> bool:
-    """Return whether flags are means over pixels, as coarsen and interp leave them."""
+    # coarsen and interp leave means of flags over pixels.
     quality = dataset.variables["quality"]
     if quality.dtype.kind != "f":
         return False
@@ -280,7 +292,7 @@ def _is_averaged(dataset: xr.Dataset) -> bool:
 
 
 def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
-    """Return a variable without dims of a cube along which it is constant, missing values left out."""
+    # A variable that is constant along dims of a cube loses them; missing values are left out.
     dims = set(variable.dims)
     fitting = [shape for shape in row.allowed_dims if set(shape) < dims and dims - set(shape) <= set(CUBE)]
     if not fitting or any(dims == set(shape) for shape in row.allowed_dims):
@@ -306,7 +318,7 @@ def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
 
 
 def _constant(low: Any, high: Any, *, name_of: str, dims: list[str]) -> Any:
-    """Return the minima along dims, which must equal the maxima."""
+    # Minima must equal maxima.
     if not ((low == high) | (low != low)).all():
         raise SchemaError(
             f"{name_of!r} differs along {' and '.join(dims)}",
@@ -325,16 +337,21 @@ def with_integer_dtypes(dataset: xr.Dataset, table: Mapping[str, Variable] = VAR
     changed = {}
     for name, row in table.items():
         variable = dataset.variables.get(name)
-        if variable is None or variable.dtype.kind not in "fO" or row.dtype in ("str", "datetime64[ns]"):
-            continue
-        kind = np.dtype(row.dtype).kind
-        if kind not in "iub" or name == "counts" or variable.dims == (name,):
+        if (
+            variable is None
+            or variable.dtype.kind not in "fO"
+            or row.dtype in ("str", "datetime64[ns]")
+            or np.dtype(row.dtype).kind not in "iub"
+            or name == "counts"
+            or variable.dims == (name,)
+        ):
             continue
         integers = functools.partial(_integers, gap=row.gap, dtype=row.dtype)
-        if variable.chunks is None:
-            changed[name] = variable.copy(data=integers(variable.values))
-        else:
-            changed[name] = variable.copy(data=variable.data.map_blocks(integers, dtype=row.dtype))
+        changed[name] = (
+            variable.copy(data=integers(variable.values))
+            if variable.chunks is None
+            else variable.copy(data=variable.data.map_blocks(integers, dtype=row.dtype))
+        )
     return dataset.assign(changed) if changed else dataset
 
 
@@ -349,23 +366,8 @@ _FOREIGN_ARRAYS = {
 }
 
 
-def _refuse_foreign_arrays(dataset: xr.Dataset) -> None:
-    """Refuse arrays of other packages that look like numpy's or dask's; none of them is imported for that."""
-    for name, variable in dataset.variables.items():
-        data = variable._data
-        for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
-            package = type(array).__module__.partition(".")[0]
-            if package in _FOREIGN_ARRAYS:
-                raise SchemaError(
-                    f"{name!r} is an array of {package}",
-                    expected="numpy or dask",
-                    mend=_FOREIGN_ARRAYS[package],
-                    code="array-foreign",
-                )
-
-
+#: Attribute of ``radiance_gain``: names of the other variables of the calibration that change values.
 CALIBRATION_NAMES = "calibration_variables"
-"""Attribute of ``radiance_gain``: names of the other variables of the calibration that change values."""
 
 _CALIBRATION_VARIABLES = (
     "wavelength_shift",
@@ -392,12 +394,15 @@ def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
     names = str(gain.attrs.get(CALIBRATION_NAMES, "")).split() if gain is not None else []
     lost = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
     if lost:
-        text = (
-            f"{purpose} is computed without {', '.join(map(repr, lost))}, which the calibration of this line "
-            "has; keep them beside 'radiance_gain'"
-        )
         smile = " (smile is not corrected)" if "wavelength_shift" in lost else ""
-        warnings.warn(PaintWarning(text + smile, code="calibration-incomplete"), stacklevel=4)
+        warnings.warn(
+            PaintWarning(
+                f"{purpose} is computed without {', '.join(map(repr, lost))}, which the calibration of this "
+                f"line has; keep them beside 'radiance_gain'{smile}",
+                code="calibration-incomplete",
+            ),
+            stacklevel=4,
+        )
 
 
 def with_numbers(line: xr.Dataset) -> xr.Dataset:
@@ -416,9 +421,11 @@ def numbers_of(line: xr.Dataset, dim: str) -> Floats:
 
     A crop keeps the numbers of the whole line, so that regions of the whole line fit it.
     """
-    if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf":
-        return np.asarray(line[dim].values, np.float64)
-    return np.arange(line.sizes[dim], dtype=np.float64)
+    return (
+        np.asarray(line[dim].values, np.float64)
+        if dim in line.coords and line[dim].dims == (dim,) and line[dim].dtype.kind in "iuf"
+        else np.arange(line.sizes[dim], dtype=np.float64)
+    )
 
 
 def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
@@ -432,7 +439,6 @@ def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def quality_attrs() -> dict[str, Any]:
-    """Return the CF attributes of ``quality``."""
     return {
         **VARIABLES["quality"].attrs,
         "flag_masks": np.array([int(flag) for flag in Quality], dtype=np.uint16),
@@ -487,8 +493,12 @@ def find(
         row = table[name]
         if name not in dataset.variables:
             shape = ", ".join(row.dims) or "a scalar"
-            found = f"{name!r} is missing: {row.meaning.lower()} ({shape}) [{row.units or row.dtype}]"
-            problems.append(Problem(found, code="variable-missing"))
+            problems.append(
+                Problem(
+                    f"{name!r} is missing: {row.meaning.lower()} ({shape}) [{row.units or row.dtype}]",
+                    code="variable-missing",
+                )
+            )
             continue
         array = plain(dataset[name])
         fault = row.dim_problem(array) or row.unit_problem(array)
@@ -504,7 +514,6 @@ def find(
 
 
 def dtype_of(name: str) -> np.dtype[Any]:
-    """Return the numpy dtype of a variable of the table."""
     return np.dtype(VARIABLES[name].dtype)
 
 
@@ -523,16 +532,17 @@ def has_own_means(line: xr.Dataset) -> bool:
     stamp = line["coarse_reflectance"].encoding.get(_STAMP)
     if stamp is None:
         return False
-    if "reflectance" in line.variables:
-        names = {"reflectance"}
-    else:
-        names = (set(stamp) | {str(name) for name in line.variables}) - _NOT_INPUTS
+    names = (
+        {"reflectance"}
+        if "reflectance" in line.variables
+        else (set(stamp) | {str(name) for name in line.variables}) - _NOT_INPUTS
+    )
     now = {name: _identity(line[name].variable) for name in names if name in line.variables}
     return all(now.get(name) is not None and now[name] == stamp.get(name) for name in names)
 
 
 def _identity(variable: xr.Variable) -> str | None:
-    """Return a hash of the values; None where it would need to read more than a scalar."""
+    # None where a hash would need to read more than a scalar.
     from dask.base import is_dask_collection, tokenize
 
     if is_dask_collection(variable):

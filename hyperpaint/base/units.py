@@ -94,7 +94,7 @@ _WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for w
 
 
 def _plain_powers(text: str) -> str:
-    """Return ``text`` with raised digits as powers, so that they can be checked, and dots as spaces."""
+    # Raised digits become powers, so that they can be checked, and dots become spaces.
     text = _DOT.sub(r"\1 ", text.replace("·", " "))
     return _RAISED.sub(lambda match: f"**{match[0].translate(_LOWERED)} ", text)
 
@@ -237,8 +237,11 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     name = name or str(array.name)
     units = array.attrs.get("units")
     if units is None:
-        mend = f"set {name}.attrs['units'], for example to {wanted!r}"
-        raise UnitsError(f"{name!r} has no units", mend=mend, code="units-missing")
+        raise UnitsError(
+            f"{name!r} has no units",
+            mend=f"set {name}.attrs['units'], for example to {wanted!r}",
+            code="units-missing",
+        )
     try:
         factor = conversion_factor(str(units), wanted)
     except UnitsError as error:
@@ -254,7 +257,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
 
 
 def _is_quantity(value: object) -> bool:
-    """Return whether a value carries its unit: a Quantity of pint, astropy or unyt."""
+    # A Quantity of pint, astropy or unyt.
     if isinstance(value, xr.DataArray):  # has any of these where its attributes do
         return False
     is_pint = hasattr(value, "magnitude") and hasattr(value, "units")
@@ -267,11 +270,8 @@ def _magnitude(quantity: Any) -> Any:
 
 
 def _unit_text(quantity: Any) -> str:
-    """Return the unit of a Quantity in CF spelling.
-
-    Each part is read by its full name, since symbols differ between registries; a part that is unknown to our
-    registry is resolved by its own registry.
-    """
+    # Symbols differ between registries: each part is read by its full name; a part that is unknown to our
+    # registry is resolved by its own registry.
     if not hasattr(quantity, "unit_items"):  # astropy and unyt
         return str(getattr(quantity, "unit", None) or quantity.units)
     scale, powers = 1.0, []
@@ -379,21 +379,18 @@ def in_units(value: Any, wanted: str, name: str) -> Any:
         raise UnitsError(
             f"{name}={str(value)!r}", expected=f"a number [{wanted}] or a Quantity", code="type-wrong"
         )
-    if not _carries_unit(value):
+    is_duration = getattr(getattr(value, "dtype", None), "kind", "") == "m"
+    if not (is_duration or isinstance(value, datetime.timedelta | xr.DataArray) or _is_quantity(value)):
         return value
     try:
-        if _is_quantity(value):
-            number, factor = _magnitude(value), conversion_factor(_unit_text(value), wanted)
-        else:
-            number, factor = value / np.timedelta64(1, "s"), conversion_factor("s", wanted)
+        number, factor = (
+            (_magnitude(value), conversion_factor(_unit_text(value), wanted))
+            if _is_quantity(value)
+            else (value / np.timedelta64(1, "s"), conversion_factor("s", wanted))
+        )
     except UnitsError as error:
         raise error.about(name) from error
     return number if factor == 1.0 else number * factor
-
-
-def _carries_unit(value: object) -> bool:
-    is_duration = getattr(getattr(value, "dtype", None), "kind", "") == "m"
-    return is_duration or isinstance(value, datetime.timedelta | xr.DataArray) or _is_quantity(value)
 
 
 def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
@@ -439,7 +436,6 @@ def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
 
 
 def _number(value: Any, units: Mapping[str, str], name: str) -> Any:
-    """Return one argument of a public function without Quantities; itself where it has none."""
     if name in units:
         return in_units(value, units[name], name)
     if isinstance(value, xr.Dataset | xr.DataArray | xr.DataTree):

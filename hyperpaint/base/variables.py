@@ -16,22 +16,22 @@ from .errors import Problem
 from .units import same_dimension
 
 ALONG_TRACK, BAND, CROSS_TRACK = "along_track", "band", "cross_track"
+#: Dims of a cube in sensor geometry, in the instrument's own order: band-interleaved by line.
 CUBE = (ALONG_TRACK, BAND, CROSS_TRACK)
-"""Dims of a cube in sensor geometry, in the instrument's own order: band-interleaved by line."""
 
 IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH = "irradiance_time", "irradiance_wavelength"
+#: Dim of a lab sweep: one wavelength of the monochromator after the other.
 STEP = "step"
-"""Dim of a lab sweep: one wavelength of the monochromator after the other."""
 
+#: Dims of a traced scene: its suns, and the different paths of light that a pixel holds.
 SUN, SLOT = "sun", "slot"
-"""Dims of a traced scene: its suns, and the different paths of light that a pixel holds."""
 
+#: Dim of the panels of known reflectance in a scene.
 PANEL = "panel"
-"""Dim of the panels of known reflectance in a scene."""
 
+#: Dims of a paint library.
 SIGNATURE, MEMBER, QUANTILE, FLAG = "signature", "member", "quantile", "flag"
 ERROR_SOURCE, LAG = "error_source", "lag"
-"""Dims of a paint library."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,6 @@ class Variable:
 
     @property
     def attrs(self) -> dict[str, Any]:
-        """Attributes written with the variable."""
         attrs: dict[str, Any] = {"long_name": self.meaning}
         if self.units:
             attrs["units"] = self.units
@@ -75,7 +74,6 @@ class Variable:
         )
 
     def _mend_of_dims(self, array: xr.DataArray) -> str:
-        """Return the likely cause of other dims, and the call that mends it."""
         # compare with the dims that are nearest to those found
         nearest = min(self.allowed_dims, key=lambda dims: len(set(dims) ^ set(array.dims)))
         missing = [dim for dim in nearest if dim not in array.dims]
@@ -103,8 +101,11 @@ class Variable:
         if not self.units:
             return None
         if units is None:
-            mend = f"set {self.name}.attrs['units'], for example to {self.units!r}"
-            return Problem(f"{self.name!r} has no units", mend=mend, code="units-missing")
+            return Problem(
+                f"{self.name!r} has no units",
+                mend=f"set {self.name}.attrs['units'], for example to {self.units!r}",
+                code="units-missing",
+            )
         if str(units) == self.units or same_dimension(str(units), self.units):
             return None
         return Problem(
@@ -352,18 +353,18 @@ _LIBRARY_TABLE = (
 
 
 def _table(rows: tuple[Variable, ...], *of_a_line: str) -> Mapping[str, Variable]:
-    """Return rows by name, with those of a flight line that hold here too."""
+    # Rows of a flight line that hold here too come first.
     shared = tuple(variable for variable in _LINE_TABLE if variable.name in of_a_line)
     return {variable.name: variable for variable in rows + shared}
 
 
+#: Variables of a flight line, its calibration and light, its scenes and maps.
 VARIABLES = _table(_LINE_TABLE)
-"""Variables of a flight line, its calibration and light, its scenes and maps."""
 
+#: Variables of a lab sweep.
 SWEEP_VARIABLES = _table(
     _SWEEP_TABLE, "saturation_count", "electrons_per_count", "read_noise", "band_shift_time"
 )
-"""Variables of a lab sweep."""
 
+#: Variables of a paint library.
 LIBRARY_VARIABLES = _table(_LIBRARY_TABLE, "wavelength", "fwhm", "good")
-"""Variables of a paint library."""

@@ -34,9 +34,8 @@ def given(group: Group) -> Group:
 # --- counts to reflectance: `hyperpaint.kernels.radiometry`
 
 
+# Detector effects other than dark counts; None (in a plan: empty) where absent.
 class DetectorModel(NamedTuple):
-    """Detector effects other than dark counts; None (in a plan: empty) where absent."""
-
     #: (0 or 4,) float32: a2 ... a5 of linear counts c + a2 c^2 + ... + a5 c^5
     polynomial: Array
     #: (0 or node,) float32: instead, linear counts minus counts at evenly spaced nodes
@@ -50,9 +49,8 @@ class DetectorModel(NamedTuple):
     on_raw: Any  #: bool: the curve applies to raw counts and to the dark, not to their difference
 
 
+# Dark, gain and detector model: radiance times exposure is gain x linear counts above dark.
 class Calibration(NamedTuple):
-    """Dark, gain and detector model: radiance times exposure is gain x linear counts above dark."""
-
     dark: Array  #: (n, band, column) float32
     #: dark_index i, dark_weight w (line,): the dark of a line is (1 - w) dark[i] + w dark[i + 1]; None for
     #: one dark of all lines
@@ -79,9 +77,8 @@ class StrayLight(NamedTuple):
     relative: Any  #: float32: relative standard uncertainty of the subtracted light [1]
 
 
+# Factors that turn dark-subtracted counts times gain into values, by smile cell.
 class LightCells(NamedTuple):
-    """Factors that turn dark-subtracted counts times gain into values, by smile cell."""
-
     #: (line, band, cell, 1 or 4) float32: one factor, or the coefficients of a cubic in ``shift`` that
     #: divides
     coefficients: Array
@@ -94,13 +91,12 @@ class LightCells(NamedTuple):
 
 
 def light_cells(coefficients: Array, shift: Array, edges: Array, cells: Array) -> LightCells:
-    """Return `LightCells`; column positions are kept only where coefficients are cubics."""
+    # `LightCells`; column positions are kept only where coefficients are cubics.
     return LightCells(coefficients, *((shift, edges, cells) if coefficients.shape[3] > 1 else (None,) * 3))
 
 
+# Counts beyond which a sample is flagged.
 class CountLimits(NamedTuple):
-    """Counts beyond which a sample is flagged."""
-
     #: lowest, highest saturation count of all elements, dtype of the counts
     lowest: Any
     highest: Any
@@ -112,30 +108,28 @@ class CountLimits(NamedTuple):
 
 
 def count_limits(saturation: Array, noise_margin: Array, most_negative: Any, whole: Any) -> CountLimits:
-    """Return `CountLimits` from a ``saturation`` of shape (1, 1) or (band, column)."""
+    # ``saturation`` has shape (1, 1) or (band, column)
     each = saturation if saturation.size > 1 else None
     return CountLimits(saturation.min(), saturation.max(), each, noise_margin, most_negative, whole)
 
 
+# Bit masks that round float32 values to nearest-even, as numcodecs' BitRound does.
 class Rounding(NamedTuple):
-    """Bit masks that round float32 values to nearest-even, as numcodecs' BitRound does."""
-
     last: Any  #: Lowest kept bit
     half: Any  #: Half of ``last``
     mask: Any  #: All kept bits
 
 
 def rounding(cleared_bits: int) -> Rounding | None:
-    """Return the rounding that clears this number of mantissa bits; None for 0."""
+    # Rounding that clears this number of mantissa bits; None for 0.
     if not cleared_bits:
         return None
     last = 1 << int(cleared_bits)
     return Rounding(*(np.uint32(bits) for bits in (last, last >> 1, 2**32 - last)))
 
 
+# Inputs of the values of a line.
 class LineCounts(NamedTuple):
-    """Inputs of the values of a line."""
-
     counts: Array  #: (line, band, column)
     dark: Array  #: (band, column)
     gain: Array  #: (band, column)
@@ -143,17 +137,15 @@ class LineCounts(NamedTuple):
     rounding: Rounding | None
 
 
+# Quality bits of whole lines (line,) and columns (column,), and the bit of a line without data.
 class FixedFlags(NamedTuple):
-    """Quality bits of whole lines (line,) and columns (column,), and the bit of a line without data."""
-
     lines: Array
     columns: Array
     no_data: Any
 
 
+# Terms of the error budget from which the uncertainties of a sample are computed.
 class ErrorTerms(NamedTuple):
-    """Terms of the error budget from which the uncertainties of a sample are computed."""
-
     #: per_electron, noise_floor (1 or band, column) float32: counts per electron, and the variance of a count
     #: without light [count2]
     per_electron: Array
@@ -169,9 +161,8 @@ class ErrorTerms(NamedTuple):
     slope: Array
 
 
+# Output arrays of a slab; quality and uncertainties are empty where not requested.
 class SlabOutputs(NamedTuple):
-    """Output arrays of a slab; quality and uncertainties are empty where not requested."""
-
     cube: Array  #: (line, band, column) float32
     quality: Array  #: (line, column) or (0, 0) uint16
     #: u_random, u_systematic (line, band, column) or (0, 0, 0) float32
@@ -182,9 +173,8 @@ class SlabOutputs(NamedTuple):
 # --- unmixing of pixels: `hyperpaint.kernels.unmixing`
 
 
+# Body and neighbouring bodies of every pixel, with their reflectances.
 class Bodies(NamedTuple):
-    """Body and neighbouring bodies of every pixel, with their reflectances."""
-
     body_of: Array  #: (line, column) int32: row of ``reflectance``; -1 for none: results are NaN
     reflectance: Array  #: (body, channel) float64: reflectance in full light [1]
     #: (line, column, 2) int32: rows of ``reflectance`` of the bodies that light each pixel; -1 for none
@@ -204,16 +194,14 @@ class LightParts(NamedTuple):
     sunward: Array
 
 
+# Standard deviation of channels: ``noise`` relative to reflectance (channel,) [1], and ``floor`` [1].
 class ChannelErrors(NamedTuple):
-    """Standard deviation of channels: ``noise`` relative to reflectance (channel,) [1], and ``floor`` [1]."""
-
     noise: Array
     floor: Any
 
 
+# Prior of the amounts: mean, spread and upper bound.
 class AmountPrior(NamedTuple):
-    """Prior of the amounts: mean, spread and upper bound."""
-
     #: expected, spread (part,) float64: mean and standard deviation
     expected: Array
     spread: Array
@@ -221,16 +209,14 @@ class AmountPrior(NamedTuple):
     most: Array  #: (part,) float64: upper bounds
 
 
+# Additional amounts expected where the sun is mirrored [1].
 class Glinting(NamedTuple):
-    """Additional amounts expected where the sun is mirrored [1]."""
-
     direct: Any  #: Direct light: a surface that mirrors the sun to a camera above faces halfway to the sun
     sunward: Any  #: Mirror image of the sky around the sun
 
 
+# Output arrays of `unmix_lines` for a block of lines.
 class Unmixed(NamedTuple):
-    """Output arrays of `unmix_lines` for a block of lines."""
-
     amount: Array  #: (line, column, part) float32
     added: Array  #: (line, column, 2) float32: largest reflectance over the channels added by each neighbour
     #: (line, column) float32: largest reflectance over the channels added by both; less than the sum of
@@ -242,18 +228,16 @@ class Unmixed(NamedTuple):
 # --- lamp lines: `hyperpaint.kernels.line_fits`
 
 
+# Samples of lamp lines, one row each, or of a single one.
 class LineSamples(NamedTuple):
-    """Samples of lamp lines, one row each, or of a single one."""
-
     values: Array  #: (line, sample) float64
     weights: Array  #: (line, sample) float64: 1 / variance; 0 excludes a sample
     first: Any  #: (line,) int64: position of the first sample of a row
     source: Any  #: (line,) float64: full width at half maximum of the light [samples]
 
 
+# Fitted parameters of lamp lines, with covariance and chi2.
 class LineFits(NamedTuple):
-    """Fitted parameters of lamp lines, with covariance and chi2."""
-
     #: (line, 4) float64: start values, then the result: see `hyperpaint.kernels.line_fits.CENTRE`
     parameters: Array
     covariance: Array  #: (line, 4, 4) float64: inverse of the normal matrix; NaN where it is singular
@@ -264,17 +248,15 @@ class LineFits(NamedTuple):
 # --- rays to the ground: `hyperpaint.kernels.rays`
 
 
+# Origins and directions of the rays of a line camera.
 class LineRays(NamedTuple):
-    """Origins and directions of the rays of a line camera."""
-
     origin: Array  #: (line, 3) float64: projection centre in the line's frame [m]
     rotation: Array  #: (line, 3, 3) float64: rotates camera directions into the line's frame
     look: Array  #: (column, 3) float64: directions of the columns in the camera's frame, of unit length
 
 
+# Map coordinates and ellipsoidal height as polynomials of each line's local frame.
 class LineFrames(NamedTuple):
-    """Map coordinates and ellipsoidal height as polynomials of each line's local frame."""
-
     #: x, y, height (line, 10) float64: map coordinates and height above the ellipsoid [m], as polynomials of
     #: the line's frame
     x: Array
@@ -287,9 +269,8 @@ class LineFrames(NamedTuple):
 BLOCK = 16
 
 
+# Height raster with block maxima, and its position as polynomials of each line's local frame.
 class Raster(NamedTuple):
-    """Height raster with block maxima, and its position as polynomials of each line's local frame."""
-
     #: row, col (line, 10) float64: raster coordinates, 0 at the centre of the first cell, as polynomials of
     #: the line's frame
     row: Array
@@ -306,9 +287,8 @@ class Raster(NamedTuple):
 # --- maps: `hyperpaint.kernels.inverse_map` and `hyperpaint.kernels.gathering`
 
 
+# Map coordinates of the pixels of lines, and of the line before them.
 class LinePositions(NamedTuple):
-    """Map coordinates of the pixels of lines, and of the line before them."""
-
     #: east, north (line, column) float64: of successive lines [m]; NaN where unknown
     east: Array
     north: Array
@@ -320,9 +300,8 @@ class LinePositions(NamedTuple):
     hidden: Array
 
 
+# Cells of a tile, and the rule that selects one of several patches over a cell.
 class MapCells(NamedTuple):
-    """Cells of a tile, and the rule that selects one of several patches over a cell."""
-
     #: (6,) float64: east and north of the centre of the map's first cell [m]; columns per metre east and
     #: north; rows per metre east and north
     frame: Array
@@ -331,9 +310,8 @@ class MapCells(NamedTuple):
     rule: int  #: `NADIR`, `FIRST` or `LAST` of `hyperpaint.kernels.inverse_map`
 
 
+# Output arrays of `invert_lines` for a tile.
 class InverseTile(NamedTuple):
-    """Output arrays of `invert_lines` for a tile."""
-
     #: (2, row, col) float64: line and column at every cell, written where a patch has a lower rank
     place: Array
     #: (2, row, col) int32: line and column of the nearest of the patch's four pixels
@@ -343,9 +321,8 @@ class InverseTile(NamedTuple):
     hits: Array  #: (row, col) uint16: number of patches over every cell
 
 
+# Fractional positions between pixels, line by line, and the cells that receive their spectra.
 class Places(NamedTuple):
-    """Fractional positions between pixels, line by line, and the cells that receive their spectra."""
-
     #: lines, columns (place,) int64: line and column, rounded down
     lines: Array
     columns: Array

@@ -17,7 +17,7 @@ _COLUMNS = 16
 
 @kernel
 def _turn(source: Array, start: int, stop: int, out: Array) -> None:
-    """Write columns ``start`` to ``stop`` of a line (band, column) transposed, as (column, band)."""
+    # From (band, column) to (column, band).
     for block in range(start, stop, _COLUMNS):
         end = min(block + _COLUMNS, stop)
         for band in range(source.shape[0]):

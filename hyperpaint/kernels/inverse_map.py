@@ -34,10 +34,8 @@ def _inside_patch(
     start: tuple[float, float],
     end: tuple[float, float],
 ) -> tuple[bool, float, float]:
-    """Return whether p = u a + v b + u v c has a solution with u and v within limits, and u and v in 0 to 1.
-
-    Eliminating u leaves a quadratic in v, solved in the form without cancellation.
-    """
+    # Solve p = u a + v b + u v c with u and v within limits, and u and v in 0 to 1.
+    # Eliminating u leaves a quadratic in v, solved in the form without cancellation.
     px, py = p
     ax, ay = a
     bx, by = b
@@ -70,7 +68,7 @@ def _inside_patch(
 def _nearest_corner(
     px: float, py: float, ax: float, ay: float, bx: float, by: float, fx: float, fy: float
 ) -> tuple[int, int]:
-    """Return line and column offset (0 or 1) of the corner nearest to p: those at 0, a, b and b + f."""
+    # The corners are at 0, a, b and b + f; the result is the line and column offset (0 or 1).
     line, column = 0, 0
     least = px * px + py * py
     away = (px - ax) ** 2 + (py - ay) ** 2
@@ -89,10 +87,8 @@ def _nearest_corner(
 def _to_cells(
     east: Array, north: Array, frame: Array, x: Array, y: Array, reach: tuple[float, float, float, float]
 ) -> tuple[int, int]:
-    """Write the pixels of a line in cell coordinates; return the first and last column within reach.
-
-    ``reach`` holds the least and largest row, then column, of a corner of any patch over the tile.
-    """
+    # Pixels of a line in cell coordinates; the result is the first and last column within reach.
+    # ``reach`` holds the least and largest row, then column, of a corner of any patch over the tile.
     for j in range(east.size):  # a loop without branches, which vectorises
         e, n = east[j] - frame[0], north[j] - frame[1]
         x[j] = frame[2] * e + frame[3] * n

@@ -27,7 +27,7 @@ _STEPS = 60
 
 @kernel
 def _ramp(x: float, sigma: float) -> float:
-    """Return the second integral of a Gaussian of unit area; for sigma 0, max(x, 0)."""
+    # Second integral of a Gaussian of unit area; for sigma 0, max(x, 0).
     if sigma < 1e-6 or abs(x) > 8.0 * sigma:
         return max(x, 0.0)
     z = x / sigma
@@ -36,7 +36,7 @@ def _ramp(x: float, sigma: float) -> float:
 
 @kernel
 def _two_boxes(x: float, a: float, b: float, sigma: float) -> float:
-    """Return a Gaussian convolved with boxes ``a`` and ``b`` wide, of unit area."""
+    # A Gaussian convolved with boxes ``a`` and ``b`` wide, of unit area.
     x = -abs(x)  # the ramps are small on the rising side: no cancellation of large terms
     outer, inner = 0.5 * (a + b), 0.5 * (a - b)
     total = _ramp(x + outer, sigma) - _ramp(x + inner, sigma)
@@ -46,13 +46,13 @@ def _two_boxes(x: float, a: float, b: float, sigma: float) -> float:
 
 @kernel
 def _cube(x: float) -> float:
-    """Return the fourth integral of a delta function, x^3 / 6 above zero."""
+    # Fourth integral of a delta function: x^3 / 6 above zero.
     return x * x * x / 6.0 if x > 0.0 else 0.0
 
 
 @kernel
 def _four_boxes(x: float, a: float, b: float, c: float) -> float:
-    """Return boxes ``a``, ``b``, ``c`` and ``c`` wide convolved with one another, of unit area."""
+    # Boxes ``a``, ``b``, ``c`` and ``c`` wide convolved with one another, of unit area.
     x = -abs(x)
     total = 0.0
     for i in range(2):
@@ -86,7 +86,7 @@ def line_profile(x: float, width: float, source: float, shape: int, triangular: 
 
 @kernel
 def _solve4(matrix: Array, right: Array, out: Array) -> bool:
-    """Solve a symmetric positive 4 x 4 system by Cholesky's method; False where it is singular."""
+    # Cholesky's method for a symmetric positive 4 x 4 system; False where it is singular.
     low = np.zeros((4, 4))
     for i in range(4):
         for j in range(i + 1):
@@ -116,7 +116,7 @@ def _solve4(matrix: Array, right: Array, out: Array) -> bool:
 def _normal_equations(
     line: LineSamples, p: Array, shape: int, triangular: bool, matrix: Array, right: Array
 ) -> float:
-    """Fill the normal equations at parameters ``p`` and return the weighted sum of squared residuals."""
+    # At parameters ``p``; the result is the weighted sum of squared residuals.
     values, weights, first, source = line
     step = 1e-5 * max(p[WIDTH], 0.1)
     matrix[:] = 0.0
@@ -164,7 +164,7 @@ def _chi2(line: LineSamples, p: Array, shape: int, triangular: bool) -> float:
 def _fit_line(
     line: LineSamples, p: Array, shape: int, triangular: bool, covariance: Array
 ) -> tuple[float, bool]:
-    """Improve the parameters of one lamp line in place; return chi2, and whether the search converged."""
+    # Parameters improve in place; the result is chi2, and whether the search converged.
     matrix, right, damped = np.empty((4, 4)), np.empty(4), np.empty((4, 4))
     change, trial = np.empty(4), np.empty(4)
     damping = 1e-3
@@ -228,7 +228,7 @@ def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits
 
 @kernel
 def profiles(places: Array, width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
-    """Write the `line_profile` of every lamp line at distances (line, sample) from its centre."""
+    # Write the `line_profile` of every lamp line at distances (line, sample) from its centre.
     for line in range(places.shape[0]):
         for i in range(places.shape[1]):
             out[line, i] = line_profile(places[line, i], width[line], source[line], shape, triangular)
@@ -236,7 +236,7 @@ def profiles(places: Array, width: Array, source: Array, shape: int, triangular:
 
 @kernel
 def full_widths(width: Array, source: Array, shape: int, triangular: bool, out: Array) -> None:
-    """Write the full width at half maximum (line,) of observed lamp lines, by bisection."""
+    # Write the full width at half maximum (line,) of observed lamp lines, by bisection.
     for line in range(width.shape[0]):
         if not np.isfinite(width[line] + source[line]):
             out[line] = np.nan

@@ -16,9 +16,8 @@ _ONE_F32 = np.float32(1.0)
 _NOTHING = np.float32(0.0)
 
 
+# Buffers of a line whose counts are linearised.
 class LinearMemory(NamedTuple):
-    """Buffers of a line whose counts are linearised."""
-
     #: (band, column) float32: dark of the line, linearised where the detector's curve is of raw counts
     dark: Array
     signal: Array  #: (column,) float32: linear counts above dark of the current band
@@ -31,7 +30,7 @@ class LinearMemory(NamedTuple):
 def linear_memory(
     polynomial: Array | None, table: Array | None, bands: int, columns: int
 ) -> LinearMemory | None:
-    """Return buffers for a detector with a linearity curve; None for one without."""
+    # Buffers for a detector with a linearity curve; None for one without.
     if polynomial is None and table is None:
         return None
     return LinearMemory(
@@ -51,7 +50,7 @@ def signal_of(linear: LinearMemory | None) -> Array | None:
 
 @borrowing_kernel
 def polynomial_row(polynomial: Array | None, counts: Array) -> None:
-    """Linearise counts (column,) in place: c + a2 c^2 + ... + a5 c^5."""
+    # Linearise counts (column,) in place: c + a2 c^2 + ... + a5 c^5.
     if polynomial is not None:
         a2, a3, a4, a5 = polynomial[0], polynomial[1], polynomial[2], polynomial[3]
         for x in range(counts.size):
@@ -84,7 +83,7 @@ def table_row(detector: DetectorModel, table: Array | None, memory: LinearMemory
 
 @borrowing_kernel
 def straighten_dark(detector: DetectorModel, dark: Array, linear: LinearMemory | None) -> None:
-    """Write the dark (band, column) of a line, linearised where the detector's curve is of raw counts."""
+    # Write the dark (band, column) of a line, linearised where the detector's curve is of raw counts.
     if linear is not None:
         for band in range(dark.shape[0]):
             for x in range(dark.shape[1]):
@@ -98,7 +97,7 @@ def straighten_dark(detector: DetectorModel, dark: Array, linear: LinearMemory |
 def signal_row(
     counts: Array, detector: DetectorModel, linear: LinearMemory | None, place: tuple[Any, Any]
 ) -> None:
-    """Write the linear counts above dark of a ``place`` (line, band) to the buffer."""
+    # Write the linear counts above dark of a ``place`` (line, band) to the buffer.
     if linear is not None:
         line, band = place
         signal, dark = linear.signal, linear.dark[band]
@@ -120,7 +119,7 @@ def slope_row(
     table: Array | None,
     slope: Array,
 ) -> None:
-    """Write the derivative of linear counts by counts (column,), which scales the noise."""
+    # Write the derivative of linear counts by counts (column,), which scales the noise.
     if polynomial is not None:
         a2, a3 = np.float32(2.0) * polynomial[0], np.float32(3.0) * polynomial[1]
         a4, a5 = np.float32(4.0) * polynomial[2], np.float32(5.0) * polynomial[3]

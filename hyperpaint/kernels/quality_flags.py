@@ -18,9 +18,8 @@ _BELOW_DARK = np.uint16(2)
 _DOUBTFUL_SHARE = 20
 
 
+# Per-column statistics of a line.
 class Tally(NamedTuple):
-    """Per-column statistics of a line."""
-
     #: peak, negative (column,): highest count over the bands, and number of bands below the dark
     peak: Array
     negative: Array
@@ -51,7 +50,7 @@ def count_levels(dark: Array, margin: Array, whole: Any, level: Array, floor: Ar
 
 @inlined_kernel
 def gather_row(counts: Array, level: Array, tally: Tally, place: tuple[Any, Any]) -> None:
-    """Update each column's highest count, and its number of bands below the dark."""
+    # Update each column's highest count, and its number of bands below the dark.
     line, band = place
     peak, negative = tally.peak, tally.negative
     for x in range(counts.shape[2]):
@@ -62,13 +61,12 @@ def gather_row(counts: Array, level: Array, tally: Tally, place: tuple[Any, Any]
 
 @inlined_kernel
 def limit_of(saturation: Array | None, limits: CountLimits, band: Any, x: Any) -> Any:
-    """Return the saturation count of an element."""
     return limits.highest if saturation is None else saturation[band, x]
 
 
 @inlined_kernel
 def look_at(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band: Any, x: Any) -> None:
-    """Mark a column whose element is saturated (if it has a margin), or is below its floor."""
+    # Mark a column whose element is saturated (if it has a margin), or is below its floor.
     raw, margin = counts[band, x], limits.noise_margin[band, x]
     reached = raw >= limit_of(limits.saturation, limits, band, x)
     tally.saturated[x] |= np.uint16(reached & (margin == margin))

@@ -38,7 +38,7 @@ _NAN = np.float32(np.nan)
 
 @borrowing_kernel
 def blend(low: Array, high: Array, weight: Any, out: Array) -> None:
-    """Write low + weight (high - low) over (band, column)."""
+    # Write low + weight (high - low) over (band, column).
     for band in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[band, x] = low[band, x] + weight * (high[band, x] - low[band, x])
@@ -123,7 +123,7 @@ def divide_run(
     samples: LineCounts,
     out: Array,
 ) -> None:
-    """Write gain x (counts - dark) / E, or gain x signal / E; E is a cubic in ``shift``."""
+    # Write gain x (counts - dark) / E, or gain x signal / E; E is a cubic in ``shift``.
     c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
     for x in range(out.size):
         raw, s = np.float32(counts[x]), shift[x]
@@ -136,7 +136,7 @@ def divide_run(
 
 @inlined_kernel
 def limit_row(counts: Array, saturation: Array | None, place: tuple[Any, Any], out: Array) -> None:
-    """Write NaN where counts reach the saturation of their own elements (band, column), if given."""
+    # Write NaN where counts reach the saturation of their own elements (band, column), if given.
     if saturation is not None:
         line, band = place
         for x in range(counts.shape[2]):

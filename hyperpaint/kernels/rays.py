@@ -37,7 +37,6 @@ _STEEP = 1e-30
 
 @borrowing_kernel
 def _at(c: Array, e: float, n: float, u: float) -> float:
-    """Return a polynomial at (e, n, u)."""
     value: float = (
         c[0]
         + e * (c[1] + c[4] * e + c[7] * n + c[8] * u)
@@ -49,7 +48,6 @@ def _at(c: Array, e: float, n: float, u: float) -> float:
 
 @borrowing_kernel
 def _gradient(c: Array, e: float, n: float, u: float) -> Vector:
-    """Return the derivatives of a polynomial at (e, n, u)."""
     return (
         c[1] + 2.0 * c[4] * e + c[7] * n + c[8] * u,
         c[2] + 2.0 * c[5] * n + c[7] * e + c[9] * u,
@@ -59,7 +57,7 @@ def _gradient(c: Array, e: float, n: float, u: float) -> Vector:
 
 @borrowing_kernel
 def _along(c: Array, e: float, n: float, u: float, direction: Vector) -> Parabola:
-    """Return the parabola in s of a polynomial along a ray from (e, n, u)."""
+    # The parabola in s of a polynomial along a ray from (e, n, u).
     de, dn, du = direction
     ge, gn, gu = _gradient(c, e, n, u)
     bent = c[4] * de * de + c[5] * dn * dn + c[6] * du * du + c[7] * de * dn + c[8] * de * du + c[9] * dn * du
@@ -68,7 +66,7 @@ def _along(c: Array, e: float, n: float, u: float, direction: Vector) -> Parabol
 
 @borrowing_kernel
 def _first_zero(a: float, b: float, c: float) -> float:
-    """Return the smallest s > 0 with a + b s + c s s = 0, for a > 0 and b < 0; NaN where there is none."""
+    # Smallest s > 0 with a + b s + c s s = 0, for a > 0 and b < 0; NaN where there is none.
     if not (a > 0.0 and b < 0.0):
         return math.nan
     inside = b * b - 4.0 * a * c
@@ -81,7 +79,7 @@ def _first_zero(a: float, b: float, c: float) -> float:
 def _describe(
     frames: LineFrames, place: Vector, direction: Vector, out: Array, line: int, column: int
 ) -> None:
-    """Write map position, height and camera angles of a pixel seen at (e, n, u) in direction (de, dn, du)."""
+    # Map position, height and camera angles of a pixel seen at (e, n, u) in direction (de, dn, du).
     e, n, u = place
     de, dn, du = direction
     out[0, line, column] = _at(frames.x[line], e, n, u)
@@ -106,7 +104,7 @@ def _describe(
 
 @borrowing_kernel
 def _direction(rays: LineRays, line: int, column: int) -> Vector:
-    """Return the look direction of a column of a line, in the line's frame."""
+    # In the frame of the scan line.
     a, b, c = rays.look[column, 0], rays.look[column, 1], rays.look[column, 2]
     m = rays.rotation[line]
     return (
@@ -143,7 +141,7 @@ def _bend(parabola: Parabola, s: float) -> float:
 
 @borrowing_kernel
 def _above(heights: Array, i: int, j: int, ray: tuple[Parabola, Parabola, Parabola], s: float) -> float:
-    """Return the height of a ray above the bilinear patch of cell (i, j) [m]; NaN over a hole."""
+    # Height of a ray above the bilinear patch of cell (i, j) [m]; NaN over a hole.
     row, col, h = ray
     v, w = _bend(row, s) - i, _bend(col, s) - j
     near = heights[i, j] + w * (heights[i, j + 1] - heights[i, j])
@@ -163,7 +161,7 @@ def _arrival(
     end: float,
     f_end: float,
 ) -> float:
-    """Return where a ray meets a patch, between s (above) and ``end`` (not above), by the Illinois method."""
+    # Illinois method between s (above the patch) and ``end`` (not above).
     side = 0
     for _ in range(60):
         if f_end == f:
@@ -187,7 +185,6 @@ def _arrival(
 
 @borrowing_kernel
 def _to_border(place: float, speed: float, low: float, high: float) -> float:
-    """Return the distance until a ray leaves the interval from ``low`` to ``high``."""
     if speed > _STEEP:
         return (high - place) / speed
     if speed < -_STEEP:
@@ -197,7 +194,7 @@ def _to_border(place: float, speed: float, low: float, high: float) -> float:
 
 @borrowing_kernel
 def _to_raster(place: float, speed: float, last: float) -> float:
-    """Return the distance until a ray is between 0 and ``last``: 0 inside, infinite where it never is."""
+    # 0 inside, infinite where the ray never gets between 0 and ``last``.
     if 0.0 <= place <= last:
         return 0.0
     way = -place if place < 0.0 else last - place
@@ -208,7 +205,7 @@ def _to_raster(place: float, speed: float, last: float) -> float:
 
 @borrowing_kernel
 def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> float:
-    """Return the distance s at which a ray (row, column, height) first meets a raster; NaN where unknown."""
+    # Distance s at which a ray (row, column, height) first meets the raster; NaN where unknown.
     heights, tops, lowest, highest = raster.heights, raster.tops, raster.lowest, raster.highest
     row, col, h = ray
     last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1

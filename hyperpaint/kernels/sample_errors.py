@@ -18,9 +18,8 @@ _ONE_F32 = np.float32(1.0)
 _NOTHING = np.float32(0.0)
 
 
+# Buffers of `propagate_band`.
 class ErrorMemory(NamedTuple):
-    """Buffers of `propagate_band`."""
-
     #: irradiance E, inverse 1 / E (3, column) float32: of a band and the two before, band ``b`` in row
     #: ``b % 3``
     irradiance: Array
@@ -31,7 +30,7 @@ class ErrorMemory(NamedTuple):
 
 @inlined_kernel
 def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
-    """Evaluate a cubic in ``shift`` (column,)."""
+    # Evaluate a cubic in ``shift`` (column,).
     c0, c1, c2, c3 = cubic[0], cubic[1], cubic[2], cubic[3]
     for x in range(irradiance.size):
         s = shift[x]

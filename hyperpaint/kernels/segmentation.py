@@ -98,7 +98,7 @@ def sort_steps(places: Array, values: Array, other_places: Array, other_values: 
 
 @kernel
 def root_of(parent: Array, pixel: Any) -> Any:
-    """Return the root of a pixel's tree, halving the path to it."""
+    # Root of a pixel's tree, halving the path to it.
     while parent[pixel] != pixel:
         parent[pixel] = parent[parent[pixel]]
         pixel = parent[pixel]
@@ -135,7 +135,7 @@ def join_segments(
 
 @kernel
 def count_cores(parent: Array, columns: Any, core: Array) -> None:
-    """Write, at the root of every segment, the number of its pixels whose four neighbours belong to it."""
+    # Write, at the root of every segment, the number of its pixels whose four neighbours belong to it.
     lines = parent.size // columns
     for pixel in range(parent.size):
         root_of(parent, pixel)
@@ -152,7 +152,7 @@ def count_cores(parent: Array, columns: Any, core: Array) -> None:
 
 @kernel
 def mark_large(parent: Array, size: Array, columns: Any, least: Any, least_core: Any, large: Array) -> None:
-    """Write, at the root of every segment, whether it has enough pixels and core pixels, see `absorb`."""
+    # Write, at the root of every segment, whether it has enough pixels and core pixels, see `absorb`.
     core = np.zeros(parent.size, np.int32)
     count_cores(parent, columns, core)
     for pixel in range(parent.size):
@@ -199,7 +199,7 @@ def number_segments(parent: Array, valid: Array, number: Array) -> Any:
 
 @kernel
 def count_pixels(number: Array, chosen: Array, counts: Array) -> None:
-    """Count the pixels of every segment (2, segment): those not chosen, and those chosen."""
+    # Count the pixels of every segment (2, segment): those not chosen, and those chosen.
     for line in range(number.shape[0]):
         for x in range(number.shape[1]):
             if number[line, x] >= 0:
@@ -227,7 +227,7 @@ def sample_places(
 
 @kernel
 def to_pixels(parent: Array, of_roots: Array, of_pixels: Array) -> None:
-    """Write to every pixel the value at the root of its segment."""
+    # Write to every pixel the value at the root of its segment.
     for pixel in range(parent.size):
         of_pixels[pixel] = of_roots[root_of(parent, pixel)]
 
@@ -267,7 +267,7 @@ def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> N
 
 @kernel
 def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
-    """Insert a source into a short list of the nearest, in which every label stands once."""
+    # Insert a source into a short list of the nearest, in which every label stands once.
     count = labels.size
     for place in range(count):
         if labels[place] == label:

@@ -51,7 +51,7 @@ def average_slab(values: Array, width: int, out: Array) -> None:
 
 @borrowing_kernel
 def has_gap(values: Array) -> Any:
-    """Return whether any of values (band, column) is NaN."""
+    # Whether any of values (band, column) is NaN.
     for band in range(values.shape[0]):
         gap = False
         for x in range(values.shape[1]):
@@ -97,13 +97,13 @@ def average_line(values: Array, width: int, ends: Array, beginning: Array, out: 
 
 @inlined_kernel
 def share_of_window(band: Any, half: Any, bands: Any) -> Any:
-    """Return 1 / (number of bands in a window of ``half`` bands to either side, cut at the ends)."""
+    # 1 / (number of bands in a window of ``half`` bands to either side, cut at the ends).
     return _ONE / np.float32(min(band + half, bands - 1) - max(band - half, 0) + 1)
 
 
 @borrowing_kernel
 def fill_gaps(values: Array, filled: Array, counts: Array) -> None:
-    """Write values (band, column) with NaN replaced by 0, and their validity as 1 or 0."""
+    # Write values (band, column) with NaN replaced by 0, and their validity as 1 or 0.
     for band in range(values.shape[0]):
         for x in range(values.shape[1]):
             value = values[band, x]
@@ -115,7 +115,7 @@ def fill_gaps(values: Array, filled: Array, counts: Array) -> None:
 
 @borrowing_kernel
 def correct_means(values: Array, shares: Array, half: int, out: Array) -> None:
-    """Divide means over whole windows (band, column) by the ``shares`` of their bands that are valid."""
+    # Divide means over whole windows (band, column) by the ``shares`` of their bands that are valid.
     bands = values.shape[0]
     whole = _ONE - np.float32(0.5) / np.float32(2 * half + 1)
     for band in range(bands):
@@ -177,14 +177,14 @@ def weigh_rows(values: Array, weights: Array, first: Any, k: Any, out: Array) ->
 
 @kernel
 def weight_and_row(values: Array, weights: Array, first: Any, k: Any) -> tuple[Any, Array]:
-    """Return the weight and the values of the ``k``-th band of a window."""
+    # Weight and the values of the ``k``-th band of a window.
     inside = k < weights.size
     return (weights[k] if inside else _ZERO), values[first + (k if inside else 0)]
 
 
 @borrowing_kernel
 def without_missing(values: Array, fallback: Array, line: Any, band: Any, x: Any, first: Any) -> Any:
-    """Return the filtered value of a window with one NaN; the unfiltered value with more."""
+    # Filtered value of a window with one NaN; the unfiltered value with more.
     missing, gap, width = 0, 0, fallback.shape[1]
     for k in range(width):
         value = values[line, first + k, x]

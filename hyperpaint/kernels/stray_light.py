@@ -24,9 +24,8 @@ _NOTHING = np.float32(0.0)
 _NO_LIMIT = np.float32(np.inf)
 
 
+# Buffers of `sum_line`.
 class StrayWork(NamedTuple):
-    """Buffers of `sum_line`."""
-
     total: Array  #: (column,) float32: smear of a line [count]
     #: block (band, column), sums (term, column) float32: counts of `_BLOCK` columns, and their sums over the
     #: bands; contiguous, because rows a power of two apart evict one another from the cache
@@ -57,7 +56,7 @@ def net_line(
 
 @borrowing_kernel
 def replace_bad(net: Array, stands_in: Array) -> None:
-    """Replace bad elements (n, 3) of a line: column, band, and the band whose counts are copied; -1 for 0."""
+    # Replace bad elements (n, 3) of a line: column, band, and the band whose counts are copied; -1 for 0.
     for k in range(stands_in.shape[0]):
         x, band, other = stands_in[k, 0], stands_in[k, 1], stands_in[k, 2]
         net[band, x] = net[other, x] if other >= 0 else _NOTHING
@@ -97,7 +96,7 @@ def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Ar
 
 @borrowing_kernel
 def sum_rows(rows: Array, weights: Array, out: Array) -> None:
-    """Write sum_r weights[r] rows[r] of rows (row, column); ``weights`` are padded to a multiple of four."""
+    # Write sum_r weights[r] rows[r] of rows (row, column); ``weights`` are padded to a multiple of four.
     out[:] = _NOTHING
     for row in range(0, weights.size, 4):
         a, b, c, d = weights[row], weights[row + 1], weights[row + 2], weights[row + 3]
@@ -111,7 +110,7 @@ def sum_rows(rows: Array, weights: Array, out: Array) -> None:
 def take_off(
     stray: Array, gain: Array, inverse: Array, relative: Any, out: SlabOutputs, place: tuple[int, int]
 ) -> None:
-    """Subtract stray counts (column,) of a ``place`` (line, band); add their uncertainty in quadrature."""
+    # Subtract stray counts (column,) of a ``place`` (line, band); add their uncertainty in quadrature.
     line, band = place
     values = out.cube[line, band]
     for x in range(values.size):

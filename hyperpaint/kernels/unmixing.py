@@ -61,7 +61,7 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
 
 @kernel
 def _fill_parts(body: Array, light: LightParts, first: Array, second: Array, parts: Array) -> None:
-    """Write the spectra (part, channel) whose weighted sum is a pixel's reflectance."""
+    # Spectra (part, channel) whose weighted sum is the reflectance of a pixel.
     for k in range(body.size):
         parts[0, k] = body[k] * light.direct[k]
         parts[1, k] = body[k] * light.diffuse[k]
@@ -76,7 +76,7 @@ def _fill_parts(body: Array, light: LightParts, first: Array, second: Array, par
 
 @kernel
 def _solve_free(gram: Array, right: Array, free: Array, amount: Array, factor: Array, goal: Array) -> None:
-    """Write to ``goal`` the minimum over the free parts, the others fixed, by Cholesky's method."""
+    # Minimum over the free parts, the others fixed, by Cholesky's method.
     count = right.size
     for i in range(count):
         goal[i] = amount[i]
@@ -157,7 +157,7 @@ def minimise(gram: Array, right: Array, most: Array, held: Array, amount: Array)
 
 @kernel
 def _cost(gram: Array, right: Array, amount: Array) -> Any:
-    """Return amount' gram amount - 2 right' amount: the sum of squares, up to a constant."""
+    # amount' gram amount - 2 right' amount: the sum of squares, up to a constant.
     total = 0.0
     for i in range(right.size):
         if amount[i] != 0.0:
@@ -169,8 +169,6 @@ def _cost(gram: Array, right: Array, amount: Array) -> Any:
 
 
 class Equations(NamedTuple):
-    """Normal equations of a pixel."""
-
     #: gram (part, part), right (part,)
     gram: Array
     right: Array
@@ -182,7 +180,7 @@ class Equations(NamedTuple):
 def _normal_equations(
     seen: Array, parts: Array, used: Any, errors: ChannelErrors, gram: Array, right: Array
 ) -> Any:
-    """Write the normal equations; return the number of valid channels, and the cost of zero amounts."""
+    # The result is the number of valid channels, and the cost of zero amounts.
     gram[:] = 0.0
     right[:] = 0.0
     valid, zero_cost = 0, 0.0
@@ -207,7 +205,6 @@ def _normal_equations(
 
 @kernel
 def _neighbour_lowers_residual(gram: Array, right: Array, used: Any, amount: Array) -> Any:
-    """Return whether adding a neighbour's light, now absent, lowers the residual."""
     for i in range(_OWN, used):
         slope = right[i]
         for j in range(_OWN):
@@ -221,7 +218,7 @@ def _neighbour_lowers_residual(gram: Array, right: Array, used: Any, amount: Arr
 def _minimise_with_neighbours(
     equations: Equations, zero_cost: Any, most: Array, evidence: Any, held: Array, amount: Array
 ) -> Any:
-    """Write the amounts of least cost, with neighbours only where they gain enough; return the cost."""
+    # Neighbours are used only where they gain enough; the result is the cost.
     gram, right, used = equations.gram, equations.right, equations.used
     held[_OWN:] = True
     minimise(gram, right, most, held, amount)
@@ -343,7 +340,7 @@ def unmix_lines(
 
 @kernel
 def _misfit(seen: Array, parts: Array, amount: Array, errors: ChannelErrors) -> Any:
-    """Return the root mean square residual, in standard deviations."""
+    # Root mean square residual, in standard deviations.
     total, valid = 0.0, 0
     for k in range(seen.size):
         value = np.float64(seen[k])

@@ -94,15 +94,14 @@ class Sky:
 
 
 def solar_irradiance(wavelength: Floats) -> Floats:
-    """Return the sun's irradiance above the atmosphere, with its lines [W m-2 nm-1]."""
+    # Sun's irradiance above the atmosphere, with its lines [W m-2 nm-1].
     table, fine = sunlight_table(), _fine_structure()
     lines = np.interp(wavelength, fine.wavelength, fine.lines)
     return np.asarray(np.interp(wavelength, table.wavelength, table.extraterrestrial) * lines)
 
 
+# Spectral structure below 1 nm; every part has shape (wavelength,).
 class _FineStructure(NamedTuple):
-    """Spectral structure below 1 nm; every part has shape (wavelength,)."""
-
     wavelength: Floats  # steps of `GRID_STEP` where there are lines, those of the table elsewhere
     lines: Floats  # of the sun: a factor whose mean over 1 nm is 1
     mixed: Floats  # optical depth of oxygen for one air mass
@@ -114,13 +113,14 @@ _LINED = (300.0, 1100.0)  # nm
 
 @functools.cache
 def _fine_structure() -> _FineStructure:
-    """Return the absorption lines, scaled cell by cell to the table."""
     table = sunlight_table()
     per_cell = round(1.0 / GRID_STEP)
     first, last = _LINED
     # cells reach half a step of the table to both sides of its wavelengths
     nm: Floats = first - 0.5 + GRID_STEP * np.arange(round((last - first + 1.0) * per_cell), dtype=np.float64)
-    solar = np.exp(-_solar_lines(nm))
+    rng = np.random.default_rng([_NATURE, 2])  # weak lines of metals, dense in the blue
+    centres = 340.0 + rng.exponential(110.0, 2500)
+    solar = np.exp(-_sum_of_lines(nm, centres, rng.exponential(0.06, 2500), 0.12))
     for centre, width, depth in _FRAUNHOFER:
         solar *= 1.0 - depth * np.exp(-4 * np.log(2) * ((nm - centre) / width) ** 2)
     half = per_cell // 2
@@ -141,11 +141,9 @@ def _fine_structure() -> _FineStructure:
 
 
 def _scaled_to_cells(lines: Floats, depth: Floats) -> Floats:
-    """Return optical depths (cell, point) whose mean transmittance in every cell equals that of ``depth``.
-
-    ``lines`` (cell, point) says how the depth is spread; a tenth of its mean is a continuum, so that there is
-    an answer where a cell has no line. Transmittances are those at the air mass of the table. Bisection.
-    """
+    # Optical depths (cell, point) whose mean transmittance in every cell equals that of ``depth``.
+    # ``lines`` (cell, point) says how the depth is spread; a tenth of its mean is a continuum, so that there
+    # is an answer where a cell has no line. Transmittances are those at the air mass of the table. Bisection.
     shape = lines + 0.1 * lines.mean(axis=1, keepdims=True) + 1e-6
     target = np.exp(-TABLE_AIR_MASS * depth)
     low, high = np.zeros(depth.shape), np.full(depth.shape, 1e9)
@@ -157,7 +155,7 @@ def _scaled_to_cells(lines: Floats, depth: Floats) -> Floats:
 
 
 def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: float) -> Floats:
-    """Return the optical depth of narrow Gaussian absorption lines; each affects only its neighbourhood."""
+    # Gaussian absorption lines; each affects only its neighbourhood.
     total = np.zeros_like(wavelength)
     starts = np.searchsorted(wavelength, centres - 4 * width)
     stops = np.searchsorted(wavelength, centres + 4 * width)
@@ -168,12 +166,9 @@ def _sum_of_lines(wavelength: Floats, centres: Floats, depths: Floats, width: fl
 
 
 def _oxygen(wavelength: Floats) -> Floats:
-    """Return the optical depth of the oxygen bands at one air mass.
-
-    Lines stand at nu0 + (B' + B'') m + (B' - B'') m^2, with m = J + 1 in the R branch, which turns back into
-    the band head, and m = -J in the P branch; J odd; each a doublet 2 cm-1 apart. Strengths follow the
-    Boltzmann factor of the lower level at 270 K.
-    """
+    # Optical depth at one air mass. Lines stand at nu0 + (B' + B'') m + (B' - B'') m^2, with m = J + 1 in the
+    # R branch, which turns back into the band head, and m = -J in the P branch; J odd; each a doublet 2 cm-1
+    # apart. Strengths follow the Boltzmann factor of the lower level at 270 K.
     odd = np.arange(1, 42, 2)
     population = (2 * odd + 1) * np.exp(-_SECOND_RADIATION / 270.0 * _OXYGEN_GROUND * odd * (odd + 1))
     population /= population.max()
@@ -192,17 +187,8 @@ def _water(wavelength: Floats) -> Floats:
     total = np.zeros_like(wavelength)
     for centre, spread, number, depth in _WATER:
         centres = rng.normal(centre, spread, number)
-        depths = rng.exponential(depth, number)
-        total += _sum_of_lines(wavelength, centres, depths, _LINE_WIDTH)
+        total += _sum_of_lines(wavelength, centres, rng.exponential(depth, number), _LINE_WIDTH)
     return total
-
-
-def _solar_lines(wavelength: Floats) -> Floats:
-    """Return the optical depth of the weak solar lines of metals, dense in the blue."""
-    rng = np.random.default_rng([_NATURE, 2])
-    centres = 340.0 + rng.exponential(110.0, 2500)
-    depths = rng.exponential(0.06, 2500)
-    return _sum_of_lines(wavelength, centres, depths, 0.12)
 
 
 @dataclass(frozen=True)
@@ -236,6 +222,5 @@ class Light:
 
     def mean_factors(self, start: Floats, stop: Floats, points: int = 32) -> Floats:
         """Return `factors` averaged from ``start`` to ``stop`` [s], by the midpoint rule."""
-        steps = (np.arange(points) + 0.5) / points
-        times = start[:, None] + (stop - start)[:, None] * steps
+        times = start[:, None] + (stop - start)[:, None] * ((np.arange(points) + 0.5) / points)
         return np.asarray(self.factors(times.ravel()).reshape(2, len(start), points).mean(axis=2))

@@ -201,12 +201,14 @@ class Imager:
     def reach(self) -> float:
         """Distance from a band's nominal centre beyond which no column responds [nm]."""
         smile_reach = float(np.abs(self.wavelength_shift).max())
-        if self.shape == "gaussian":
-            return GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
-        return float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+        return (
+            GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
+            if self.shape == "gaussian"
+            else float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
+        )
 
     def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        """Return R_b without the element factors at wavelength shifts [nm], shape (grid, shift)."""
+        # R_b without the element factors at wavelength shifts [nm], shape (grid, shift).
         offset = grid[:, None] - (self.wavelength[band] + shift)
         shape = self.line_shape(band, offset, grid[1] - grid[0])
         return np.asarray(self.responsivity(grid)[:, None] * shape)
@@ -299,7 +301,6 @@ class Detector:
 
     @property
     def saturation_count(self) -> int:
-        """Count at which the converter is full."""
         return int(2**self.bit_depth - 1)
 
     def read(self, signal: Floats, rng: np.random.Generator | None) -> Floats:
@@ -449,11 +450,17 @@ class Camera:
             row = VARIABLES["stray_light"]
             values["stray_light"] = row.dims, self.optics.stray_matrix, dict(row.attrs)
         if self.optics is not None and self.optics.keystone.any():
-            text = {"long_name": "Displacement of a band's image to the right", "units": "column"}
-            values["keystone"] = (BAND,), self.optics.keystone, text
+            values["keystone"] = (
+                (BAND,),
+                self.optics.keystone,
+                {"long_name": "Displacement of a band's image to the right", "units": "column"},
+            )
         if self.pedestal:
-            text = {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"}
-            values["pedestal"] = (), np.asarray(self.pedestal), text
+            values["pedestal"] = (
+                (),
+                np.asarray(self.pedestal),
+                {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"},
+            )
         return values
 
     @cached_property

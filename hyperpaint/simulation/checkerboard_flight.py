@@ -63,11 +63,11 @@ class Checkerboard:
         return np.array([[sine, cosine], [cosine, -sine]])
 
     def corners(self, numbers: Floats) -> Floats:
-        """Return east and north (..., 2) [m] of corners by their numbers along both axes."""
+        # East and north (..., 2) [m] of corners by their numbers along both axes.
         return np.asarray(self.origin + self.square * (numbers @ self._axes))
 
     def numbers(self, east: Floats, north: Floats) -> Floats:
-        """Return places in squares along both axes, shape (2, ...)."""
+        # Places in squares along both axes, shape (2, ...).
         first, second = self._axes / self.square
         x, y = east - self.origin[0], north - self.origin[1]
         return np.stack([first[0] * x + first[1] * y, second[0] * x + second[1] * y])
@@ -91,13 +91,9 @@ class Checkerboard:
             here = middle.copy()
             for weight, way in zip(step_weights.tolist(), ways, strict=True):
                 here += weight * way
-            bright += _is_odd(*np.floor(here))
+            half = 0.5 * np.floor(here).sum(axis=0)
+            bright += half != np.floor(half)  # the square is odd
         return bright / len(weights)
-
-
-def _is_odd(first: Floats, second: Floats) -> NDArray[np.bool_]:
-    half = 0.5 * (first + second)
-    return np.asarray(half != np.floor(half))
 
 
 class CheckerboardFlight(Flight):
@@ -136,14 +132,13 @@ class CheckerboardFlight(Flight):
 
     @cached_property
     def corners(self) -> dict[str, Floats]:
-        """East and north of the corners on the ground in view, and a little around [m]."""
+        # East and north of the corners on the ground in view, and a little around [m].
         origin, rotation = self._cameras
         sides = self._tangents[[0, -1]]
         seen = np.stack(self._map(self._places(origin[:, 1], rotation[:, 1], sides))[:2]).reshape(2, -1)
         low, high = seen.min(axis=1) - _SPARE, seen.max(axis=1) + _SPARE
         box = np.array([[low[0], low[0], high[0], high[0]], [low[1], high[1], low[1], high[1]]])
-        numbers = self.board.numbers(*box)
-        ranges = (np.arange(np.floor(n.min()), np.ceil(n.max()) + 1) for n in numbers)
+        ranges = (np.arange(np.floor(n.min()), np.ceil(n.max()) + 1) for n in self.board.numbers(*box))
         u, v = np.meshgrid(*ranges, indexing="ij")
         corners = self.board.corners(np.stack([u.ravel(), v.ravel()], axis=-1))
         east, north = corners[((corners >= low) & (corners <= high)).all(axis=1)].T
@@ -171,29 +166,28 @@ class CheckerboardFlight(Flight):
         return Seen(block, seen)
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return the paint of pixels within a square, -1 of all others."""
+        # Paint of pixels within a square, -1 of all others.
         shares = lines.layers["bright_share"]
         return np.where((shares == 0.0) | (shares == 1.0), super().clean_paint(lines), np.int32(-1))
 
     @property
     def _tangents(self) -> Floats:
-        """Tangents of the columns' lines of sight, to the right."""
+        # Positive to the right.
         return np.tan(np.radians(self.look_angle))
 
     @cached_property
     def _cameras(self) -> tuple[Floats, Floats]:
-        """Place and rotation of the camera at begin, middle and end of every exposure."""
+        # Place and rotation at begin, middle and end of every exposure.
         half = self.settings.exposure_time / 2
         return self.trajectory.camera(self.line_times[:, None] / 1e9 + half * np.array([-1.0, 0.0, 1.0]))
 
     @cached_property
     def _to_map(self) -> Floats:
-        """Matrix from small steps east and north in the scene to those on the map, (2, 2)."""
+        # Small steps east and north in the scene, times this, are steps on the map.
         places = np.stack(self._map(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))[:2])
         return np.asarray(places[:, 1:] - places[:, :1])
 
     def _look(self, start: int, stop: int) -> dict[str, Floats]:
-        """Return the layers of the pixels of scan lines, by name."""
         origin, rotation = (part[start:stop] for part in self._cameras)
         across, aside = self._tangents, 0.5 * PIXEL_ANGLE
         begin, now, end = (self._places(origin[:, k], rotation[:, k], across) for k in range(3))
@@ -208,7 +202,7 @@ class CheckerboardFlight(Flight):
         return {"bright_share": share, "east": east, "north": north, "height": height}
 
     def _places(self, origin: Floats, rotation: Floats, across: Floats, along: float = 0.0) -> Floats:
-        """Return ground points of lines of sight, in the scene's axes (line, column, 3) [m]."""
+        # Ground points in the axes of the scene (line, column, 3) [m].
         rays = np.stack([np.full_like(across, along), across, np.ones_like(across)])
         rays = (rotation @ rays).swapaxes(1, 2)
         reach = -origin[:, None, 2] / rays[..., 2]
@@ -221,6 +215,6 @@ class CheckerboardFlight(Flight):
         return np.asarray(origin[:, None] + reach[..., None] * rays)
 
     def _map(self, places: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return east, north and height above the ellipsoid of places in the scene's axes (..., 3)."""
+        # East, north and height above the ellipsoid of places in the axes of the scene (..., 3).
         latitude, longitude, height = self.frame.geodetic(places)
         return *self.plane.project(latitude, longitude), height

@@ -11,9 +11,10 @@ import itertools
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Progress
@@ -24,7 +25,7 @@ from hyperpaint.base.schema import CHUNK_LINES
 from .atmosphere import spectral_grid
 from .camera import convolve_gaussian
 from .checkerboard_flight import CheckerboardFlight
-from .flight import PIXEL_ANGLE, Flight, Lines, SkySamples, sky_irradiance
+from .flight import PIXEL_ANGLE, Flight, Lines, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
     SVC_DETECTORS,
@@ -41,11 +42,9 @@ from .instruments import (
 from .painted_regions import REGIONS, PaintedRectangles
 from .plan_flight import PlanFlight
 from .settings import ORIGIN, SimulationSettings
+from .stores import TruthStore, line_dataset, store_sweep, write_calibration
 from .sweep import Sweep, SweepSettings
 from .trajectories import CONVENTION
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 SVC_FOLDER, ASD_FOLDER = "svc", "asd_reflectance"
 
@@ -216,10 +215,16 @@ def simulate_collect(
     flight = _flight_of(settings)
     root = _prepare(place, overwrite)
     _write_dark(flight, root / "dark")
-    _write_sky(flight.sky_samples(), settings, root / "asd")
+    samples = flight.sky_samples()
+    for index, (stamp, spectrum) in enumerate(zip(samples.stamp.tolist(), samples.irradiance, strict=True)):
+        write_asd(
+            root / "asd" / f"sky{index:05d}.asd",
+            spectrum,
+            stamp=stamp,
+            utc_offset=round(settings.utc_offset_h * 3600),
+            reference_stamp=int(samples.stamp[0]) - 600,  # taken ten minutes before the flight
+        )
     write_references(flight, root)
-    from .stores import store_sweep, write_calibration
-
     write_calibration(flight, root / "calibration.zarr")
     if lab is not None:
         (root / "lab").mkdir()
@@ -229,10 +234,11 @@ def simulate_collect(
     pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
     ground = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
     ground[:, 2] = 0.0
-    points = zip(*flight.frame.geodetic(ground), strict=True)
     rows = "".join(
         f"P{number},{latitude:.9f},{longitude:.9f},{height:.3f}\n"
-        for number, (latitude, longitude, height) in enumerate(points, start=1)
+        for number, latitude, longitude, height in zip(
+            itertools.count(1), *flight.frame.geodetic(ground), strict=False
+        )
     )
     (root / SURVEY).write_text(f"name,latitude,longitude,ellipsoidal_height_m\n{rows}", encoding="ascii")
     path = root / "collect.toml"
@@ -294,12 +300,15 @@ def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def _frame_stamps(middles: NDArray[np.int64], settings: SimulationSettings) -> NDArray[np.int64]:
     half = round(settings.exposure_time_ms * 1e6 / 2)
-    slow = round(settings.frame_clock_offset_s * 1e9)
-    return _instrument_stamps(middles + {"start": -half, "mid": 0, "end": half}[settings.stamp] - slow)
+    return _instrument_stamps(
+        middles
+        + {"start": -half, "mid": 0, "end": half}[settings.stamp]
+        - round(settings.frame_clock_offset_s * 1e9)
+    )
 
 
 def _comments(flight: Flight) -> dict[str, object]:
-    """Return the fields that Headwall writes below the ENVI part of a header."""
+    # Headwall writes these fields below the ENVI part of a header.
     settings = flight.settings
     return {
         "AOI width": settings.columns,
@@ -313,8 +322,10 @@ def _comments(flight: Flight) -> dict[str, object]:
 
 
 def _write_settings_file(folder: Path, settings: SimulationSettings) -> None:
-    values = {"Exposure (ms)": settings.exposure_time_ms, "Frame Period (ms)": settings.frame_period_ms}
-    write_settings(folder / "settings.txt", values)
+    write_settings(
+        folder / "settings.txt",
+        {"Exposure (ms)": settings.exposure_time_ms, "Frame Period (ms)": settings.frame_period_ms},
+    )
 
 
 def _write_dark(flight: Flight, folder: Path) -> None:
@@ -328,20 +339,9 @@ def _write_dark(flight: Flight, folder: Path) -> None:
     _write_settings_file(folder, settings)
 
 
-def _write_sky(samples: SkySamples, settings: SimulationSettings, folder: Path) -> None:
-    zone = round(settings.utc_offset_h * 3600)
-    # the reference was taken ten minutes before the flight
-    reference = int(samples.stamp[0]) - 600
-    for index, (stamp, spectrum) in enumerate(zip(samples.stamp.tolist(), samples.irradiance, strict=True)):
-        name = folder / f"sky{index:05d}.asd"
-        write_asd(name, spectrum, stamp=stamp, utc_offset=zone, reference_stamp=reference)
-
-
 def _write_flight(
     flight: Flight, root: Path, block_lines: int, progress: Progress | None, with_truth: bool
 ) -> None:
-    from .stores import TruthStore
-
     settings, folder = flight.settings, root / "flight"
     truth = TruthStore(flight, root / "truth.zarr") if with_truth else None
     painted = PaintedRectangles(flight)
@@ -386,7 +386,6 @@ def _write_flight(
 def _collect_text(flight: Flight, with_sweep: bool) -> str:
     settings = flight.settings
     recorded = np.flatnonzero(settings.recorded)
-    names = [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     flightlines = "".join(
         f"""
 [[flightlines]]
@@ -395,7 +394,7 @@ cube = "flight/raw_{name}.hdr"
 frame_index = "flight/frameIndex_{name}.txt"
 nav = "flight/imu_gps.txt"
 """
-        for name in names
+        for name in [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     )
     navigation = "\n".join(f'{key} = "{value}"' for key, value in CONVENTION.items())
     half_width = settings.columns / 2 * PIXEL_ANGLE
@@ -485,11 +484,8 @@ def simulate_line(
     >>> float(abs(line.radiance_gain * rate / line.true_radiance - 1).max()) < 1e-5
     True
     """
-    from .stores import line_dataset
-
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, **effects}
     )
     flight = _flight_of(settings)
-    block: Lines = flight.lines(0, settings.lines)
-    return line_dataset(flight, block, matched=matched)
+    return line_dataset(flight, flight.lines(0, settings.lines), matched=matched)

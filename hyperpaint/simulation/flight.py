@@ -69,9 +69,8 @@ PIXEL_ANGLE = 7.4e-6 / 12e-3
 _NOISE, _DARK_FRAMES, _SKY = 12, 16, 17
 
 
+# Description of a truth layer, shape (along_track, cross_track).
 class Layer(NamedTuple):
-    """Description of a truth layer, shape (along_track, cross_track)."""
-
     dtype: str
     attrs: Mapping[str, object]  # ``long_name``, ``units`` and the like
 
@@ -102,7 +101,6 @@ class Lines:
     layers: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
 
     def part(self, start: int, stop: int) -> Lines:
-        """Return the rows ``start`` to ``stop``, without a copy."""
         rows = slice(start, stop)
         return Lines(
             self.surface[rows],
@@ -114,9 +112,8 @@ class Lines:
         )
 
 
+# Scan lines, and a function from a row to pi INT L R of its elements (band, column).
 class Seen(NamedTuple):
-    """Scan lines, and a function from a row to pi INT L R of its elements (band, column)."""
-
     lines: Lines
     elements: Callable[[int], Floats]
 
@@ -186,11 +183,10 @@ class Flight(abc.ABC):
         self.response_area = incident[2]
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
-        """Return the reflectance of paints, shape (name, wavelength)."""
+        # Reflectance of paints, shape (name, wavelength).
         return reflectance(names, wavelength)
 
     def paint_properties(self, _paint: str) -> Mapping[str, str]:
-        """Return further properties of a paint: ``colour``, ``finish``."""
         return {}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
@@ -206,7 +202,7 @@ class Flight(abc.ABC):
 
     @cached_property
     def _paint_of_surface(self) -> NDArray[np.int32]:
-        """Place in ``paints`` of every surface class, -1 for surfaces that are not paint."""
+        # Place in ``paints``; -1 for surfaces that are not paint.
         paints = {name: number for number, name in enumerate(self.paints)}
         return np.array([paints.get(name, -1) for name in self.surfaces], np.int32)
 
@@ -215,29 +211,29 @@ class Flight(abc.ABC):
 
     @property
     def ground_sample(self) -> float:
-        """Side of a pixel on the ground [m]."""
+        # Side of a pixel on the ground [m].
         return self.settings.swath / self.settings.columns
 
     @property
     def look_angle(self) -> Floats:
-        """Angle of every column's line of sight, positive to the right, shape (column,) [degree]."""
+        # Angle of every column's line of sight, positive to the right, shape (column,) [degree].
         column = np.arange(self.settings.columns) - 0.5 * (self.settings.columns - 1)
         return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE)))
 
     @cached_property
     def start(self) -> int:
-        """UTC at mid exposure of the first line [ns since 1970]."""
+        # UTC at mid exposure of the first line [ns since 1970].
         return int(self.settings.start.astype(np.int64))
 
     @cached_property
     def line_times(self) -> NDArray[np.int64]:
-        """Mid exposure of every line, shape (along_track,) [ns after the first]."""
+        # Mid exposure of every line, shape (along_track,) [ns after the first].
         period = self.settings.frame_period_ms * 1e6
         return np.asarray(np.rint(np.arange(self.settings.lines) * period), dtype=np.int64)
 
     @property
     def radiance_gain(self) -> Floats:
-        """1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1]."""
+        # 1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1].
         return self.camera.radiance_gain(self.response_area)
 
     def matched_irradiance(self, factors: Floats) -> Floats:
@@ -268,10 +264,17 @@ class Flight(abc.ABC):
         """
         optics = self.camera.optics
         if optics is None:
-            return self._expose(self._view(start, stop, into), start)
+            seen = self._view(start, stop, into)
+
+            def expose(row: int) -> None:
+                seen.lines.counts[row] = self._count(self._note(seen, row, start + row), start + row)
+
+            # rows go in threads: numpy releases the interpreter, each line draws its own numbers
+            with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+                list(pool.map(expose, range(len(seen.lines.counts))))
+            return seen.lines
         first, last = max(start - optics.reach, 0), min(stop + optics.reach, self.settings.lines)
-        seen = self._view(first, last, into)
-        return self._expose_through(optics, seen, first, range(start, stop))
+        return self._expose_through(optics, self._view(first, last, into), first, range(start, stop))
 
     @abc.abstractmethod
     def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
@@ -284,7 +287,7 @@ class Flight(abc.ABC):
         return into.counts[:number], into.radiance[:number], into.reflectance[:number]
 
     def _note(self, seen: Seen, row: int, line: int) -> Floats:
-        """Fill one row's radiance and reflectance, and return pi INT L R of its elements (band, column)."""
+        # The result is pi INT L R of the elements (band, column).
         light = seen.elements(row)
         factors = self._factors(line, line + 1)[:, 0]
         incident = self._incident[0] * factors[0]
@@ -294,32 +297,17 @@ class Flight(abc.ABC):
         return light
 
     def _count(self, light: Floats, line: int) -> Floats:
-        """Return counts of pi INT L R (band, column), overwritten; the scan line's number seeds the noise."""
+        # ``light`` is pi INT L R (band, column), and is overwritten; the scan line's number seeds the noise.
         settings = self.settings
         light *= 1.0 / np.pi
         signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
         signal[self.bad] = 0.0
-        rng = self._rng(_NOISE, line) if settings.noise else None
-        counts = self.detector.read(signal, rng)
+        counts = self.detector.read(signal, self._rng(_NOISE, line) if settings.noise else None)
         if settings.pedestal:
             counts += settings.pedestal
         return counts
 
-    def _expose(self, seen: Seen, start: int) -> Lines:
-        """Record all rows of scan lines that begin at ``start``, and return them.
-
-        Rows go in threads: numpy lets go of the interpreter, each line draws its own numbers.
-        """
-
-        def expose(row: int) -> None:
-            seen.lines.counts[row] = self._count(self._note(seen, row, start + row), start + row)
-
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            list(pool.map(expose, range(len(seen.lines.counts))))
-        return seen.lines
-
     def _expose_through(self, optics: Optics, seen: Seen, first: int, lines: range) -> Lines:
-        """Record ``lines`` through the optics, of scan lines from ``first`` on, and return them."""
         factor = self.imager.element_factor
 
         def common(row: int) -> Floats:
@@ -339,7 +327,7 @@ class Flight(abc.ABC):
         return self.light.factors(self.line_times[start:stop] / 1e9)
 
     def dark_frames(self) -> NDArray[np.uint16]:
-        """Return the dark cube, shape (along_track, band, cross_track)."""
+        # Dark cube, shape (along_track, band, cross_track).
         dark = np.empty((self.settings.dark_frames, *self.detector.dark.shape), dtype=np.uint16)
         for frame in range(len(dark)):
             rng = self._rng(_DARK_FRAMES, frame) if self.settings.dark_noise else None
@@ -347,7 +335,6 @@ class Flight(abc.ABC):
         return dark
 
     def sky_samples(self) -> SkySamples:
-        """Return the irradiance record from before the first line to after the last."""
         settings = self.settings
         second, offset = 10**9, round(settings.clock_offset_s * 1e9)
         margin = round(settings.irradiance_margin_s * 1e9) + second
@@ -374,20 +361,19 @@ class Flight(abc.ABC):
 
     @cached_property
     def frame(self) -> LocalFrame:
-        """The scene's axes: x east, y north, z up of `ORIGIN`."""
+        # The scene's axes: x east, y north, z up of `ORIGIN`.
         return LocalFrame(*ORIGIN)
 
     @cached_property
     def plane(self) -> TransverseMercator:
-        """The map projection of places in the truth."""
+        # The map projection of places in the truth.
         return TransverseMercator.of(*ORIGIN[:2])
 
     @cached_property
     def trajectory(self) -> Trajectory:
-        """Trajectory of the platform; it does not move a plan scene."""
         speed = self.ground_sample / (self.settings.frame_period_ms / 1e3)
         return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE)
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
-        """Return position and attitude of the navigation system at times from the first line [s]."""
+        # Position and attitude of the navigation system at times from the first line [s].
         return self.trajectory.pose(seconds)

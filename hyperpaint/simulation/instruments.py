@@ -66,7 +66,6 @@ class BilWriter:
         return self
 
     def append(self, counts: NDArray[np.uint16]) -> None:
-        """Write whole lines, shape (along_track, band, cross_track)."""
         self._file.write(np.ascontiguousarray(counts, dtype="<u2").data)
         self._lines += len(counts)
 
@@ -155,13 +154,13 @@ def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime6
 
 
 def _lamp() -> Floats:
-    """Return the irradiance of a calibration lamp, smooth as a filament at 3100 K [W m-2 nm-1]."""
+    # Smooth as a filament at 3100 K [W m-2 nm-1].
     shape = ASD_WAVELENGTH**-5 / np.expm1(1.4388e7 / (ASD_WAVELENGTH * 3100.0))
     return np.asarray(0.3 * shape / shape.max())
 
 
 def _lamp_counts() -> Floats:
-    """Return the counts of the fore optic under that calibration lamp, with detector ripple [count]."""
+    # The fore optic under the calibration lamp, with detector ripple [count].
     detector = np.exp(-0.5 * ((ASD_WAVELENGTH - 700.0) / 190.0) ** 2)
     ripple = 1.0 + 0.03 * np.sin(ASD_WAVELENGTH / 17.0)
     return np.asarray(9000.0 * detector * ripple * _lamp() / 0.3 + 40.0)
@@ -212,10 +211,9 @@ def write_asd_reflectance(
     _write_asd(path, _REFLECTANCE, radiance * per_radiance, white * per_radiance, clock)
 
 
+# Chosen by the operator: data type, fore optic, highest ordinate, comment.
 @dataclass(frozen=True)
 class _AsdKind:
-    """Fields of an ASD file chosen by the operator: data type, fore optic, highest ordinate, comment."""
-
     number: int
     fore_optic: int
     highest: float
@@ -226,10 +224,9 @@ _IRRADIANCE = _AsdKind(4, 180, 65535.0, b"hyperpaint simulation, remote cosine r
 _REFLECTANCE = _AsdKind(1, 8, 1.25, b"hyperpaint simulation, white panel")
 
 
+# Times [s]: since 1970 in the computer's idea of UTC, and the computer's zone.
 @dataclass(frozen=True)
 class _AsdClock:
-    """Times of a file [s]: since 1970 in the computer's idea of UTC, and the computer's zone."""
-
     stamp: int
     utc_offset: int
     reference_stamp: int
@@ -287,7 +284,7 @@ _EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
 
 
 def _c_time(local: int) -> tuple[int, ...]:
-    """Return C's ``tm`` of a local time in seconds: sec min hour mday mon year wday yday isdst."""
+    # C's ``tm``: sec min hour mday mon year wday yday isdst.
     moment = np.datetime64(local, "s")
     day = moment.astype("datetime64[D]")
     year, month = day.astype("datetime64[Y]"), day.astype("datetime64[M]")
@@ -306,7 +303,7 @@ def _c_time(local: int) -> tuple[int, ...]:
 
 
 def _ole(local: int) -> float:
-    """Return days since 1899-12-30 of a local time in seconds since 1970."""
+    # Days since 1899-12-30.
     return float((np.datetime64(local, "s") - _OLE_EPOCH).astype(np.int64)) / 86400.0
 
 

@@ -128,8 +128,7 @@ def point_spread(fwhm: float) -> Floats:
     from scipy.special import ive
 
     variance = (_SIGMAS * fwhm) ** 2
-    reach = int(np.ceil(8.0 * _SIGMAS * fwhm + 8.0))
-    half = np.asarray(ive(np.arange(reach + 1), variance))
+    half = np.asarray(ive(np.arange(int(np.ceil(8.0 * _SIGMAS * fwhm + 8.0)) + 1), variance))
     half = half[: int(np.flatnonzero(half > _TAIL).max()) + 1]
     weights = np.concatenate([half[:0:-1], half])
     return np.asarray(weights / weights.sum())
@@ -163,9 +162,8 @@ def stray_light_wings(wavelength: Floats, share: float) -> Floats:
     return np.asarray(share * wing)
 
 
+# A point spread as a product: weights of lines (line,), and of columns in every band (band, column).
 class _Term(NamedTuple):
-    """A point spread as a product: weights of lines (line,), and of columns in every band (band, column)."""
-
     along: Floats
     across: Floats
 
@@ -198,8 +196,7 @@ class Optics:
     """
 
     def __init__(self, settings: OpticsSettings, wavelength: Floats) -> None:
-        bands = len(wavelength)
-        self.keystone = keystone(bands, settings.keystone_columns)
+        self.keystone = keystone(len(wavelength), settings.keystone_columns)
         self.stray_matrix = stray_light_wings(wavelength, settings.stray_light)
         self.has_stray_light = settings.stray_light > 0
         if settings.psf_kernel is None:
@@ -211,7 +208,7 @@ class Optics:
 
     @classmethod
     def of(cls, settings: OpticsSettings, wavelength: Floats) -> Optics | None:
-        """Return the optics of these settings, or None where all effects are off."""
+        # Optics of these settings, or None where all effects are off.
         blurs = settings.psf_across_columns or settings.psf_along_lines or settings.psf_kernel is not None
         is_on = blurs or settings.keystone_columns or settings.stray_light
         return cls(settings, wavelength) if is_on else None
@@ -236,7 +233,7 @@ class Optics:
         return total
 
     def displaced(self, profile: Floats) -> Floats:
-        """Return a profile along the slit (column,) as every band receives it, shape (band, column)."""
+        # A profile along the slit (column,) as every band receives it, shape (band, column).
         return _convolved(np.broadcast_to(profile, (len(self.keystone), len(profile))),
                           _displaced(np.ones(1), self.keystone))  # fmt: skip
 
@@ -253,14 +250,14 @@ class Optics:
 
 
 def _products(kernel: Floats) -> list[tuple[Floats, Floats]]:
-    """Return a kernel (line, column), of unit sum, as pairs of weights along and across that add up to it."""
+    # A kernel (line, column), of unit sum, is a sum of products of weights along and across.
     left, value, right = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
     rank = int(np.count_nonzero(value > _RANK * value[0]))
     return [(left[:, k] * value[k], right[k]) for k in range(rank)]
 
 
 def _displaced(across: Floats, shift: Floats) -> Floats:
-    """Return weights (column,) displaced by the shifts of the bands, shape (band, column), odd."""
+    # Weights (column,) displaced by the shifts of the bands, shape (band, column), odd.
     extra = int(np.ceil(np.abs(shift).max()))
     whole = np.floor(shift).astype(int)
     weights = np.zeros((len(shift), len(across) + 2 * extra))
@@ -273,7 +270,7 @@ def _displaced(across: Floats, shift: Floats) -> Floats:
 
 
 def _convolved(line: Floats, weights: Floats) -> Floats:
-    """Return a line (band, column) convolved along its columns with weights (band, column)."""
+    # ``line`` and ``weights`` have shape (band, column); the sum runs along the columns.
     reach, columns = weights.shape[1] // 2, line.shape[1]
     padded = np.pad(line, ((0, 0), (reach, reach)), mode="symmetric") if reach else line
     result = np.zeros(line.shape)

@@ -18,16 +18,13 @@ from hyperpaint.base.arrays import Floats
 
 
 class Feature(Protocol):
-    """A local feature of a spectrum."""
-
     def __call__(self, wavelength: Floats) -> Floats:
         """Return its height at ``wavelength`` [nm]."""
 
 
+# A logistic step of ``height`` at ``centre`` [nm]; ``width`` [nm] is positive where it rises.
 @dataclass(frozen=True)
 class Edge:
-    """A logistic step of ``height`` at ``centre`` [nm]; ``width`` [nm] is positive where it rises."""
-
     centre: float
     width: float
     height: float
@@ -36,10 +33,9 @@ class Edge:
         return np.asarray(self.height * 0.5 * (1.0 + np.tanh((wavelength - self.centre) / (2 * self.width))))
 
 
+# A Gaussian of ``height`` at ``centre`` [nm], ``width`` [nm] its standard deviation.
 @dataclass(frozen=True)
 class Bump:
-    """A Gaussian of ``height`` at ``centre`` [nm], ``width`` [nm] its standard deviation."""
-
     centre: float
     width: float
     height: float
@@ -48,10 +44,9 @@ class Bump:
         return np.asarray(self.height * np.exp(-0.5 * ((wavelength - self.centre) / self.width) ** 2))
 
 
+# A paint layer: K/S is ``absorption`` plus its absorbers (Kubelka-Munk with Saunderson's interface).
 @dataclass(frozen=True)
 class Paint:
-    """A paint layer: K/S is ``absorption`` plus its absorbers (Kubelka-Munk with Saunderson's interface)."""
-
     absorption: float
     absorbers: Sequence[Feature] = ()
     interface: float = 0.04
@@ -75,10 +70,9 @@ class Paint:
         return k1 + (1.0 - k1) * (1.0 - k2) * deep / (1.0 - k2 * deep)
 
 
+# A surface given by its reflectance at 550 nm, its slope per micrometre, and features.
 @dataclass(frozen=True)
 class Plain:
-    """A surface given by its reflectance at 550 nm, its slope per micrometre, and features."""
-
     level: float
     slope: float = 0.0
     features: Sequence[Feature] = ()

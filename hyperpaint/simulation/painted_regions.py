@@ -52,7 +52,7 @@ class PaintedRectangles:
         self.begin("")
 
     def begin(self, flightline: str) -> None:
-        """Begin a flight line; no rectangle reaches from one to the next."""
+        # Begin a flight line; no rectangle reaches from one to the next.
         columns = self._flight.settings.columns
         self._flightline, self._line = flightline, 0
         self._label = np.full(columns, -1, np.int32)
@@ -60,7 +60,7 @@ class PaintedRectangles:
         self._tall = np.zeros(columns, np.int64)
 
     def add(self, lines: Lines, recorded: NDArray[np.bool_]) -> None:
-        """Add further scan lines in order; only ``recorded`` ones (along_track,) count."""
+        # Add further scan lines in order; only ``recorded`` ones (along_track,) count.
         labels = self._flight.clean_paint(lines)
         ups = np.asarray(lines.layers.get("up", np.zeros(labels.shape)), np.float64)
         for label, up in zip(labels[recorded], ups[recorded], strict=True):
@@ -72,7 +72,7 @@ class PaintedRectangles:
             self._line += 1
 
     def _search(self) -> None:
-        """Keep the rectangles that end at this scan line and exceed the largest so far."""
+        # Rectangles that end at this scan line and exceed the largest so far.
         for begin, end in self._runs():
             paint = int(self._label[begin]) % len(self._flight.paints)
             for tall, first, last in _rectangles(self._tall[begin:end].tolist()):
@@ -83,7 +83,7 @@ class PaintedRectangles:
                     self._best[paint] = self._flightline, box
 
     def _runs(self) -> Iterator[tuple[int, int]]:
-        """Yield bounds of columns that may hold a rectangle: one label, level, and tall enough."""
+        # Columns that may hold a rectangle: one label, level, and tall enough.
         enough = self._tall >= _MIN_SIDE_PIXELS
         joined = enough[1:] & enough[:-1] & (np.diff(self._label) == 0)
         joined &= np.abs(np.diff(self._up)) <= self._step
@@ -93,7 +93,7 @@ class PaintedRectangles:
                 yield begin, end + 1
 
     def features(self) -> list[dict[str, Any]]:
-        """Return a GeoJSON Feature of every paint with a rectangle, in the order of the paints."""
+        # A GeoJSON Feature of every paint with a rectangle, in the order of the paints.
         return [self._feature(self._flight.paints[paint], *self._best[paint]) for paint in sorted(self._best)]
 
     def _feature(self, paint: str, flightline: str, box: _Box) -> dict[str, Any]:
@@ -120,8 +120,10 @@ class PaintedRectangles:
         """
         features = ",\n".join(json.dumps(feature) for feature in self.features())
         head = '"type": "FeatureCollection",\n"coordinates": "sensor",\n'
-        text = f'{{\n{head}"generator": {json.dumps(generator)},\n"features": [\n{features}\n]\n}}\n'
-        path.write_text(text, encoding="utf-8")
+        path.write_text(
+            f'{{\n{head}"generator": {json.dumps(generator)},\n"features": [\n{features}\n]\n}}\n',
+            encoding="utf-8",
+        )
 
 
 def _rectangles(heights: list[int]) -> Iterator[tuple[int, int, int]]:

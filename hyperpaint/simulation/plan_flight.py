@@ -55,14 +55,13 @@ class CarPark:
 
     @property
     def ground_sample(self) -> float:
-        """Side of a pixel on the ground [m]."""
+        # Side of a pixel on the ground [m].
         return SWATH_M / self.columns
 
     def surface(self, start: int, stop: int) -> NDArray[np.int16]:
-        """Return the class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track)."""
+        # Class of the pixels of lines ``start`` to ``stop``, shape (along_track, cross_track).
         along = (np.arange(start, stop) + 0.5) * self.ground_sample
-        across = (np.arange(self.columns) + 0.5) * self.ground_sample
-        y, x = np.meshgrid(along, across, indexing="ij")
+        y, x = np.meshgrid(along, (np.arange(self.columns) + 0.5) * self.ground_sample, indexing="ij")
         classes = np.full(y.shape, _CLASS["asphalt"], dtype=np.int16)
         classes[x < _KERB_END] = _CLASS["concrete"]
         classes[x < _GRASS_END] = _CLASS["grass"]
@@ -111,11 +110,10 @@ class CarPark:
         classes[near] = view
 
     def _paint_of(self, place: int) -> str:
-        """Return the paint of the car in a bay: twelve neighbouring bays have twelve paints."""
+        # Twelve neighbouring bays have twelve paints.
         paints = list(CAR_PAINTS)
         deck, card = divmod(place + 2 * len(paints), len(paints))
-        order = np.random.default_rng([self.seed, 2, deck]).permutation(len(paints))
-        return paints[int(order[card])]
+        return paints[int(np.random.default_rng([self.seed, 2, deck]).permutation(len(paints))[card])]
 
 
 def _inside(
@@ -134,8 +132,6 @@ _TEXTURED = np.array([not name.startswith("panel") for name in MATERIALS])
 
 
 class PlanFlight(Flight):
-    """A flight over the car park in plan view."""
-
     surfaces = tuple(MATERIALS)
     paints = tuple(CAR_PAINTS)
 
@@ -162,7 +158,7 @@ class PlanFlight(Flight):
         return Seen(block, seen)
 
     def _seen(self, line: int, surface: NDArray[np.int16], factors: Floats, mirrored: Floats) -> Floats:
-        """Return pi INT L R of every element of a scan line, shape (band, cross_track)."""
+        # pi INT L R of every element, shape (band, cross_track).
         direct, diffuse = factors
         columns = self.settings.columns
         index = surface.astype(np.intp) * columns + np.arange(columns)
@@ -172,17 +168,14 @@ class PlanFlight(Flight):
         term *= diffuse
         seen += term
         if self.settings.texture:
-            seen *= self._texture(line, surface)
+            normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
+            seen *= np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
         if mirrored.any():
             seen += mirrored * direct * self._incident[0]
         return np.asarray(seen)
 
-    def _texture(self, line: int, surface: NDArray[np.int16]) -> Floats:
-        normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
-        return np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
-
     def _mirrored(self, line: int, surface: NDArray[np.int16]) -> Floats:
-        """Return the reflectance factor of the clear coat's mirror image of the sun, zero for most pixels."""
+        # Reflectance factor of the clear coat's mirror image of the sun, zero for most pixels.
         rng = self._rng(_GLINT, line)
         chance, strength = rng.random(surface.shape), rng.uniform(2.0, 12.0, surface.shape)
         return np.where((chance < self.settings.glint) & _CAR[surface], strength, 0.0)

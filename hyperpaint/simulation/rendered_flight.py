@@ -69,13 +69,19 @@ class RenderedFlight(Flight):
         scene = self._car_park()
         record = SceneRecord.of(scene)
         overcast = settings.sky == "overcast"
-        numbers = {"samples": settings.samples, "seed": settings.seed}
-        trace = TraceSettings((settings.sun,), overcast=overcast, clear=not overcast, **numbers)
+        trace = TraceSettings(
+            (settings.sun,),
+            samples=settings.samples,
+            seed=settings.seed,
+            overcast=overcast,
+            clear=not overcast,
+        )
         self._scene: PreparedScene = prepare_scene(scene, trace)
         spectra = [material.spectrum for material in record.materials]
         self.surfaces = tuple(dict.fromkeys(spectra))
-        paint_names = {material.spectrum for material in record.materials if material.kind == "paint"}
-        self.paints = tuple(sorted(paint_names))
+        self.paints = tuple(
+            sorted({material.spectrum for material in record.materials if material.kind == "paint"})
+        )
         self.layers = _layers(self._scene.labels, self.plane)
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
@@ -100,33 +106,32 @@ class RenderedFlight(Flight):
         self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
-        """Return the reflectance of paints without mirror reflection and flakes, shape (name, wavelength)."""
+        # Reflectance of paints without mirror reflection and flakes, shape (name, wavelength).
         shares = [self._flakes(name) for name in names]
         return np.stack(
             [(1 - s) * spectrum_of(name)(wavelength) for s, name in zip(shares, names, strict=True)]
         )
 
     def paint_properties(self, paint: str) -> Mapping[str, str]:
-        """Return the colour of a paint, and its finish."""
         # no paint of a solid fleet has flakes, whatever the catalogue says
         finish = paint_spec(paint).finish if self._flakes(paint) else "solid"
         return {"colour": paint_spec(paint).colour, "finish": finish}
 
     def _flakes(self, paint: str) -> float:
-        """Return the share of the light in a paint that meets flakes in this scene."""
+        # Share of the light in a paint that meets flakes in this scene.
         flakes = paint_spec(paint).flakes
         has_some = flakes is not None and self.settings.fleet == "real" and self.settings.coat
         return flakes.share if flakes is not None and has_some else 0.0
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return which pixels show the paint of one car only, in full sun and without glint."""
+        # Which pixels show the paint of one car only, in full sun and without glint.
         paint, car = super().clean_paint(lines), np.asarray(lines.layers["car_id"], np.int32)
         clean = (paint >= 0) & (car >= 0)
         clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
         return np.where(clean, paint + len(self.paints) * car, -1).astype(np.int32)
 
     def _car_park(self) -> Scene:
-        """Return a car park that begins before the first line's view and ends behind the last one's."""
+        # It begins before the first line's view and ends behind the last one's.
         settings = self.settings
         # how far ahead the camera may look, and length of park before its view [m]
         path = self.trajectory
@@ -159,7 +164,7 @@ class RenderedFlight(Flight):
 
     @cached_property
     def platform(self) -> Platform:
-        """Camera poses at begin and end of every exposure."""
+        # Camera poses at begin and end of every exposure.
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
         edges = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64) * PIXEL_ANGLE
@@ -180,16 +185,18 @@ class RenderedFlight(Flight):
         # on its way to counts, INT L R stands where the radiance will be
         direct, diffuse = factors[:, :, None, None]
         weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
-        texture = None
-        if self._populations is not None:
-            place = np.moveaxis(block.position, 1, 0)
-            texture = self._populations.texture(block.material, block.instance, place, self.settings.seed)
+        place = np.moveaxis(block.position, 1, 0)
+        texture = (
+            None
+            if self._populations is None
+            else self._populations.texture(block.material, block.instance, place, self.settings.seed)
+        )
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
         return Seen(record, lambda row: record.radiance[row] * per_element)
 
     def _trace(self, start: int, stop: int) -> Block:
-        """Return the paths of scan lines, traced by threads: the kernel releases the interpreter."""
+        # Threads: the kernel releases the interpreter.
         platform = self.platform
 
         def trace(begin: int) -> Block:
@@ -213,7 +220,7 @@ class RenderedFlight(Flight):
         }
 
     def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
-        """Return which pixels have `GLINT` or more of the sun's mirror image, shape (line, column)."""
+        # Pixels with `GLINT` or more of the sun's mirror image, shape (line, column).
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
         weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
         level = self._incident.mean(axis=(1, 2)) @ factors

@@ -13,12 +13,10 @@ from hyperpaint.base.facts import Fact, as_argument, one_of
 
 
 def check_choice(problems: Problems, name: str, value: object, allowed: Collection[str]) -> None:
-    """Note a value that is not one of the allowed words."""
     one_of(value, allowed, name, problems=problems)
 
 
 def check_whole(problems: Problems, name: str, value: Any, low: int, high: int | None = None) -> None:
-    """Note a value that is not a whole number from ``low`` to ``high``."""
     Fact(doc=name, kind="whole", least=low, most=high).note(problems, as_argument(name, value), value)
 
 

@@ -17,39 +17,39 @@ from .optics import OpticsSettings
 from .setting_checks import moment_of
 from .sun_clock import USUAL_START, when_sun_stands
 
+#: Instants of an exposure that a time stamp can mark.
 STAMPS = ("start", "mid", "end")
-"""Instants of an exposure that a time stamp can mark."""
 
+#: Scenes: a flat picture of a car park, a car park of triangles whose light is traced, or level squares of
+#: known corners.
 SCENES = ("plan", "rendered", "checkerboard")
-"""Scenes: a flat picture of a car park, a car park of triangles whose light is traced, or level squares of
-known corners."""
 
+#: Line shapes of the imager.
 SHAPES = ("gaussian", "slit")
-"""Line shapes of the imager."""
 
+#: Motions of a platform about its course.
 WOBBLES = ("none", "slow", "calm", "rough")
-"""Motions of a platform about its course."""
 
+#: Width of a scene across the track, unless it is a checkerboard.
 SWATH_M = 16.0
-"""Width of a scene across the track, unless it is a checkerboard."""
 
+#: Maximum number of paths that are traced for a pixel.
 MOST_SAMPLES = 1 << 14
-"""Maximum number of paths that are traced for a pixel."""
 
+#: Largest seed of a random generator.
 MAX_SEED = 2**63 - 1
-"""Largest seed of a random generator."""
 
+#: Paints of the cars: fourteen solid paints, or the paints of a real fleet (`rendering.fleet`).
 FLEETS = ("solid", "real")
-"""Paints of the cars: fourteen solid paints, or the paints of a real fleet (`rendering.fleet`)."""
 
+#: Kinds of light.
 SKIES = ("clear", "near_sunset", "overcast")
-"""Kinds of light."""
 
+#: Zenith angle and azimuth of the sun near sunset [degree].
 NEAR_SUNSET = (80.0, 292.0)
-"""Zenith angle and azimuth of the sun near sunset [degree]."""
 
+#: Latitude and longitude [degree] of the ground under the first line, and its height [m].
 ORIGIN = (43.0845, -77.6749, 160.0)
-"""Latitude and longitude [degree] of the ground under the first line, and its height [m]."""
 
 _ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]{1,9})?)?)?")
 
@@ -424,29 +424,42 @@ class SimulationSettings(OpticsSettings):
         return np.linspace(0, self.lines, self.cubes + 1).astype(np.int64)
 
     def _note_contradictions(self, problems: Problems, spelled: Spelling) -> None:
-        """Note values that contradict each other, once each of them is in its range."""
-
+        # Each value is in its range here.
         def add(name: str, found: str, expected: str, mend: str, code: str = "value-out-of-range") -> None:
-            found = f"{spelled(name, getattr(self, name))}{found}"
-            problems.add(found, expected=expected, mend=mend, code=code)
+            problems.add(f"{other(name)}{found}", expected=expected, mend=mend, code=code)
 
         def other(name: str) -> str:
             return spelled(name, getattr(self, name))
 
         if self.exposure_time_ms > self.frame_period_ms:
-            mend = "shorten the exposure, or lengthen the period"
-            add("exposure_time_ms", f" exceeds {other('frame_period_ms')}", "", mend, "exposure-too-long")
+            add(
+                "exposure_time_ms",
+                f" exceeds {other('frame_period_ms')}",
+                "",
+                "shorten the exposure, or lengthen the period",
+                "exposure-too-long",
+            )
         minutes = (self.lines * self.frame_period_ms / 1000.0 + 2 * self.irradiance_margin_s) / 60.0
         if abs(self.drift_per_minute) * minutes > 0.9:
-            found = f" leaves no light after {minutes:.1f} minutes"
-            add("drift_per_minute", found, "", "lower the drift, or take fewer lines", "light-missing")
+            add(
+                "drift_per_minute",
+                f" leaves no light after {minutes:.1f} minutes",
+                "",
+                "lower the drift, or take fewer lines",
+                "light-missing",
+            )
         if 10**9 % self.navigation_rate:
             add("navigation_rate", "", "a divisor of 1e9", "take 100")
         if self.scene != "checkerboard":
             for name, value in (("swath", SWATH_M), ("course", 0.0)):
                 if getattr(self, name) != value:
-                    expected = f"{value:g} for all scenes but a checkerboard"
-                    add(name, "", expected, "choose the scene checkerboard", "option-conflict")
+                    add(
+                        name,
+                        "",
+                        f"{value:g} for all scenes but a checkerboard",
+                        "choose the scene checkerboard",
+                        "option-conflict",
+                    )
         if self.first_wavelength >= self.last_wavelength:
             add("first_wavelength", "", f"less than {other('last_wavelength')}", "swap them", "band-order")
         if self.lines < 2 * self.cubes:
@@ -455,19 +468,25 @@ class SimulationSettings(OpticsSettings):
         if self.bad_elements > elements:
             add("bad_elements", "", f"at most the {elements} elements of the camera", "take fewer")
         if 2 * self.masked_columns >= self.columns:
-            expected = f"fewer than the {self.columns} columns of the camera"
-            add("masked_columns", " at both edges", expected, "mask fewer columns")
+            add(
+                "masked_columns",
+                " at both edges",
+                f"fewer than the {self.columns} columns of the camera",
+                "mask fewer columns",
+            )
         dark = self.dark_level + self.dark_rate * self.exposure_time + self.pedestal
         if dark >= 2**self.bit_depth - 1:
-            found = f" with {other('dark_rate')} and {other('pedestal')}"
-            expected = f"less than the {2**self.bit_depth - 1} counts of {self.bit_depth} bits"
-            add("dark_level", found, expected, "lower the dark, or take more bits", "dark-saturated")
+            add(
+                "dark_level",
+                f" with {other('dark_rate')} and {other('pedestal')}",
+                f"less than the {2**self.bit_depth - 1} counts of {self.bit_depth} bits",
+                "lower the dark, or take more bits",
+                "dark-saturated",
+            )
         if self.psf_kernel is not None and (self.psf_across_columns or self.psf_along_lines):
-            found = " and a Gaussian point spread"
-            add("psf_kernel", found, "one of them", "keep one", "option-conflict")
+            add("psf_kernel", " and a Gaussian point spread", "one of them", "keep one", "option-conflict")
         if self.cloud is not None and not (0 <= self.cloud[0] <= 1 and self.cloud[1] > 0):
-            expected = "a fraction from 0 to 1 and a duration above 0 s"
-            add("cloud", "", expected, "correct them")
+            add("cloud", "", "a fraction from 0 to 1 and a duration above 0 s", "correct them")
         dropped = self.dropped
         if isinstance(dropped, int):
             most = self.lines - 2 * self.cubes

@@ -67,11 +67,10 @@ def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr
 
 
 def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
-    bands = flight.settings.bands
     return {
         "wavelength": _variable("wavelength", flight.wavelength),
         "fwhm": _variable("fwhm", flight.imager.band_fwhm),
-        "good": _variable("good", np.ones(bands)),
+        "good": _variable("good", np.ones(flight.settings.bands)),
         "wavelength_shift": _variable("wavelength_shift", flight.imager.wavelength_shift, (CROSS_TRACK,)),
     }
 
@@ -109,7 +108,7 @@ def write_calibration(flight: Flight, path: Path) -> None:
 
 
 def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
-    """Write small arrays as a new store; hyperpaint does not read zarr's default codec, zstd."""
+    # hyperpaint does not read zarr's default codec, zstd.
     codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
     forms = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
     store = zarr.storage.LocalStore(path)  # a path such as dask::x is to xarray the URL of a cluster
@@ -117,7 +116,7 @@ def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) ->
 
 
 def _consolidate(path: Path) -> None:
-    """Consolidate the metadata at the root, where plain `xarray.open_zarr` looks first."""
+    # Plain `xarray.open_zarr` looks for metadata at the root first.
     with warnings.catch_warnings():
         # zarr warns that consolidated metadata is not yet in the specification of version 3
         warnings.simplefilter("ignore")
@@ -133,42 +132,36 @@ def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> d
     return {name: _variable(name, each) for name, each in values.items()}
 
 
-def _corners(flight: Flight) -> dict[str, xr.Variable]:
-    """Return the corners of a checkerboard; empty for other flights."""
-    if not isinstance(flight, CheckerboardFlight):
-        return {}
-    return {
-        f"corner_{name}": xr.Variable(
-            "corner", values, {"long_name": f"{name.capitalize()} of a corner of four squares", "units": "m"}
-        )
-        for name, values in flight.corners.items()
-    }
-
-
+# ``truth.zarr`` of a flight, filled line block by line block; replaced where it exists.
 class TruthStore:
-    """``truth.zarr`` of a flight, filled line block by line block; replaced where it exists."""
-
     def __init__(self, flight: Flight, path: Path) -> None:
         settings = flight.settings
         self._full = flight.detector.saturation_count
-        coords = {
-            **_band_coords(flight),
-            **_line_coords(flight),
-        }
-        attrs = {
-            "hyperpaint_format": FORMAT_VERSION,
-            "name": "truth of a simulated collect",
-            "srf_shape": settings.srf_shape,
-            "irradiance_srf_shape": "gaussian",
-            "crs": flight.plane.crs,
-            "ground": flight.frame.height,
-            "boresight": list(flight.trajectory.boresight),
-            "lever_arm": list(flight.trajectory.lever_arm),
-            "frame_clock_offset_s": float(settings.frame_clock_offset_s),
-        }
-        head = xr.Dataset(_corners(flight), coords, attrs)
-        time = {"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
-        _write_small(head, path, time=time)
+        head = xr.Dataset(
+            {
+                f"corner_{name}": xr.Variable(
+                    "corner",
+                    values,
+                    {"long_name": f"{name.capitalize()} of a corner of four squares", "units": "m"},
+                )
+                for name, values in (flight.corners.items() if isinstance(flight, CheckerboardFlight) else ())
+            },
+            {**_band_coords(flight), **_line_coords(flight)},
+            {
+                "hyperpaint_format": FORMAT_VERSION,
+                "name": "truth of a simulated collect",
+                "srf_shape": settings.srf_shape,
+                "irradiance_srf_shape": "gaussian",
+                "crs": flight.plane.crs,
+                "ground": flight.frame.height,
+                "boresight": list(flight.trajectory.boresight),
+                "lever_arm": list(flight.trajectory.lever_arm),
+                "frame_clock_offset_s": float(settings.frame_clock_offset_s),
+            },
+        )
+        _write_small(
+            head, path, time={"dtype": "int64", "units": TIME_UNITS, "calendar": "proleptic_gregorian"}
+        )
         group = zarr.open_group(path, mode="r+")
         layers: dict[str, tuple[tuple[str, ...], str, dict[str, Any]]] = {
             "reflectance": (CUBE, "float32", VARIABLES["reflectance"].attrs),
@@ -188,12 +181,13 @@ class TruthStore:
         _consolidate(path)
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
-        """Write the lines from ``start`` on."""
         here = slice(start, start + len(recorded))
-        saturated = _saturated(lines, self._full)
-        layers = {"glint": lines.glint, "saturated": saturated, "no_data": ~recorded, **lines.layers}
-        for name in ("reflectance", "radiance", "surface"):
-            self._arrays[name][here] = getattr(lines, name)
+        layers = {
+            **{name: getattr(lines, name) for name in ("reflectance", "radiance", "surface", "glint")},
+            "saturated": _saturated(lines, self._full),
+            "no_data": ~recorded,
+            **lines.layers,
+        }
         for name, values in layers.items():
             self._arrays[name][here] = values
 
@@ -212,7 +206,7 @@ def _create_array(
     attrs: dict[str, Any],
     chunk_length: int = CHUNK_LINES,
 ) -> Any:
-    """Create an array to be filled block by block, in chunks of ``chunk_length`` along its first dim."""
+    # Filled block by block, in chunks of ``chunk_length`` along its first dim.
     kind = np.dtype(dtype)
     return group.create_array(
         name,
@@ -228,7 +222,6 @@ def _create_array(
 
 
 def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
-    """Return all lines of a flight as a flight line Dataset with its truth."""
     settings, detector = flight.settings, flight.detector
     recorded = settings.recorded
     counts = detector.convert(block.counts) if settings.quantise else block.counts
@@ -279,7 +272,7 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
 
 
 def _scalar_or_step(values: Any) -> Any:
-    """Return one number if all steps have the same value."""
+    # One number if all steps have the same value.
     return values[0] if np.all(values == values[0]) else values
 
 
@@ -288,7 +281,6 @@ def _is_one_dark(sweep: Sweep) -> bool:
 
 
 def _without_cubes(sweep: Sweep) -> xr.Dataset:
-    """Return a sweep without its counts."""
     settings, camera = sweep.settings, sweep.camera
     values: dict[str, Any] = {
         "flux": sweep.recorded_flux,
@@ -317,10 +309,9 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     """Return the expected results of a sweep's calibration; names begin with `TRUTH`."""
     camera = sweep.camera
     imager = camera.imager
-    responsivity = np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None])
     values: dict[str, Any] = {
         "radiance_gain": camera.radiance_gain(),
-        "responsivity": responsivity,
+        "responsivity": np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None]),
         "wavelength": imager.wavelength,
         "wavelength_shift": imager.wavelength_shift,
         "fwhm": imager.band_fwhm,
@@ -336,8 +327,11 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     variables["bad"] = xr.Variable(
         (BAND, CROSS_TRACK), camera.bad, {"long_name": "True at elements that see no light"}
     )
-    flux_attrs = {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"}
-    variables["flux"] = xr.Variable((STEP, CROSS_TRACK), sweep.power[:, None] * sweep.beam, flux_attrs)
+    variables["flux"] = xr.Variable(
+        (STEP, CROSS_TRACK),
+        sweep.power[:, None] * sweep.beam,
+        {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"},
+    )
     variables |= {name: xr.Variable(*each) for name, each in camera.imperfections.items()}
     return xr.Dataset(
         {f"{TRUTH}{name}": variable for name, variable in variables.items()},
@@ -452,7 +446,6 @@ def write_sweep(
 
 
 def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progress | None = None) -> None:
-    """Write a sweep to a new store, and its truth beside it."""
     if truth:
         _write_small(sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION), _truth_beside(path))
         _consolidate(_truth_beside(path))
@@ -493,7 +486,6 @@ def _clear(target: Path, overwrite: bool) -> None:
 
 
 def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the cubes of a sweep, by name."""
     settings, camera = sweep.settings, sweep.settings.camera
     shape = (settings.steps, camera.bands, camera.columns)
     dark = shape[1:] if _is_one_dark(sweep) else shape

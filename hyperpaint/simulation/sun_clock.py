@@ -12,15 +12,14 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import SchemaError
 
+#: Default start of a flight.
 USUAL_START = np.datetime64("2021-07-20T17:10:00", "ns")
-"""Default start of a flight."""
 
+#: Largest angle between the sun of the default start and the sun of the scene that keeps that start [degree].
 MAX_APART_DEG = 3.0
-"""Largest angle between the sun of the default start and the sun of the scene that keeps that start
-[degree]."""
 
+#: Largest angle between the sun of another time and the sun of the scene for a match [degree].
 MAX_OFF_DEG = 1.0
-"""Largest angle between the sun of another time and the sun of the scene for a match [degree]."""
 
 
 def sun_at(moment: Array, latitude: float, longitude: float) -> tuple[Floats, Floats]:
@@ -99,7 +98,6 @@ def when_sun_stands(zenith: float, azimuth: float, latitude: float, longitude: f
 
 
 def _apart(zenith: Floats, azimuth: Floats, other_zenith: float, other_azimuth: float) -> Floats:
-    """Return the angles between directions and another direction [degree]."""
     one, other = np.radians(zenith), np.radians(other_zenith)
     turn = np.cos(np.radians(azimuth - other_azimuth))
     cosine = np.cos(one) * np.cos(other) + np.sin(one) * np.sin(other) * turn

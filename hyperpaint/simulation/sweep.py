@@ -227,9 +227,8 @@ _GRID_STEP = {"gaussian": 0.05, "triangle": 0.02}  # nm, coarsest allowed; corne
 _SHIFT_STEP = 0.1  # nm, coarsest allowed
 
 
+# Frames of one step, reduced, shape (band, cross_track).
 class Frames(NamedTuple):
-    """Frames of one step, reduced, shape (band, cross_track)."""
-
     mean: Floats32  # [count]
     variance: Floats32  # of one frame over the frames [count2]
 
@@ -246,8 +245,6 @@ def is_simulated_sweep(store: Path, truth: str) -> bool:
 
 
 class Sweep:
-    """A simulated sweep, computed step by step."""
-
     def __init__(self, settings: SweepSettings) -> None:
         self.settings = settings
         self.camera = Camera.of(settings.camera)
@@ -260,14 +257,14 @@ class Sweep:
 
     @cached_property
     def wavelength(self) -> Floats:
-        """True centre wavelength of every step, shape (step,) [nm]."""
+        # True centre wavelength of every step, shape (step,) [nm].
         settings = self.settings
         jitter = settings.monochromator_jitter_nm * self._rng(_DIAL).standard_normal(settings.steps)
         return np.asarray(settings.dial + settings.monochromator_offset_nm + jitter)
 
     @cached_property
     def beam(self) -> Floats:
-        """Power of the beam in a column relative to the brightest, shape (step, cross_track)."""
+        # Power of the beam in a column relative to the brightest, shape (step, cross_track).
         settings, columns = self.settings, self.settings.camera.columns
         if settings.beam_fwhm_columns is None:
             return np.ones((settings.steps, columns))
@@ -278,22 +275,24 @@ class Sweep:
 
     @cached_property
     def power(self) -> Floats:
-        """Power of the beam at every step, shape (step,) [W]: a halogen lamp behind a blazed grating."""
+        # Power of the beam at every step, shape (step,) [W]: a halogen lamp behind a blazed grating.
         lamp = 0.25 + 0.75 * np.exp(-0.5 * ((self.wavelength - 660.0) / 170.0) ** 2)
         return self.settings.beam_power_w * lamp
 
     @cached_property
     def recorded_flux(self) -> Floats:
-        """Reading of the power meter, shape (step,) or (step, cross_track) [W]."""
+        # Reading of the power meter, shape (step,) or (step, cross_track) [W].
         settings = self.settings
         error = settings.flux_noise * self._rng(_POWER_METER).standard_normal(settings.steps)
         reading = self.power * (1.0 + settings.flux_bias) * (1.0 + error)
-        if settings.beam_fwhm_columns is None or not settings.beam_recorded:
-            return np.asarray(reading)
-        return np.asarray(reading[:, None] * self.beam)
+        return (
+            np.asarray(reading)
+            if settings.beam_fwhm_columns is None or not settings.beam_recorded
+            else np.asarray(reading[:, None] * self.beam)
+        )
 
     def line_integrals(self, step: int) -> Floats:
-        """Return INT m_k R_b,x d lambda without the elements' own factors, shape (band, cross_track)."""
+        # INT m_k R_b,x d lambda without the elements' own factors, shape (band, cross_track).
         integrals = self._order(step, 1)
         if self.settings.second_order:
             integrals += self.settings.second_order * self._order(step, 2)
@@ -302,7 +301,7 @@ class Sweep:
         return integrals
 
     def _order(self, step: int, order: int) -> Floats:
-        """Return the integrals for one order of the grating: light falls at ``order`` x its wavelength."""
+        # Light falls at ``order`` x its wavelength.
         imager, centre = self.camera.imager, self.wavelength[step]
         fwhm = float(self.settings.monochromator_fwhm[step])
         offset, weights = _line_quadrature(
@@ -320,7 +319,7 @@ class Sweep:
         return integrals
 
     def signal(self, step: int) -> Floats:
-        """Return the noise-free counts above dark, shape (band, cross_track) [count]."""
+        # Noise-free counts above dark, shape (band, cross_track) [count].
         settings, imager = self.settings, self.camera.imager
         energy = settings.exposure_time[step] * settings.capture_fraction * self.power[step] * self.beam[step]
         # the beam is what enters the slit, which the fore optics have blurred already; behind it, a band's
@@ -330,30 +329,26 @@ class Sweep:
         signal = energy * self.line_integrals(step) * imager.element_factor
         signal[self.camera.bad] = 0.0
         if settings.nonlinearity:
-            full = self.camera.detector(0.0).saturation_count
-            signal -= settings.nonlinearity * signal**2 / full
+            signal -= settings.nonlinearity * signal**2 / self.camera.detector(0.0).saturation_count
         return np.asarray(signal)
 
     def frames(self, step: int) -> Frames:
-        """Return the frames of a step."""
         settings = self.settings
         dark = self.camera.detector(float(settings.exposure_time[step])).dark + self.camera.pedestal
         rng = self._rng(_LINE_NOISE, step) if settings.camera.noise else None
         return self._average(self.signal(step), dark, settings.frames, rng)
 
     def dark(self, step: int) -> Frames:
-        """Return the dark frames of a step, or, with one dark for all, that of step 0."""
+        # Dark frames of a step, or, with one dark for all, that of step 0.
         settings = self.settings.camera
         level = self.camera.detector(float(self.settings.dark_exposure_time[step])).dark
         rng = self._rng(_DARK_NOISE, step) if settings.noise and settings.dark_noise else None
         return self._average(np.zeros_like(level), level, settings.dark_frames, rng)
 
     def _average(self, signal: Floats, dark: Floats, frames: int, rng: np.random.Generator | None) -> Frames:
-        """Return mean and variance of ``frames`` frames, drawn from their distributions.
-
-        Whole counts average to multiples of 1 / frames. Rounding adds 1/12 to the variance of a frame, which
-        holds for a noise above some 0.4 counts.
-        """
+        # Mean and variance of ``frames`` frames, drawn from their distributions. Whole counts average to
+        # multiples of 1 / frames. Rounding adds 1/12 to the variance of a frame, which holds for a noise
+        # above some 0.4 counts.
         camera, settings = self.camera, self.settings.camera
         mean = signal + dark
         spread = np.zeros_like(mean)
@@ -377,28 +372,25 @@ class Sweep:
 
 
 def _line_quadrature(fwhm: float, shape: str, other_width: float) -> tuple[Floats, Floats]:
-    """Return distances from the centre of a line [nm] and weights whose sum over them is one.
-
-    The grid is even, symmetric about the centre and, for a triangle, has the corners on its points: the sum
-    is then as good as an integral, to 2e-5 of the peak.
-    """
+    # Distances from the centre [nm], and weights whose sum over them is one. The grid is even, symmetric
+    # about the centre and, for a triangle, has the corners on its points: the sum is then as good as an
+    # integral, to 2e-5 of the peak.
     parts = int(np.ceil(fwhm / min(_GRID_STEP[shape], fwhm / 40.0, other_width / 40.0)))
     step = fwhm / parts
     reach = parts if shape == "triangle" else int(np.ceil(GAUSSIAN_REACH * parts))
     offset = np.asarray(np.arange(-reach, reach + 1) * step, dtype=np.float64)
-    if shape == "triangle":
-        height = np.asarray(1.0 - np.abs(offset) / fwhm)
-    else:
-        height = np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2)
+    height = (
+        np.asarray(1.0 - np.abs(offset) / fwhm)
+        if shape == "triangle"
+        else np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2)
+    )
     return offset, np.asarray(height / height.sum())
 
 
 def _shift_table(shifts: Floats, step: float) -> tuple[Floats, Floats]:
-    """Return wavelength shifts to compute at, and the matrix (cross_track, table) from there to the columns.
-
-    The few shifts of a narrow camera are taken as they are; many lie close together, and four neighbours on
-    an even table then give a column's value by Lagrange's cubic.
-    """
+    # Shifts to compute at, and the matrix (cross_track, table) from there to the columns. The few shifts of a
+    # narrow camera are taken as they are; many lie close together, and four neighbours on an even table then
+    # give a column's value by Lagrange's cubic.
     distinct, column = np.unique(shifts, return_inverse=True)
     parts = int(np.ceil((distinct[-1] - distinct[0]) / step))
     if len(distinct) <= parts + 3:

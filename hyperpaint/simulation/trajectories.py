@@ -61,11 +61,10 @@ def geodetic(place: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def north_east_down(latitude: ArrayLike, longitude: ArrayLike) -> Floats:
-    """Return rotations from north, east, down at a place [degree] to the earth-centred frame (..., 3, 3)."""
+    # Rotations from north, east, down at a place [degree] to the earth-centred frame (..., 3, 3).
     lat, lon = np.broadcast_arrays(np.radians(latitude), np.radians(longitude))
     (cl, co), (sl, so) = ([f(angle) for angle in (lat, lon)] for f in (np.cos, np.sin))
-    none = np.zeros_like(cl)
-    rows = [[-sl * co, -so, -cl * co], [-sl * so, co, -cl * so], [cl, none, -sl]]
+    rows = [[-sl * co, -so, -cl * co], [-sl * so, co, -cl * so], [cl, np.zeros_like(cl), -sl]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
@@ -100,16 +99,16 @@ class LocalFrame:
 
     @cached_property
     def axes(self) -> Floats:
-        """Rotation from this frame to the earth-centred one, (3, 3)."""
+        # Rotation from this frame to the earth-centred one, (3, 3).
         north, east, down = north_east_down(self.latitude, self.longitude).T
         return np.stack([east, north, -down], axis=-1)
 
     def local(self, latitude: ArrayLike, longitude: ArrayLike, height: ArrayLike) -> Floats:
-        """Return x, y, z (..., 3) of places."""
+        # x, y, z (..., 3) of places.
         return np.asarray((geocentric(latitude, longitude, height) - self._origin) @ self.axes)
 
     def geodetic(self, place: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return latitude, longitude [degree] and height [m] of x, y, z (..., 3)."""
+        # Latitude, longitude [degree] and height [m] of x, y, z (..., 3).
         return geodetic(self._origin + place @ self.axes.T)
 
 
@@ -138,18 +137,18 @@ class TransverseMercator:
 
     @classmethod
     def of(cls, latitude: float, longitude: float) -> TransverseMercator:
-        """Return the map of a place [degree], north of the equator."""
+        # Map of a place [degree], north of the equator.
         if not 0.0 <= latitude < 84.0:
             raise ValueError(latitude)
         return cls(int((longitude + 180.0) // 6.0) % 60 + 1)
 
     @property
     def crs(self) -> str:
-        """EPSG code."""
+        # EPSG code.
         return f"EPSG:{32600 + self.zone}"
 
     def project(self, latitude: ArrayLike, longitude: ArrayLike) -> tuple[Floats, Floats]:
-        """Return east and north [m] of latitude and longitude [degree]."""
+        # East and north [m] of latitude and longitude [degree].
         lat = np.radians(np.asarray(latitude, np.float64))
         lon = np.radians(np.asarray(longitude, np.float64) - (6.0 * self.zone - 183.0))
         tau = np.tan(lat)
@@ -215,21 +214,20 @@ class Motion:
 
     @classmethod
     def slow(cls, amplitude: float, period: float, phase: float, mean: float = 0.0) -> Motion:
-        """Return one sine of a period [s]."""
+        # One sine of a period [s].
         return cls(np.array([amplitude]), np.array([1 / period]), np.array([phase]), mean)
 
     @classmethod
     def random(cls, spread: float, rate: float, rng: np.random.Generator) -> Motion:
-        """Return sines with these standard deviations of the motion and of its rate of change [s-1]."""
+        # Sines with these standard deviations of the motion and of its rate of change [s-1].
         part = np.geomspace(0.2, 2.0, _SINES) * rng.uniform(0.94, 1.06, _SINES)
         amplitude = part**-0.5
         amplitude *= spread * np.sqrt(2 / (amplitude**2).sum())
-        rate_of_part = np.sqrt(((amplitude * part) ** 2).sum() / 2)
-        frequency = part * rate / rate_of_part / (2 * np.pi)
+        frequency = part * rate / np.sqrt(((amplitude * part) ** 2).sum() / 2) / (2 * np.pi)
         return cls(amplitude, frequency, rng.uniform(0, 2 * np.pi, _SINES))
 
     def at(self, seconds: Floats) -> Floats:
-        """Return the motion at times [s]."""
+        # Motion at times [s].
         motion = np.full(np.shape(seconds), self.mean)
         for a, f, p in zip(
             self.amplitude.tolist(), self.frequency.tolist(), self.phase.tolist(), strict=True
@@ -239,7 +237,7 @@ class Motion:
 
     @property
     def peak(self) -> float:
-        """Largest possible magnitude."""
+        # Largest possible magnitude.
         return abs(self.mean) + float(np.abs(self.amplitude).sum())
 
 
@@ -265,8 +263,7 @@ def _motions(settings: SimulationSettings) -> dict[str, Motion]:
             "altitude": Motion.slow(0.1, 11.0, 0.0),
         }
     rng = np.random.default_rng([settings.seed, _STREAM])
-    spreads = _SPREADS.get(settings.wobble, {})
-    return {name: Motion.random(*pair, rng) for name, pair in spreads.items()}
+    return {name: Motion.random(*pair, rng) for name, pair in _SPREADS.get(settings.wobble, {}).items()}
 
 
 @dataclass(frozen=True)
@@ -301,7 +298,6 @@ class Trajectory:
 
     @classmethod
     def of(cls, settings: SimulationSettings, frame: LocalFrame, speed: float, altitude: float) -> Trajectory:
-        """Return the flight of these settings."""
         first, second, third = settings.boresight
         forward, right, down = settings.lever_arm
         return cls(
@@ -315,7 +311,7 @@ class Trajectory:
         )
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
-        """Return position and attitude of the navigation system [degree, m]; heading from 0 to 360."""
+        # Position and attitude of the navigation system [degree, m]; heading from 0 to 360.
         seconds = np.asarray(seconds, np.float64)
         sine, cosine = np.sin(np.radians(self.course)), np.cos(np.radians(self.course))
         ahead, right = self.speed * seconds, self._motion("right", seconds)
@@ -348,13 +344,12 @@ class Trajectory:
 
     @property
     def steepest(self) -> float:
-        """Angle by which the camera's axis can lean from the vertical, along or across the track [degree]."""
-        tilt = max(self._peak("roll"), self._peak("pitch"))
-        return tilt + max(map(abs, self.boresight[:2]))
+        # Angle by which the camera's axis can lean from the vertical, along or across the track [degree].
+        return max(self._peak("roll"), self._peak("pitch")) + max(map(abs, self.boresight[:2]))
 
     @property
     def max_yaw(self) -> float:
-        """Angle by which the camera can be turned from its course [degree]."""
+        # Angle by which the camera can be turned from its course [degree].
         return self._peak("heading") + abs(self.boresight[2])
 
     def _motion(self, name: str, seconds: Floats) -> Floats:

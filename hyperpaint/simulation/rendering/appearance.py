@@ -29,9 +29,8 @@ _D65 = (
 )  # fmt: skip
 
 
+# Reflectance factors of unit spectra: of a base, of flakes, and of the light that these recycle.
 class _Lobes(NamedTuple):
-    """Reflectance factors of unit spectra: of a base, of flakes, and of the light that these recycle."""
-
     base: float
     flakes: float
     recycled: float
@@ -77,7 +76,7 @@ def gloss_units(coat: Coat) -> float:
 
 
 def _overlap(deflection: Floats, axis: int) -> Floats:
-    """Return the part of the source's image, shifted by an angle [rad], inside the receptor field."""
+    # Part of the source's image, shifted by an angle [rad], inside the receptor field.
     receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
     return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
 
@@ -118,10 +117,8 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
 
 
 def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
-    """Return the lobes of the tracer for light and view at zenith angles [degree], azimuth apart.
-
-    Of a smooth coat (index 0: none) over a base alone, and over flakes of an alpha (0: none) alone.
-    """
+    # Light and view at zenith angles [degree], azimuth apart. Lobes of a smooth coat (index 0: none) over a
+    # base alone, and over flakes of an alpha (0: none) alone.
     from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part
 
     one, factor = np.ones(1), np.array([0 if alpha else -1], np.int32)
@@ -132,12 +129,12 @@ def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth
     lobes = lobes_at(surfaces, 0, seen, seen, 0.0)
     base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, towards, towards, 0.0)
     scale = (2.0 if alpha else 1.0) / towards[2]  # half of the light meets flakes, where there are any
-    part = turned_part(lobes, towards)
-    return _Lobes(scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2], part)
+    return _Lobes(
+        scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2], turned_part(lobes, towards)
+    )
 
 
 def _factor_with_flakes(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
-    """Return the reflectance factor of a paint with a share of flakes."""
     again = share * metal + (1.0 - share) * pigment
     return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * again)
 
@@ -234,16 +231,14 @@ def _paint_curves(
 
 def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
     views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]  # positive on the mirror's side
-    sides = [180.0 if view >= 0 else 0.0 for view in views]
     return [
         _lobe_factors(index, alpha, _LIGHT_DEG, abs(view), side)
-        for view, side in zip(views, sides, strict=True)
+        for view, side in zip(views, [180.0 if view >= 0 else 0.0 for view in views], strict=True)
     ]
 
 
 def _flop(geometries: list[_Lobes], share: float, pigment: Floats, metal: Floats) -> float:
-    grid = np.linspace(380.0, 780.0, len(_D65))
-    seen = np.array(_D65) * np.exp(-0.5 * ((grid - 556.1) / 46.14) ** 2)
+    seen = np.array(_D65) * np.exp(-0.5 * ((np.linspace(380.0, 780.0, len(_D65)) - 556.1) / 46.14) ** 2)
     lightness = []
     for lobes in geometries:
         luminance = float((seen * _factor_with_flakes(lobes, share, pigment, metal)).sum() / seen.sum())
@@ -309,5 +304,4 @@ def flakes_of_flop(
             mend="for more flop, raise the flake share or darken the pigment",
             code="value-out-of-range",
         )
-    roughness = float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
-    return replace(own, roughness=roughness)
+    return replace(own, roughness=float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:])))))

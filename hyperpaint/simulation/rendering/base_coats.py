@@ -58,7 +58,7 @@ class Pigments:
     interference: tuple[float, float] | None = None
 
     def albedo(self, wavelength: Floats) -> Floats:
-        """Return the albedo of the base under the coat at ``wavelength`` [nm], 0 to 1."""
+        # Albedo of the base under the coat at ``wavelength`` [nm], 0 to 1.
         # without an interface, Paint is the bare Kubelka-Munk layer
         return Paint(self.absorption, self.absorbers, interface=0.0, internal=0.0)(wavelength)
 
@@ -118,9 +118,11 @@ def absorbers_of(
     rows: Sequence[tuple[str, float, float, float, float]], strength: float, rng: np.random.Generator
 ) -> tuple[Feature, ...]:
     """Return absorption edges and bands of K/S drawn around the ``rows`` of `HUES`."""
-    features: list[Feature] = []
-    for kind, centre, spread, width, height in rows:
-        feature = Edge if kind == "edge" else Bump
-        at = centre + rng.normal(0.0, spread / 2.0)
-        features.append(feature(at, width * rng.uniform(0.8, 1.3), strength * height * rng.uniform(0.8, 1.2)))
-    return tuple(features)
+    return tuple(
+        (Edge if kind == "edge" else Bump)(
+            centre + rng.normal(0.0, spread / 2.0),
+            width * rng.uniform(0.8, 1.3),
+            strength * height * rng.uniform(0.8, 1.2),
+        )
+        for kind, centre, spread, width, height in rows
+    )

@@ -104,8 +104,7 @@ class BrokenClouds:
         for (kx, ky), start in zip(waves, phase, strict=True):
             field += np.cos(kx * x + ky * y + start)
         field *= np.sqrt(2.0 / _WAVES)
-        threshold = ndtri(1.0 - self.cover)
-        shadow = np.clip(0.5 + (field - threshold) / self.edge, 0.0, 1.0)
+        shadow = np.clip(0.5 + (field - ndtri(1.0 - self.cover)) / self.edge, 0.0, 1.0)
         direct = 1.0 - self.opacity * shadow
         diffuse = np.full(x.shape, 1.0 + _RETURNED * self.opacity * self.cover)
         there = np.isfinite(x + y)

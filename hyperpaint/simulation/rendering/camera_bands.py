@@ -149,13 +149,15 @@ class BandSet:
     @cached_property
     def reach(self) -> float:
         """Distance from a band's own centre beyond which it does not respond [nm]."""
-        if self.shape == "gaussian":
-            return _GAUSSIAN_REACH * float(self.fwhm.max())
-        return float((self.fwhm + self.spacing).max()) / 2 + 0.1
+        return (
+            _GAUSSIAN_REACH * float(self.fwhm.max())
+            if self.shape == "gaussian"
+            else float((self.fwhm + self.spacing).max()) / 2 + 0.1
+        )
 
     @property
     def _node_step(self) -> float:
-        """Distance of the nodes [nm]: sharper bands change faster with the shift."""
+        # Distance of the nodes [nm]: sharper bands change faster with the shift.
         widest, parts = _NODE_STEP[self.shape]
         narrowest = float(self.fwhm.min())
         if self.shape == "slit":
@@ -247,8 +249,9 @@ class BandResponses:
         self._cells = int(np.ceil((2 * bands.reach + np.ptp(nodes)) / _FACTOR_STEP_NM)) + 1
         points = int(self._starts[-1]) + self._cells + 2
         self.grid: Floats = np.asarray((low + np.arange(points)) * _FACTOR_STEP_NM, np.float64)
-        fine = low * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step
-        self.fine: Floats = np.asarray(fine, np.float64)
+        self.fine: Floats = np.asarray(
+            low * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step, np.float64
+        )
         self._inside = (self.fine >= covered[0]) & (self.fine <= covered[1])
         # cells reach one point back and two points on, by the cubic
         stops, places = self._starts + self._cells + 2, np.arange(points)
@@ -257,15 +260,14 @@ class BandResponses:
         self.first_band = np.clip(first, 0, starts.size - self.width)
 
     def _responses(self, node: int) -> tuple[NDArray[np.int64], Floats]:
-        """Return the fine points of every band, and response x step there, both (band, point)."""
+        # Fine points of every band, and response x step there, both (band, point).
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
-        rows = zip(offset, bands.fwhm, bands.spacing, strict=True)
         response = np.stack(
             [
                 line_shape(row, float(fwhm), float(spacing), bands.shape, self._fine_step)
-                for row, fwhm, spacing in rows
+                for row, fwhm, spacing in zip(offset, bands.fwhm, bands.spacing, strict=True)
             ]
         )
         if bands.responsivity is not None:
@@ -300,7 +302,7 @@ class BandResponses:
         return grid_weights
 
     def means(self, spectra: Floats) -> Floats:
-        """Return band means of spectra on the fine grid, shape (spectrum, node, band)."""
+        # Band means of spectra on the fine grid, shape (spectrum, node, band).
         band_means = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
         for node in range(band_means.shape[1]):
             points, responses = self._responses(node)

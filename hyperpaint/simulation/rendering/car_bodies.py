@@ -173,7 +173,7 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
 
 
 def _stations(shape: CarShape, length: float) -> Floats:
-    """Return the positions of the cross sections, from nose (0) to tail (1)."""
+    # From nose (0) to tail (1).
     gap = _SEAM / length
     seams = [0.045, *shape.doors, *(() if shape.bed else (_boot_seam(shape),))]
     bends = [0.0, 0.006, 0.02, 0.085, 0.16, shape.cowl - 0.018, 0.96, 0.982, 0.994, 1.0]
@@ -183,17 +183,16 @@ def _stations(shape: CarShape, length: float) -> Floats:
     posts = [post for pillar in shape.pillars for post in pillar if post < 0.97]
     bed = [end + step for end in shape.bed or () for step in (0.0, gap)]
     stations = np.array(sorted({*bends, *glass, *posts, *bed, *(s + d for s in seams for d in (0.0, gap))}))
-    near = np.diff(stations, prepend=-1.0) < 0.6 * gap
-    return stations[~near]
+    return stations[~(np.diff(stations, prepend=-1.0) < 0.6 * gap)]
 
 
 def _boot_seam(shape: CarShape) -> float:
-    """Return the position where the boot lid meets the bumper."""
+    # The boot lid meets the bumper here.
     return 0.972 if shape.rear_base < 0.9 else 0.988
 
 
 def _sections(shape: CarShape, stations: Floats, length: float, width: float, height: float) -> Floats:
-    """Return the cross sections, left sill to right sill, shape (station, column, 3) [m]."""
+    # Left sill to right sill, shape (station, column, 3) [m].
     half = 0.5 * width * _profile(stations, _PLAN)
     edge = _profile(stations, shape.edge)
     rise = edge - _SILL
@@ -238,7 +237,7 @@ def _profile(stations: Floats, points: tuple[tuple[float, float], ...]) -> Float
 
 
 def _cells(shape: CarShape, middles: Floats, length: float, *, sunroof: bool) -> tuple[Words, Words]:
-    """Return surface and body part of every cell of the sheet, shape (station - 1, column - 1)."""
+    # Surface and body part of every cell of the sheet, shape (station - 1, column - 1).
     half = _COLUMNS - 1
     surface = np.full((len(middles), half), "paint", object)
     part = np.full((len(middles), half), "", object)
@@ -307,7 +306,7 @@ def _between(s: Floats, begin: float, end: float) -> NDArray[np.bool_]:
 
 
 def _ends(sections: Floats) -> list[Mesh]:
-    """Return the two sheets that close the body at nose and tail."""
+    # Two sheets close the body at nose and tail.
     sheets = []
     for row, order in ((0, 1), (-1, -1)):
         left, right = sections[row, :_COLUMNS], sections[row, : _COLUMNS - 2 : -1]

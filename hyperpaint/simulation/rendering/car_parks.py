@@ -67,37 +67,34 @@ class Layout:
 
     @property
     def bays(self) -> int:
-        """Number of bays in a row, the last one perhaps only begun."""
+        # Number of bays in a row, the last one perhaps only begun.
         return int(np.ceil(round(self.length / BAY[1], 9)))
 
     @property
     def kerb(self) -> tuple[float, float]:
-        """Ends of the kerb in the west."""
         west = -0.5 * self.width + _GRASS
         return west, west + _KERB
 
     @property
     def east_kerb(self) -> tuple[float, float]:
-        """Ends of the kerb in the east."""
         west = self.rows[-1][1] + _GUTTER
         return west, west + _KERB
 
     @property
     def wall(self) -> float:
-        """Middle of the wall in the east."""
         return max(0.5 * self.width - 0.5, self.east_kerb[1] + 0.2)
 
     @property
     def west_trees(self) -> float:
-        """Line of trees in the west, just outside the park."""
+        # Line of trees in the west, just outside the park.
         return -0.5 * self.width - 0.3
 
     def is_island(self, bay: int, row: int) -> bool:
-        """Return whether an island takes the place of a bay; those of two rows back to back lie together."""
+        # Whether an island takes the place of a bay; those of two rows back to back lie together.
         return self.with_islands and (bay + 5 * ((row + 1) // 2)) % _ISLAND_PERIOD == _ISLAND_START
 
     def islands(self) -> Iterator[tuple[int, tuple[float, float]]]:
-        """Yield bay, and west and east end, of every island."""
+        # Bay, and west and east end, of every island.
         for bay in range(self.bays):
             for row, ends in enumerate(self.rows):
                 if self.is_island(bay, row):
@@ -157,7 +154,13 @@ def paved(layout: Layout) -> Mesh:
     west, east = layout.kerb[1], layout.east_kerb[0]
     far_west, far_east = -0.5 * layout.width - layout.margin, 0.5 * layout.width + layout.margin
     pieces = [_level(far_west, far_east, south, north, "asphalt", -0.05)]
-    for begin, end in (*_gaps(layout.rows, west, east), (layout.kerb[0], west), (east, layout.east_kerb[1])):
+    # between the rows, and under the kerbs
+    gaps = [
+        (before[1], behind[0])
+        for before, behind in itertools.pairwise([(west, west), *layout.rows, (east, east)])
+        if behind[0] - before[1] > 1e-6
+    ]
+    for begin, end in (*gaps, (layout.kerb[0], west), (east, layout.east_kerb[1])):
         pieces.append(_level(begin, end, first, last, "asphalt"))
     for begin, end in layout.rows:
         pieces += _bays(layout, begin, end, first, last)
@@ -171,7 +174,12 @@ def paved(layout: Layout) -> Mesh:
     lawns += [(layout.kerb[0], layout.east_kerb[1], *ends) for ends in ((south, first), (last, north))]
     pieces += [_level(*lawn, "grass", _LAWN) for lawn in lawns if lawn[1] > lawn[0] and lawn[3] > lawn[2]]
     for bay, (begin, end) in layout.islands():
-        pieces += _island(bay, begin, end)
+        at = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
+        length, wide = end - begin - 0.1, BAY[1] - 0.3
+        pieces += [
+            cuboid((length, wide, _KERB_HEIGHT + 0.03), "concrete").shifted((*at, -0.03)),
+            cuboid((length - 0.4, wide - 0.4, 0.06), "grass").shifted((*at, _KERB_HEIGHT - 0.03)),
+        ]
     pieces += _arrows(layout)
     return put_together(pieces)
 
@@ -202,7 +210,7 @@ def worn(layout: Layout, seed: int) -> list[Mesh]:
 
 
 def _tufts(layout: Layout, seed: int) -> list[Mesh]:
-    """Return blades of grass on the lawn nearest to the cars: one mesh for every bay's length."""
+    # Blades of grass on the lawn nearest to the cars: one mesh for every bay's length.
     tufts = []
     for bay in range(layout.bays):
         rng = np.random.default_rng([seed, _WEAR, bay])
@@ -217,14 +225,8 @@ def _tufts(layout: Layout, seed: int) -> list[Mesh]:
     return tufts
 
 
-def _gaps(rows: tuple[tuple[float, float], ...], west: float, east: float) -> Iterator[tuple[float, float]]:
-    for begin, end in itertools.pairwise([(west, west), *rows, (east, east)]):
-        if end[0] - begin[1] > 1e-6:
-            yield begin[1], end[0]
-
-
 def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -> Iterator[Mesh]:
-    """Yield the cells of one row of bays: asphalt and the painted lines."""
+    # One row of bays: asphalt and the painted lines.
     south = first
     for line in range(layout.bays + 1):
         low, high = (line * BAY[1] + side * 0.5 * layout.line_width for side in (-1, 1))
@@ -237,13 +239,6 @@ def _bays(layout: Layout, begin: float, end: float, first: float, last: float) -
             south = high
     if last > south:
         yield _level(begin, end, south, last, "asphalt")
-
-
-def _island(bay: int, begin: float, end: float) -> Iterator[Mesh]:
-    at = (0.5 * (begin + end), (bay + 0.5) * BAY[1])
-    length, wide = end - begin - 0.1, BAY[1] - 0.3
-    yield cuboid((length, wide, _KERB_HEIGHT + 0.03), "concrete").shifted((*at, -0.03))
-    yield cuboid((length - 0.4, wide - 0.4, 0.06), "grass").shifted((*at, _KERB_HEIGHT - 0.03))
 
 
 def _arrows(layout: Layout) -> Iterator[Mesh]:
@@ -381,8 +376,7 @@ def car_park(
     problems.raise_if_any()
     layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
     ground = put_together([paved(layout), *worn(layout, seed)])
-    made_of = chosen.surroundings
-    things = [ground.scene(made_of, Instance("ground", "ground"))]
+    things = [ground.scene(chosen.surroundings, Instance("ground", "ground"))]
     if panels:
         things += _panels(layout)
     things += _cars(layout, chosen)
@@ -397,8 +391,6 @@ def car_park(
 
 @dataclass(frozen=True)
 class _Choices:
-    """Paints, types and options from which the cars are drawn."""
-
     paints: tuple[str, ...]
     types: tuple[str, ...]
     seed: int
@@ -415,7 +407,7 @@ class _Choices:
         return replace(surface, coat=coat, flakes=surface.flakes if self.flakes and coat else None)
 
     def paint(self, number: int) -> str:
-        """Return the paint of a car; consecutive cars use every paint once before any is used again."""
+        # Consecutive cars use every paint once before any is used again.
         if len(self.paints) == _FLEET_SIZE:  # spread evenly over the shares as they come
             return self.paints[number % _FLEET_SIZE]
         deck, card = divmod(number, len(self.paints))
@@ -553,7 +545,7 @@ def _lamps(layout: Layout) -> Iterator[Scene]:
 
 
 def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: int) -> Mesh:
-    """Return a tree at the origin; ``height`` of its top and radius of its ``crown`` [m]."""
+    # At the origin; ``height`` of its top and radius of its ``crown`` [m].
     middle = np.array([0.0, 0.0, height - 0.95 * crown])
     blobs = 9
     direction = _directions(rng, blobs)
@@ -572,7 +564,7 @@ def _leafy_tree(rng: np.random.Generator, height: float, crown: float, leaves: i
 
 
 def _hedge(rng: np.random.Generator, length: float) -> Mesh:
-    """Return a clipped hedge from the origin to the north, with 160 leaves a square metre of its outside."""
+    # From the origin to the north, clipped, with 160 leaves a square metre of its outside.
     height, thickness = 1.3, 0.7
     core = cuboid((0.8 * thickness, length - 0.1, 0.9 * height), "leaf").shifted((0, length / 2, -0.05))
     top, side, end = length * thickness, length * height, thickness * height
@@ -592,7 +584,7 @@ def _directions(rng: np.random.Generator, count: int) -> Floats:
 
 
 def _foliage(rng: np.random.Generator, places: Floats, outward: Floats) -> Mesh:
-    """Return leaves at ``places`` (leaf, 3) that face roughly ``outward`` (leaf, 3) and up."""
+    # Leaves at ``places`` (leaf, 3) face roughly ``outward`` (leaf, 3) and up.
     count = len(places)
     facing = outward + (0.0, 0.0, 0.5) + 0.9 * rng.standard_normal((count, 3))
     facing /= np.linalg.norm(facing, axis=1, keepdims=True)

@@ -107,10 +107,9 @@ class FleetPaint:
     index: float
 
     def weathered(self, clean: Floats, wavelength: Floats) -> Floats:
-        """Return the reflectance of a clean base (wavelength,) under dust, for many places on the car."""
+        # Reflectance of a clean base (wavelength,) under dust, for many places on the car.
         place = np.random.default_rng([41, int(1e9 * self.cover)]).standard_normal((_MEMBERS, 1))
-        cover = np.minimum(self.cover * np.exp(0.45 * place - 0.10), 0.6)
-        return dusty(clean, cover, wavelength)
+        return dusty(clean, np.minimum(self.cover * np.exp(0.45 * place - 0.10), 0.6), wavelength)
 
 
 @functools.lru_cache(maxsize=4096)
@@ -146,16 +145,13 @@ def fleet_paint(number: int) -> FleetPaint:
 
 
 def _chosen(shares: Mapping[str, float], place: float) -> str:
-    """Return the name whose share of the unit interval contains a place."""
+    # The share of the unit interval that contains the place.
     last = np.searchsorted(np.cumsum(list(shares.values())), place, side="right")
     return list(shares)[min(int(last), len(shares) - 1)]
 
 
 def _pigments(group: str, finish: str, rng: np.random.Generator) -> tuple[str, Pigments]:
-    """Return the colour in words, and the pigments."""
-    film = None
-    if finish == "pearl":
-        film = float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))
+    film = (float(rng.uniform(180.0, 420.0)), float(rng.uniform(0.1, 0.4))) if finish == "pearl" else None
     if group == "coloured":
         hue = _chosen(HUE_SHARES, rng.random())
         strength, floor = np.exp(rng.uniform(np.log(0.6), np.log(1.6))), np.exp(rng.uniform(-3.5, -1.2))
@@ -167,7 +163,5 @@ def _pigments(group: str, finish: str, rng: np.random.Generator) -> tuple[str, P
     base, _ = mix(family, "blue", rng)
     # grey is ground in carbon from light to anthracite; silver is nearly all flakes
     ranges = {"grey": (0.3, 4.0), "silver": (0.08, 0.3)}
-    absorption = base.absorption
-    if group in ranges:
-        absorption = float(np.exp(rng.uniform(*np.log(ranges[group]))))
+    absorption = float(np.exp(rng.uniform(*np.log(ranges[group])))) if group in ranges else base.absorption
     return group, Pigments(absorption, base.absorbers, film)

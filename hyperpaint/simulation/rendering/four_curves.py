@@ -199,7 +199,7 @@ class Atmosphere:
     def _hazy(
         cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, spread: Spread, **more: Any
     ) -> Atmosphere:
-        """Return an atmosphere whose extinction and path radiance follow from sun and sky."""
+        # Extinction and path radiance follow from sun and sky.
         extinction = path = np.zeros_like(grid)
         if haze is not None:
             extinction = haze.extinction(grid)

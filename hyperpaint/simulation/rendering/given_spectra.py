@@ -5,9 +5,10 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintError, PaintWarning, Problems, SchemaError
@@ -19,9 +20,6 @@ from hyperpaint.base.units import convert
 from .camera_bands import BandSet
 from .scene_spectra import Spectrum, spectrum_of
 from .weathering import MEASURED
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 #: Members of a population that are kept for a render: more would change its quantiles by less than 0.2 %.
 MAX_MEMBERS = 512
@@ -56,7 +54,7 @@ class Table:
         return np.interp(wavelength, self.wavelength, self.reflectance)
 
     def population(self, wavelength: Floats) -> Floats | None:
-        """Return the members at ``wavelength`` [nm], (member, wavelength); None without."""
+        # Members at ``wavelength`` [nm], (member, wavelength); None without.
         if self.members is None:
             return None
         return np.stack([np.interp(wavelength, self.wavelength, row) for row in self.members])
@@ -70,13 +68,8 @@ def is_library(value: Any) -> bool:
 
 
 def _paints_of(library: xr.Dataset) -> dict[str, xr.Dataset]:
-    """Return the paints of a library by name, each with the variables that the renderer needs, lazily.
-
-    Raises
-    ------
-    SchemaError
-        It is not a library, its paints have no names, or two share a name.
-    """
+    # Each paint has the variables that the renderer needs, lazily. SchemaError: not a library, paints without
+    # names, or two that share a name.
     library = with_new_names(library) if is_library(library) else library
     if not is_library(library) or SIGNATURE not in library.variables:
         raise SchemaError(
@@ -146,7 +139,7 @@ class SpectrumReader:
         self._mirroring: list[str] = []
 
     def read(self, name: str) -> Spectrum | None:
-        """Return a spectrum by name as a function; None after a problem."""
+        # A spectrum by name as a function; None after a problem.
         spectrum = self._spectrum(self._given.get(name, name), name)
         if spectrum is not None:
             self._check_values(name, spectrum)
@@ -154,19 +147,24 @@ class SpectrumReader:
         return None
 
     def warn(self) -> None:
-        """Warn of clipped reflectances and of mirror reflections counted twice."""
         if self._clipped:
-            msg = (
-                f"noise takes reflectances of {some_names(self._clipped)} up to {_NOISE:g} beyond 0 to 1; "
-                "they are clipped for the render"
+            warnings.warn(
+                PaintWarning(
+                    f"noise takes reflectances of {some_names(self._clipped)} up to {_NOISE:g} beyond 0 to 1"
+                    "; they are clipped for the render",
+                    code="reflectance-clipped",
+                ),
+                stacklevel=4,
             )
-            warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=4)
         if self._mirroring:
-            msg = (
-                f"{some_names(self._mirroring)} contain the mirror reflection of the coat, which the "
-                "renderer adds once more; extract signatures with specular_sky=True (--specular-sky)"
+            warnings.warn(
+                PaintWarning(
+                    f"{some_names(self._mirroring)} contain the mirror reflection of the coat, which the "
+                    "renderer adds once more; extract signatures with specular_sky=True (--specular-sky)",
+                    code="mirror-counted-twice",
+                ),
+                stacklevel=4,
             )
-            warnings.warn(PaintWarning(msg, code="mirror-counted-twice"), stacklevel=4)
 
     def _spectrum(self, value: Any, name: str) -> Spectrum | None:
         problems = self._problems
@@ -181,8 +179,11 @@ class SpectrumReader:
                 hint = (
                     f"name one of {some_names(inside)}" if inside else f"or pass spectra={{{value!r}: ...}}"
                 )
-                found, mend = error.problem.found, error.problem.mend
-                problems.add(found, mend="; ".join(filter(None, (mend, hint))), code="spectrum-unknown")
+                problems.add(
+                    error.problem.found,
+                    mend="; ".join(filter(None, (error.problem.mend, hint))),
+                    code="spectrum-unknown",
+                )
                 return None
         try:
             table = self._measured(value, name) if hasattr(value, "data_vars") else Table(*_columns(value))
@@ -226,12 +227,10 @@ class SpectrumReader:
         return Table(nm[used], reflectance[used], members)
 
     def _measured(self, paint: xr.Dataset, name: str) -> Table:
-        """Return a paint of a library: bands in order, NaN in bands that are not good."""
+        # Bands in order, NaN in bands that are not good.
         nm, reflectance = _columns(paint["reflectance"])
         order = np.argsort(nm, kind="stable")
-        good = np.ones(nm.size, bool)
-        if "good" in paint.coords:
-            good = np.asarray(paint["good"].values, bool)
+        good = np.asarray(paint["good"].values, bool) if "good" in paint.coords else np.ones(nm.size, bool)
         values = np.where(good, reflectance, np.nan)[order]
         members = None
         if "member_reflectance" in paint:
@@ -239,7 +238,10 @@ class SpectrumReader:
             rows = np.asarray(
                 (convert(population, "1") if "units" in population.attrs else population).values
             )
-            members = _thinned(np.where(good, rows, np.nan)[:, order].astype(np.float64))
+            members = np.where(good, rows, np.nan)[:, order].astype(np.float64)
+            members = members[np.isfinite(members).any(axis=1)]
+            if len(members) > MAX_MEMBERS:  # evenly spaced ones are kept
+                members = members[np.linspace(0, len(members) - 1, MAX_MEMBERS).round().astype(np.int64)]
         if mirror_reflection(paint) == INCLUDED:
             self._mirroring.append(name)
         outside = (values < 0.0) | (values > 1.0)
@@ -299,33 +301,24 @@ def _columns(value: Any) -> tuple[Floats, Floats]:
 
 
 def _near_bands(spectrum: Spectrum, bands: BandSet) -> Spectrum:
-    """Return the part of a table within reach of the bands; gaps elsewhere do not matter."""
+    # Gaps out of reach of the bands do not matter.
     if not isinstance(spectrum, Table):
         return spectrum
     last = spectrum.wavelength.size - 1
     start = min(max(int(np.searchsorted(spectrum.wavelength, bands.lowest())) - 1, 0), last)
-    stop = max(int(np.searchsorted(spectrum.wavelength, bands.highest())) + 1, start + 1)
-    near = slice(start, stop)
+    near = slice(start, max(int(np.searchsorted(spectrum.wavelength, bands.highest())) + 1, start + 1))
     members = None if spectrum.members is None else _whole(spectrum.members[:, near])
     return Table(spectrum.wavelength[near], spectrum.reflectance[near], members)
 
 
-def _thinned(members: Floats) -> Floats:
-    """Return at most `MAX_MEMBERS` members with values, evenly spaced."""
-    used = members[np.isfinite(members).any(axis=1)]
-    if len(used) <= MAX_MEMBERS:
-        return used
-    return np.asarray(used[np.linspace(0, len(used) - 1, MAX_MEMBERS).round().astype(np.int64)])
-
-
 def _whole(members: Floats) -> Floats | None:
-    """Return the members without gaps; None for fewer than two."""
+    # Members without gaps; None for fewer than two.
     whole = members[np.isfinite(members).all(axis=1)]
     return whole if len(whole) > 1 else None
 
 
 def _runs(wavelength: Floats, missing: Bools) -> str:
-    """Return the wavelengths of missing values as text, neighbours as ranges."""
+    # Wavelengths of missing values, neighbours as ranges.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
     runs = [(wavelength[begin], wavelength[end - 1]) for begin, end in edges.reshape(-1, 2)]
     texts = [f"{low:.1f}" if low == high else f"{low:.1f} to {high:.1f}" for low, high in runs]
@@ -333,6 +326,5 @@ def _runs(wavelength: Floats, missing: Bools) -> str:
 
 
 def some_names(names: Iterable[str]) -> str:
-    """Return up to twelve different names, in quotes."""
     different = list(dict.fromkeys(names))
     return ", ".join(map(repr, different[:12])) + (", ..." if len(different) > 12 else "")

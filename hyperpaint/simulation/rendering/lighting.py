@@ -140,7 +140,7 @@ class Lighting:
         return out
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
-        """Return L exp(-k d) + Lp d, the radiance behind a distance d of air; no air for NaN."""
+        # L exp(-k d) + Lp d, the radiance behind a distance d of air; no air for NaN.
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
         out = surface if in_place else np.empty_like(surface)
@@ -148,7 +148,7 @@ class Lighting:
         return out
 
     def reflectance(self, surface: Floats32, variation: Floats | None) -> Floats32:
-        """Return pi L / E of the radiance at the surface [1]; NaN without light."""
+        # pi L / E of the radiance at the surface [1]; NaN without light.
         out = np.empty_like(surface)
         factors = np.ones((len(surface), 2)) if variation is None else variation
         for line, (direct, diffuse) in enumerate(factors):
@@ -158,7 +158,7 @@ class Lighting:
         return out
 
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
-        """Return the shares of the light by source, (line, share, column); see `SHARES`."""
+        # Shares of the light by source, (line, share, column); see `SHARES`.
         distinct, index = index_paths(code)
         node = int(np.abs(self.table.bands.nodes).argmin())
         level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
@@ -171,8 +171,7 @@ class Lighting:
         sums = np.empty((len(weight), parts.shape[1], weight.shape[2]), np.float32)
         mix(_varied(weight, code, variation), index, parts.astype(np.float32), sums)
         whole = sums[:, :1]
-        dark = np.full_like(sums[:, 1:], np.nan)
-        return np.divide(sums[:, 1:], whole, out=dark, where=whole > 0)
+        return np.divide(sums[:, 1:], whole, out=np.full_like(sums[:, 1:], np.nan), where=whole > 0)
 
 
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
@@ -257,8 +256,7 @@ class ProductTable:
         normalise: bool = True,
     ) -> None:
         self.bands, self.codes = bands, codes
-        covered = float(wavelength[0]), float(wavelength[-1])
-        responses = BandResponses(bands, covered, normalise=normalise)
+        responses = BandResponses(bands, (float(wavelength[0]), float(wavelength[-1])), normalise=normalise)
         means = {
             number: cell_means(wavelength, np.asarray(spectrum, np.float64), responses.fine)
             for number, spectrum in sources.items()
@@ -314,7 +312,7 @@ class ProductTable:
         return np.ascontiguousarray(gathered.swapaxes(0, 1))
 
     def to_columns(self, at_nodes: Floats) -> Floats:
-        """Return values at nodes (..., node, band) as every column sees them, (..., band, cross_track)."""
+        # Values at nodes (..., node, band) as every column sees them, (..., band, cross_track).
         if self.bands.wavelength_shift is None:
             return np.moveaxis(at_nodes, -2, -1)
         first, weight = self.bands.between_nodes()
@@ -354,7 +352,7 @@ class ProductTable:
         mix_shifted(weight, index, products, *nodes, out, texture)
 
     def irradiance(self, source: int) -> Floats:
-        """Return the irradiance of a source in the bands, shape (node, band)."""
+        # Irradiance of a source in the bands, shape (node, band).
         return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
 
     def _make(self, codes: Ints) -> NDArray[np.float32]:
@@ -382,7 +380,7 @@ class ProductTable:
 
 
 def _lookup(sorted_codes: Ints, codes: Ints) -> Ints:
-    """Return the places of codes in a sorted array; -1 for codes that are not in it."""
+    # -1 for codes that are not in the array.
     if not sorted_codes.size:
         return np.full(codes.shape, -1, np.int64)
     place = np.searchsorted(sorted_codes, codes).clip(max=sorted_codes.size - 1)

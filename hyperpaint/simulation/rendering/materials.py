@@ -236,7 +236,7 @@ def internal_reflectance(index: float = 1.5) -> float:
 
 
 def _through_interface(index: float, geometry: Geometry) -> float:
-    """Return ``To Ti / n^2``: the part of the light that crosses the interface twice [1]."""
+    # ``To Ti / n^2``: the part of the light that crosses the interface twice [1].
     normal = float(fresnel_reflectance(1.0, index))
     others = {
         "0/0": normal,
@@ -317,17 +317,20 @@ def measured_factor(
                 code="option-conflict",
             )
         measured = measured - (0.0 if index is None else float(fresnel_reflectance(1.0, index)))
-    crossed, back = 1.0, 0.0
-    if index is not None:
-        crossed, back = _through_interface(index, geometry), internal_reflectance(index)
+    crossed = 1.0 if index is None else _through_interface(index, geometry)
+    back = 0.0 if index is None else internal_reflectance(index)
     factor = measured * ((1.0 - back) / crossed)
     wrong = (factor < 0.0) | (factor > 1.0 + 1e-12)
     if wrong.any():
-        msg = (
-            f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} to "
-            f"{measured.max():.4g}, were clipped to the possible range, 0 to {crossed / (1.0 - back):.4g}"
+        warnings.warn(
+            PaintWarning(
+                f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} "
+                f"to {measured.max():.4g}, were clipped to the possible range, "
+                f"0 to {crossed / (1.0 - back):.4g}",
+                code="reflectance-clipped",
+            ),
+            stacklevel=2,
         )
-        warnings.warn(PaintWarning(msg, code="reflectance-clipped"), stacklevel=2)
     return np.clip(factor, 0.0, 1.0)
 
 

@@ -6,10 +6,11 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
@@ -20,9 +21,6 @@ from hyperpaint.light.sky_fit import fit_sky
 from hyperpaint.simulation.setting_checks import moment_of
 
 from .sky_models import Spread, check_curves, check_wavelengths
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _MAX_BYTES = 16 * 2**20
 _MAX_LINES = 200_000
@@ -45,8 +43,9 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
 
     Arguments, errors and the warning are those of `Atmosphere.from_irradiance`.
     """
-    names = ["irradiance", "irradiance_wavelength"]
-    arrays = require(series, names, "the atmosphere of an irradiance series")
+    arrays = require(
+        series, ["irradiance", "irradiance_wavelength"], "the atmosphere of an irradiance series"
+    )
     values = np.asarray(arrays["irradiance"].values, dtype=np.float64)
     grid = np.asarray(arrays["irradiance_wavelength"].values, dtype=np.float64)
     check_wavelengths(grid)
@@ -68,9 +67,10 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
         )
     when = moment.astype(np.int64)
     if not len(stamps) or not stamps[0] <= when <= stamps[-1]:
-        span = f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples"
         raise SchemaError(
-            f"time {moment} is outside the irradiance series", expected=span, code="irradiance-coverage"
+            f"time {moment} is outside the irradiance series",
+            expected=f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples",
+            code="irradiance-coverage",
         )
     after = min(max(int(np.searchsorted(stamps, when)), 1), len(stamps) - 1) if len(stamps) > 1 else 0
     before = max(after - 1, 0)
@@ -79,12 +79,17 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
 
 
 def _without_noise(irradiance: Floats) -> Floats:
-    """Return an irradiance with small noise below zero set to 0; larger negative values stay."""
+    # Small noise below zero becomes 0; larger negative values stay.
     low, high = irradiance.min(), irradiance.max()
     if -_NOISE * high <= low < 0.0:
         count = int((irradiance < 0.0).sum())
-        msg = f"{count} of {irradiance.size} irradiances below zero, down to {low:.3g}, were set to 0"
-        warnings.warn(PaintWarning(msg, code="irradiance-negative"), stacklevel=4)
+        warnings.warn(
+            PaintWarning(
+                f"{count} of {irradiance.size} irradiances below zero, down to {low:.3g}, were set to 0",
+                code="irradiance-negative",
+            ),
+            stacklevel=4,
+        )
         return np.maximum(irradiance, 0.0)
     return irradiance
 
@@ -123,8 +128,13 @@ def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], S
     worst = float(fit["misfit"].max())
     if worst > _MAX_RESIDUAL:
         source = table.attrs.get("source", "the table")
-        msg = f"clear-sky functions fit the radiance of {source} with a residual of {worst:.0%}"
-        warnings.warn(PaintWarning(msg, code="sky-fit-poor"), stacklevel=3)
+        warnings.warn(
+            PaintWarning(
+                f"clear-sky functions fit the radiance of {source} with a residual of {worst:.0%}",
+                code="sky-fit-poor",
+            ),
+            stacklevel=3,
+        )
     return curves, Spread(*(fit["share"].sel(function=name).values for name in Spread._fields))
 
 
@@ -146,7 +156,7 @@ def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Pr
 
 
 def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
-    """Return the headings and the numbers of a text file, shape (row, column)."""
+    # Numbers have shape (row, column).
     content = read_limited(path, _MAX_BYTES, "the table of an atmosphere")
     if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MAX_LINES:
         problems.add(f"{count} lines", expected=f"at most {_MAX_LINES}", code="file-too-large")
@@ -188,7 +198,7 @@ def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
 
 
 def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tuple[int, float]]:
-    """Return the column of every curve and the factor to our units."""
+    # Column of every curve, and the factor to our units.
     curves: dict[str, tuple[int, float]] = {}
     for column, heading in enumerate(headings):
         match = _HEADING.fullmatch(str(heading).strip())

@@ -121,12 +121,16 @@ def parse_obj(data: bytes, where: str) -> RawTriangles:
             material, thing = (name, thing) if keyword == "usemtl" else (material, name)
             group = -1
     vertices = np.asarray(coordinates, np.float64).reshape(-1, 3)
-    faces = np.asarray(corners, np.int64).reshape(-1, 3)
-    return RawTriangles(vertices, faces, np.asarray(face_group, np.int64), tuple(groups))
+    return RawTriangles(
+        vertices,
+        np.asarray(corners, np.int64).reshape(-1, 3),
+        np.asarray(face_group, np.int64),
+        tuple(groups),
+    )
 
 
 def _numbers(kind: Callable[[str], Any], words: list[str]) -> list[Any]:
-    """Return words as numbers; an empty list if any is not a number."""
+    # An empty list if any word is not a number.
     try:
         return [kind(word) for word in words]
     except ValueError:
@@ -148,7 +152,7 @@ _MAX_HEADER_BYTES = 65536
 
 
 def read_ply(data: bytes, where: str) -> RawTriangles:
-    """Return the triangles of a PLY file; raises as `check_ply`, and for files that trimesh cannot read."""
+    # Triangles of a PLY file; raises as `check_ply`, and for files that trimesh cannot read.
     trimesh = _trimesh(where)
     check_ply(data, where)
     mesh = _loaded(trimesh.load_mesh, data, "ply", where, skip_materials=True)
@@ -227,7 +231,7 @@ class Stripped(NamedTuple):
 
 
 def read_glb(data: bytes, where: str) -> RawTriangles:
-    """Return the triangles of a GLB file; raises as `strip_glb`, and for files that trimesh cannot read."""
+    # Triangles of a GLB file; raises as `strip_glb`, and for files that trimesh cannot read.
     trimesh = _trimesh(where)
     stripped = strip_glb(data, where)
     if stripped.triangles > _MAX_TRIANGLES:
@@ -324,9 +328,8 @@ def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:
     return header, body
 
 
+# Extracts the parts of a glTF header that triangles need; refuses outside references.
 class _GlbCheck:
-    """Extracts the parts of a glTF header that triangles need; refuses outside references."""
-
     def __init__(self, header: dict[str, Any], size: int, where: str) -> None:
         self.header, self.size, self.where = header, size, where
         for name in self.many("extensionsRequired", str):
@@ -349,7 +352,6 @@ class _GlbCheck:
         raise FormatError(f"{self.where}: {found}", expected=expected, mend=mend, code=code)
 
     def many(self, key: str, kind: Any = dict, of: dict[str, Any] | None = None) -> list[Any]:
-        """Return a list of ``kind`` under a key; empty if absent."""
         entries = (self.header if of is None else of).get(key, [])
         if not isinstance(entries, list) or not all(isinstance(entry, kind) for entry in entries):
             self.fail(f"{key} is not a list of {getattr(kind, '__name__', 'numbers')}", code="type-wrong")
@@ -370,7 +372,7 @@ class _GlbCheck:
         return number
 
     def view(self, view: dict[str, Any]) -> dict[str, int]:
-        """Return a buffer view that lies within the binary chunk."""
+        # The view must lie within the binary chunk.
         begin = self.whole(view, "byteOffset", self.size, 0)
         length = self.whole(view, "byteLength", self.size - begin)
         self.whole(view, "buffer", 0)
@@ -378,7 +380,7 @@ class _GlbCheck:
         return {"buffer": 0, "byteOffset": begin, "byteLength": length} | stride
 
     def accessor(self, of: dict[str, Any], key: str, kind: str) -> int:
-        """Return the new number of an accessor of one type that lies within its buffer view."""
+        # The accessor must lie within its buffer view; the result is its new number.
         number = self.whole(of, key, len(self.given_accessors) - 1)
         if (number, kind) in self.places:
             return self.places[number, kind]
@@ -418,10 +420,13 @@ class _GlbCheck:
         meshes = [self.mesh(mesh, number) for number, mesh in enumerate(self.many("meshes"))]
         nodes = [self.node(node, number) for number, node in enumerate(self.many("nodes"))]
         roots = self.roots(nodes)
-        own = []
-        for mesh in meshes:
-            places = [part.get("indices", part["attributes"]["POSITION"]) for part in mesh["primitives"]]
-            own.append(sum(self.accessors[place]["count"] // 3 for place in places))
+        own = [
+            sum(
+                self.accessors[part.get("indices", part["attributes"]["POSITION"])]["count"] // 3
+                for part in mesh["primitives"]
+            )
+            for mesh in meshes
+        ]
         return {
             "asset": {"version": "2.0"},
             "scene": 0,
@@ -477,7 +482,7 @@ class _GlbCheck:
         return stripped | ({"children": children} if children else {})
 
     def roots(self, nodes: list[dict[str, Any]]) -> list[int]:
-        """Return the nodes without a parent; refuse several parents and circles."""
+        # Nodes without a parent; several parents and circles are refused.
         with_parent: set[int] = set()
         for number, node in enumerate(nodes):
             for child in node.get("children", []):
@@ -522,10 +527,7 @@ def _faces(mesh: Any) -> NDArray[np.int64]:
 
 
 def _named(names: tuple[str, ...], number: str | None) -> str:
-    """Return the name with a number given as text; empty if there is none."""
-    if number is None or not number.isdecimal() or int(number) >= len(names):
-        return ""
-    return names[int(number)]
+    return "" if number is None or not number.isdecimal() or int(number) >= len(names) else names[int(number)]
 
 
 _MAX_BYTES = 2**30
@@ -680,7 +682,7 @@ def _assigned(
 
 
 def _welded(vertices: Floats, faces: NDArray[np.int64]) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the mesh with coincident vertices merged, so that normals are smooth across seams."""
+    # Coincident vertices merge, so that normals are smooth across seams.
     order = np.lexsort(vertices.T)
     placed = vertices[order]
     new = np.concatenate([[True], (placed[1:] != placed[:-1]).any(axis=1)])

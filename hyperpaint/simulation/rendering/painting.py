@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 
 from .camera_bands import BandSet
 from .given_spectra import SpectrumReader, by_name, is_library, some_names
-from .materials import Flakes, measured_factor
+from .materials import measured_factor
 from .scene_record import SceneRecord
 from .scene_spectra import Spectrum, paint_spec
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +149,7 @@ def dealt_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:
 def _painted(
     record: SceneRecord, paints: dict[str, Any], library: dict[str, Any], problems: Problems
 ) -> tuple[list[str], list[float]]:
-    """Return spectrum and scale of every factor; new spectra are added to ``library``."""
+    # Spectrum and scale of every factor; new spectra are added to ``library``.
     original = []
     for factor in record.factors:
         material = record.materials[factor.material]
@@ -193,12 +191,15 @@ def _painted(
 def _exchange_flakes(
     record: SceneRecord, place: int, name: str, assigned: list[str], scales: list[float], problems: Problems
 ) -> None:
-    """Give a repainted base the flakes of its new paint; path weights contain the traced flake shares."""
+    # A repainted base gets the flakes of its new paint; path weights contain the traced flake shares.
     material = record.factors[place].material
     old = record.materials[material].flakes
     if record.factors[place].flakes or old is None:
         return
-    new = _flakes_of(name)
+    try:
+        new = paint_spec(name).flakes
+    except SchemaError:
+        new = None
     if old.share >= 1.0:
         problems.add(
             f"{record.materials[material].name!r} has flakes only and cannot be repainted",
@@ -213,18 +214,10 @@ def _exchange_flakes(
                 assigned[other] = new.turned if factor.turned and new.turned else new.spectrum
 
 
-def _flakes_of(name: str) -> Flakes | None:
-    try:
-        return paint_spec(name).flakes
-    except SchemaError:
-        return None
-
-
 def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
-    """Return the paint factor of an instance, in a list; an empty one after a problem."""
+    # The paint factor in a list; an empty one after a problem.
     members, name = record.members[instance], record.instances[instance].name
-    painted = [number for number in members if record.materials[number].kind == "paint"]
-    chosen = painted or list(members)
+    chosen = [number for number in members if record.materials[number].kind == "paint"] or list(members)
     if len(chosen) != 1:
         names = some_names([record.materials[number].name for number in chosen])
         problems.add(

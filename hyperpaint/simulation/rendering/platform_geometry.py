@@ -206,14 +206,13 @@ def interpolate(first: Floats, second: Floats, part: Floats) -> Floats:
 
 
 def attitude_of(rotation: Floats) -> Floats:
-    """Return roll, pitch, heading halfway between two rotations (line, 2, 3, 3), shape (line, 3) [degree]."""
+    # Roll, pitch, heading halfway between two rotations (line, 2, 3, 3), shape (line, 3) [degree].
     sum_of_both = _SCENE @ rotation.sum(axis=1)
     # the rotation nearest to the sum is the one halfway (Moakher 2002)
     left, _, right = np.linalg.svd(sum_of_both)
     middle = left @ right
     roll = np.arctan2(middle[:, 2, 1], middle[:, 2, 2])
     pitch = -np.arcsin(np.clip(middle[:, 2, 0], -1.0, 1.0))
-    heading = np.arctan2(middle[:, 1, 0], middle[:, 0, 0])
-    angles = np.degrees(np.stack([roll, pitch, heading], axis=-1))
+    angles = np.degrees(np.stack([roll, pitch, np.arctan2(middle[:, 1, 0], middle[:, 0, 0])], axis=-1))
     angles[:, 2] %= 360.0
     return np.asarray(angles)

@@ -115,19 +115,19 @@ def pushbroom(
         speed = (angle * altitude if line_spacing is None else line_spacing) / frame_period
     time = np.rint(np.arange(lines) * (frame_period * 1e9)).astype(np.int64)
     ahead = np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading)), 0.0])
-    if start is None:
-        first = np.array([*centre, 0.0]) - ahead * (speed * time[-1] * 0.5e-9)
-    else:
-        first = np.array([*start, 0.0])
+    first = (
+        np.array([*centre, 0.0]) - ahead * (speed * time[-1] * 0.5e-9)
+        if start is None
+        else np.array([*start, 0.0])
+    )
     moment = time[:, None] * 1e-9 + exposure_time * np.array([-0.5, 0.5])
     spread = np.broadcast_to(np.asarray(wobble, dtype=np.float64), (3,))
     turned = spread[:, None, None] * _oscillations(moment, 3, seed, 0)
-    swayed = sway * _oscillations(moment, 3, seed, 1)
     origin = (
         first
         + np.array([0.0, 0.0, altitude])
         + ahead * (speed * moment)[..., None]
-        + swayed.transpose(1, 2, 0)
+        + (sway * _oscillations(moment, 3, seed, 1)).transpose(1, 2, 0)
     )
     rotation = matrices(quaternions(turned[0], turned[1], turned[2] + heading))
     edges = np.asarray((np.arange(columns + 1) - 0.5 * columns) * angle)
@@ -135,7 +135,7 @@ def pushbroom(
 
 
 def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats:
-    """Return smooth functions of time [s] of unit variance, shape (number, ...)."""
+    # Smooth functions of time [s] of unit variance, shape (number, ...).
     rng = np.random.default_rng([seed, _WOBBLE, stream])
     rates = _WOBBLE_RATES * rng.uniform(0.9, 1.1, (number, len(_WOBBLE_RATES)))
     phases = rng.uniform(0.0, 2.0 * np.pi, rates.shape)
@@ -151,23 +151,29 @@ def _oscillations(moment: Floats, number: int, seed: int, stream: int) -> Floats
 def note_pushbroom_faults(
     values: dict[str, Any], problems: Problems, spelled: Spelling = as_argument
 ) -> None:
-    """Note wrong arguments of `pushbroom`, and arguments that contradict each other."""
     before = len(problems)
     present = {name: value for name, value in values.items() if value is not None}
     for name, value in present.items():
         PUSHBROOM[name].note(problems, spelled(name, value), value)
     for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
         if one in present and other in present:
-            found = f"{spelled(one, values[one])} and {spelled(other, values[other])}"
-            problems.add(found, expected="one of them", mend="keep one", code="option-conflict")
+            problems.add(
+                f"{spelled(one, values[one])} and {spelled(other, values[other])}",
+                expected="one of them",
+                mend="keep one",
+                code="option-conflict",
+            )
     if len(problems) > before:
         return
     exposure, period = (
         present.get(name, PUSHBROOM[name].default) for name in ("exposure_time", "frame_period")
     )
     if exposure > period:
-        found = f"{spelled('exposure_time', exposure)} exceeds {spelled('frame_period', period)}"
-        problems.add(found, mend="shorten the exposure, or lengthen the period", code="exposure-too-long")
+        problems.add(
+            f"{spelled('exposure_time', exposure)} exceeds {spelled('frame_period', period)}",
+            mend="shorten the exposure, or lengthen the period",
+            code="exposure-too-long",
+        )
     angle = _pixel_angle(values)
     if angle * values["columns"] / 2 > MAX_VIEW_TANGENT:
         aside = np.degrees(np.arctan(angle * values["columns"] / 2))
@@ -251,8 +257,8 @@ _FACTS = (
     ),
 )  # fmt: skip
 
+#: Facts of the arguments of `pushbroom`; ``key`` is the spelling in ``[platform]`` of a ``scene.toml``.
 PUSHBROOM = {one.name: one for one in _FACTS}
-"""Facts of the arguments of `pushbroom`; ``key`` is the spelling in ``[platform]`` of a ``scene.toml``."""
 
 
 # --- a flight as it was recorded ---------------------------------------------------------------------------
@@ -375,7 +381,7 @@ def platform_from_poses(
 def _clock(
     time: ArrayLike, line_time: ArrayLike | None, problems: Problems
 ) -> tuple[np.datetime64 | None, Floats, Floats]:
-    """Return the zero moment (None for seconds), and both times as seconds."""
+    # The zero moment (None for seconds), and both times as seconds.
     poses = np.asarray(time)
     lines = poses if line_time is None else np.asarray(line_time)
     if poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines):

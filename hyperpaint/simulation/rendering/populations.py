@@ -27,19 +27,18 @@ _MIN_MEAN = 1e-4
 _MAX_RATIO = 50.0
 
 
+# Members of all populations of a scene, as needed by the mixing of paths.
 class Populations(NamedTuple):
-    """Members of all populations of a scene, as needed by the mixing of paths."""
-
     grain: Grain
     factor: Array  # (row,) that a member changes
     ratio: Floats32  # (row, band) member over mean
 
     def texture(self, material: Array, instance: Array, place: Array, seed: int) -> Texture:
-        """Return the members of pixels at places (3, line, column) [m]; see `texturing.member_rows`."""
+        # Members of pixels at places (3, line, column) [m]; see `texturing.member_rows`.
         return self.of_rows(member_rows(material, instance, place, self.grain, seed))
 
     def of_rows(self, rows: Array) -> Texture:
-        """Return the members of pixels, by rows (line, column)."""
+        # Members of pixels, by rows (line, column).
         return Texture(rows, self.factor, self.ratio, np.zeros((0, 1), np.int64))
 
 
@@ -59,12 +58,15 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
             members.append((spectrum.octaves, factor.material, place, rows))
     if not members:
         return None
-    most = max(len(octaves.lengths) for octaves, *_ in members)
-    shape = len(record.materials), most
+    shape = len(record.materials), max(len(octaves.lengths) for octaves, *_ in members)
     lengths, shares, averaged = np.ones(shape), np.zeros(shape), np.zeros(shape[0], bool)
     ratios, factors, first = [], [], 0
     for octaves, material, place, rows in members:
-        ratios.append(_over_mean(rows))
+        # members over their mean, darkest first
+        ratio = np.minimum(np.clip(rows, 0.0, 1.0) / np.maximum(rows.mean(axis=0), _MIN_MEAN), _MAX_RATIO)
+        # what was cut off below 0 or above 1 must not change the mean
+        ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
+        ratios.append(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
         factors.append(np.full(len(rows), place, np.int64))
         count[:, material] = first, len(rows)
         first += len(rows)
@@ -73,16 +75,6 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
         averaged[material] = octaves.is_averaged
     grain = Grain(count[0], count[1], lengths, shares, averaged)
     return Populations(grain, np.concatenate(factors), np.concatenate(ratios).astype(np.float32))
-
-
-def _over_mean(rows: Floats) -> Floats:
-    """Return members (member, band) over their mean, darkest first."""
-    mean = rows.mean(axis=0)
-    ratio = np.clip(rows, 0.0, 1.0) / np.maximum(mean, _MIN_MEAN)
-    ratio = np.minimum(ratio, _MAX_RATIO)
-    # what was cut off below 0 or above 1 must not change the mean
-    ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
-    return np.asarray(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
 
 
 def rows_of_pixels(

@@ -91,7 +91,6 @@ def put_together(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def uniform(vertices: ArrayLike, faces: ArrayLike, surface: str, part: str = "") -> Mesh:
-    """Return a mesh of one surface and one part."""
     triangles = np.asarray(faces, np.int64).reshape(-1, 3)
     same = np.zeros(len(triangles), np.int64)
     return Mesh(np.asarray(vertices, np.float64), triangles, same, (surface,), same + PARTS.index(part))
@@ -274,7 +273,7 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
 
 
 def _distinct(vertex: Ints, normals: Floats) -> tuple[Ints, Ints]:
-    """Return the first corner of every distinct vertex and normal, and for every corner its distinct one."""
+    # First corner of every distinct vertex and normal, and for every corner its distinct one.
     # normals to 21 bits an axis, in one number: sorting is what takes time in a large mesh
     steps = np.rint((normals + 1.0) * 1e6).astype(np.int64)
     code = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]

@@ -178,9 +178,9 @@ def relight(
     light = dask.delayed(make_lighting, pure=True)(*shared)
     paths = [_whole_lines(variables[name]) for name in _PATHS]
     texture = _texture(traced, record, painted, camera, settings.seed) if population else None
-    varied: Any = factors
-    if isinstance(variation, BrokenClouds):
-        varied = _shadowed(traced, variation, paths[0].chunks[0])
+    varied: Any = (
+        _shadowed(traced, variation, paths[0].chunks[0]) if isinstance(variation, BrokenClouds) else factors
+    )
     cubes = _lazy_cubes(paths, light, varied, camera, texture, truth=truth)
     names = [""] * len(record.materials)  # spectra of the bases
     for factor, name in zip(record.factors, painted.names, strict=True):
@@ -190,8 +190,9 @@ def relight(
     if truth and "sun_visibility" in traced.variables:
         visible = traced["sun_visibility"].isel({SUN: sun}, drop=True)
         line["shadow"] = label((1.0 - visible).astype(np.float32), "shadow")
-    at_station = variation if isinstance(variation, BrokenClouds) else factors
-    series = _irradiance_record(traced, sky, cosine, camera, at_station)
+    series = _irradiance_record(
+        traced, sky, cosine, camera, variation if isinstance(variation, BrokenClouds) else factors
+    )
     attrs = {
         "hyperpaint_format": FORMAT_VERSION,
         "name": str(traced.attrs.get("name", record.name)),
@@ -242,9 +243,6 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
 def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
     places = [_whole_lines(traced[name]).rechunk({0: chunks}) for name in ("east", "north")]
     first = np.datetime64(traced.attrs["time_coverage_start"], "ns")
-    seconds = (traced["time"].data - first) / np.timedelta64(1, "s")
-    times = da.asarray(seconds).rechunk((chunks,))
-    columns = places[0].shape[1]
     return da.blockwise(
         _factors_task,
         "lvx",
@@ -254,11 +252,11 @@ def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...])
         "lx",
         places[1],
         "lx",
-        times,
+        da.asarray((traced["time"].data - first) / np.timedelta64(1, "s")).rechunk((chunks,)),
         "l",
         new_axes={"v": 2},
         dtype=np.float64,
-        meta=np.empty((0, 2, columns)),
+        meta=np.empty((0, 2, places[0].shape[1])),
     )
 
 
@@ -267,7 +265,6 @@ def _factors_task(clouds: BrokenClouds, east: Array, north: Array, seconds: Arra
 
 
 def _whole_lines(array: xr.DataArray) -> da.Array:
-    """Return a traced variable as a dask array in chunks of whole lines."""
     if array.chunks is None:
         array = array.chunk({ALONG_TRACK: CHUNK_LINES})
     split = [dim for dim in (SLOT, CROSS_TRACK) if len(array.variable.chunksizes.get(dim, (0,))) > 1]
@@ -280,7 +277,7 @@ _PLACES = ("material", "instance", "east", "north", "up")
 def _texture(
     traced: xr.Dataset, record: SceneRecord, painted: FactorSpectra, bands: BandSet, seed: int
 ) -> tuple[Any, Any] | None:
-    """Return the population member of every pixel (lazily, row of a table), and the table."""
+    # Population member of every pixel (lazily, row of a table), and the table.
     populations = populations_of(record, painted, bands)
     if populations is None:
         return None
@@ -302,7 +299,7 @@ def _lazy_cubes(
     *,
     truth: bool,
 ) -> dict[str, da.Array]:
-    """Return radiance, reflectance and shares; without truth, radiance needs one task per block."""
+    # Radiance, reflectance and shares; without truth, radiance needs one task per block.
     weight, code, distance = paths
     varied: tuple[Any, Any] = (None, None)
     if isinstance(variation, da.Array):
@@ -328,7 +325,7 @@ def _lazy_cubes(
 
 
 def _only(nested: Any) -> Any:
-    """Return the sole block of dims with one block, which dask passes in lists."""
+    # dask passes the sole block of dims with one block in lists.
     while isinstance(nested, list):
         (nested,) = nested
     return nested
@@ -408,11 +405,9 @@ def _irradiance_record(
     bands: BandSet,
     variation: Floats | BrokenClouds | None,
 ) -> xr.Dataset:
-    """Return ``irradiance`` and its companions as a spectrometer beside the scene records them.
-
-    It is cut around the bands, begins before the flight and ends after it; where the light varies from line
-    to line, (line, 2), it follows, lazily.
-    """
+    # ``irradiance`` and its companions as a spectrometer beside the scene records them: cut around the bands,
+    # from before the flight until after it; where the light varies from line to line, (line, 2), it follows,
+    # lazily.
     centres, spectra = _spectra(atmosphere, sun_cosine, bands)
     times = _sample_times(traced, 0 if variation is None else traced.sizes[ALONG_TRACK])
     values: Any = np.broadcast_to(spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
@@ -422,11 +417,10 @@ def _irradiance_record(
     elif variation is not None:
         record = dask.delayed(_at_times, pure=True)(traced["time"].data, times, variation, spectra)
         values = da.from_delayed(record, (times.size, centres.size), dtype=dtype_of("irradiance"))
-    gap = np.diff(times).max() / np.timedelta64(1, "s")
     variables = {
         "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), values),
         "irradiance_fwhm": ((), np.float64(_FWHM)),
-        "irradiance_max_gap": ((), np.float64(2.5 * gap)),
+        "irradiance_max_gap": ((), np.float64(2.5 * (np.diff(times).max() / np.timedelta64(1, "s")))),
         "irradiance_clock_uncertainty": ((), np.float64(0.0)),
         IRRADIANCE_TIME: (IRRADIANCE_TIME, times),
         IRRADIANCE_WAVELENGTH: (IRRADIANCE_WAVELENGTH, centres),
@@ -437,7 +431,7 @@ def _irradiance_record(
 
 
 def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple[Floats, Floats]:
-    """Return the channels [nm], and their direct and diffuse irradiance, (2, channel)."""
+    # Channels [nm], and their direct and diffuse irradiance, (2, channel).
     wavelength = atmosphere.wavelength
     reach = _REACH * _FWHM
     low = max(wavelength[0], bands.lowest() - 4 * _FWHM)
@@ -452,7 +446,7 @@ def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple
 
 
 def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
-    """Return the sampling times: before and after the flight, and between where light varies."""
+    # Before and after the flight, and between where light varies.
     try:
         first, last = (np.datetime64(traced.attrs[f"time_coverage_{end}"], "ns") for end in ("start", "end"))
     except (KeyError, ValueError, TypeError) as error:

@@ -151,7 +151,14 @@ class Scene:
         instance = _array(problems, "face_instance", self.face_instance, np.int32, (count,))
         part = _array(problems, "face_part", self.face_part, np.int8, (count,))
         for name, values in (("vertices", vertices), ("normals", normals)):
-            _check_finite(problems, name, values)
+            bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            if len(bad):
+                where = ", ".join(str(index) for index in bad[:5]) + (", ..." if len(bad) > 5 else "")
+                problems.add(
+                    f"{name} {where} ({len(bad)} of {len(values)}) are not finite",
+                    mend="mend or remove them",
+                    code="not-finite",
+                )
         _check_range(problems, "faces", faces, len(vertices), "vertices")
         _check_range(problems, "face_material", material, len(self.materials), "materials")
         _check_range(problems, "face_instance", instance, len(self.instances), "instances")
@@ -387,7 +394,7 @@ def plane(
 def _array(
     problems: Problems, name: str, values: object, dtype: type, shape: tuple[int | None, ...]
 ) -> NDArray[Any]:
-    """Return ``values`` as an array of ``dtype``; an empty one becomes zeros of the known length."""
+    # Empty values become zeros of the known length.
     array = np.asarray(values)
     if array.size == 0 and shape[0] is not None:
         return np.zeros([length or 0 for length in shape], dtype)
@@ -404,18 +411,6 @@ def _array(
         # whole numbers stay wide until their range has been looked at
         return array.astype(np.int64 if np.issubdtype(dtype, np.integer) else np.float64)
     return np.zeros([length or 0 for length in shape], dtype)
-
-
-def _check_finite(problems: Problems, name: str, values: NDArray[Any]) -> None:
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if len(bad):
-        where = ", ".join(str(index) for index in bad[:5])
-        more = ", ..." if len(bad) > 5 else ""
-        problems.add(
-            f"{name} {where}{more} ({len(bad)} of {len(values)}) are not finite",
-            mend="mend or remove them",
-            code="not-finite",
-        )
 
 
 def _check_range(problems: Problems, name: str, numbers: NDArray[Any], count: int, of: str) -> None:
@@ -444,14 +439,17 @@ def _crossed(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
 
 def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return which triangles have an area, shape (face,); thinner ones have no direction."""
-    edges = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
-    longest = (edges**2).sum(axis=2).max(axis=1)
+    longest = ((vertices[faces] - vertices[np.roll(faces, 1, axis=1)]) ** 2).sum(axis=2).max(axis=1)
     return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _MIN_SHAPE * longest)
 
 
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:
-    """Warn of triangles without area, which are dropped."""
     if not with_area.all():
         dropped = int((~with_area).sum())
-        msg = f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped"
-        warnings.warn(PaintWarning(msg, code="triangle-without-area"), stacklevel=4)
+        warnings.warn(
+            PaintWarning(
+                f"scene {name!r}: {dropped} of {len(with_area)} triangles have no area and were dropped",
+                code="triangle-without-area",
+            ),
+            stacklevel=4,
+        )

@@ -147,7 +147,6 @@ class SceneRecord:
 
     @classmethod
     def of(cls, scene: Scene) -> SceneRecord:
-        """Return the record of a scene."""
         count = len(scene.materials)
         pairs = np.unique(scene.face_instance.astype(np.int64) * count + scene.face_material)
         members: list[list[int]] = [[] for _ in scene.instances]
@@ -156,7 +155,6 @@ class SceneRecord:
         return cls(scene.name, scene.materials, scene.instances, tuple(map(tuple, members)), scene.factors)
 
     def to_attrs(self, settings: TraceSettings) -> dict[str, Any]:
-        """Return attributes of a traced dataset, text and numbers only."""
         instances = [
             {**asdict(instance), "materials": list(members)}
             for instance, members in zip(self.instances, self.members, strict=True)
@@ -229,17 +227,14 @@ class SceneRecord:
         return record, settings
 
     def codes(self, settings: TraceSettings) -> PathCodes:
-        """Return the layout of the trace's path codes."""
         return PathCodes.of(len(self.factors), settings.depth)
 
     @property
     def kinds(self) -> NDArray[np.int16]:
-        """Number of the semantic class of every material."""
         return np.array([KINDS.index(material.kind) for material in self.materials], np.int16)
 
     @property
     def is_car(self) -> NDArray[np.bool_]:
-        """True for every instance that is a car."""
         return np.array([instance.kind == "car" for instance in self.instances], bool)
 
 
@@ -290,7 +285,7 @@ class LabelTables:
         )
 
     def layers(self, material: Array, instance: Array) -> dict[str, Array]:
-        """Return the label layers of pixels; -1, the sky, takes the last entry of each table."""
+        # Label layers of pixels; -1, the sky, takes the last entry of each table.
         return {
             "surface_class": self.surface_class[material],
             "paint_id": self.paint_id[material],
@@ -298,12 +293,10 @@ class LabelTables:
         }
 
     def attrs(self, name: str) -> dict[str, Any]:
-        """Return the CF flag attributes of a label layer."""
         if name not in ("surface_class", "paint_id"):
             return {}
         meanings = KINDS if name == "surface_class" else [paint.replace(" ", "_") for paint in self.paints]
-        numbers = np.arange(len(meanings), dtype=np.int16)
-        return {"flag_values": numbers, "flag_meanings": " ".join(meanings)}
+        return {"flag_values": np.arange(len(meanings), dtype=np.int16), "flag_meanings": " ".join(meanings)}
 
 
 def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:

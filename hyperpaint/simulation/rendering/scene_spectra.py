@@ -92,7 +92,7 @@ class PaintSpec:
         return spectrum_of(self.name)(wavelength)
 
     def material(self, name: str = "") -> Material:
-        """Return the surface of this paint, called ``name`` (by default, as its spectrum)."""
+        # Surface of this paint, called ``name`` (by default, as its spectrum).
         return Material(name or self.name, self.name, "paint", self.coat, self.flakes)
 
 
@@ -161,7 +161,6 @@ def paint_spec(name: str) -> PaintSpec:
 
 
 def is_paint(name: str) -> bool:
-    """Return whether a spectrum is a car paint of the catalogue or a generated one."""
     named = name in _CATALOGUE or parse_name(name) is not None or _FLEET.fullmatch(name) is not None
     return named and not name.endswith(":flakes")
 
@@ -178,11 +177,13 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
 
 
 def _fleet_spec(number: int) -> PaintSpec:
-    """Return the paint of a car of the fleet; older coats are duller."""
+    # Older coats are duller.
     car, name = fleet_paint(number), f"fleet-{number}"
-    flakes = None
-    if car.flake_share:
-        flakes = _flopping(_flakes_of(name, car.finish, car.flake_share), car.flop, car.pigments)
+    flakes = (
+        _flopping(_flakes_of(name, car.finish, car.flake_share), car.flop, car.pigments)
+        if car.flake_share
+        else None
+    )
     coat = Coat()
     coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _DULLED * car.age))
     adjective = _ADJECTIVES[number % len(_ADJECTIVES)]
@@ -221,12 +222,11 @@ def generate_paint(family: str, number: int) -> PaintSpec:
 
 
 def pigments_of(family: str, number: int) -> Pigments:
-    """Return the pigments of a generated paint."""
     return _generate(family, number)[1]
 
 
 def parse_name(name: str) -> tuple[str, int, bool] | None:
-    """Return family, number and whether it names flakes, for the name of a generated spectrum."""
+    # Family, number and whether it names flakes, for the name of a generated spectrum.
     match = _NAME.fullmatch(name)
     if match is None or match[1] not in FAMILIES:
         return None
@@ -257,8 +257,9 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
         low, high = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
         flop = float(rng.uniform(4.0, 15.0))
         flakes = _flopping(_flakes_of(name, finish, float(rng.uniform(low, high))), flop, pigments)
-    trade_name = f"{adjective} {colour.title()}"
-    return PaintSpec(name, finish, colour, trade_name, Coat(roughness=roughness), flakes), pigments
+    return PaintSpec(
+        name, finish, colour, f"{adjective} {colour.title()}", Coat(roughness=roughness), flakes
+    ), pigments
 
 
 def _flakes_of(name: str, finish: str, share: float) -> Flakes:
@@ -267,7 +268,7 @@ def _flakes_of(name: str, finish: str, share: float) -> Flakes:
 
 
 def _flopping(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
-    """Return flakes whose lobe gives a paint its flop index, or the nearest possible one."""
+    # The lobe that gives a paint its flop index, or the nearest possible one.
     grid = np.linspace(380.0, 780.0, 41)
     paint = Material("paint", "body", "paint", Coat(), flakes)
     body = coated_reflectance(pigments.albedo(grid), Coat().index)
@@ -364,15 +365,16 @@ def spectrum_of(name: str) -> Spectrum:
     if name in SPECTRA:
         return _limited(SPECTRA[name])
     close = difflib.get_close_matches(name, SPECTRA, 1)
-    hint = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SPECTRA)}"
-    raise SchemaError(f"there is no spectrum {name!r}", mend=hint, code="spectrum-unknown")
+    raise SchemaError(
+        f"there is no spectrum {name!r}",
+        mend=f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SPECTRA)}",
+        code="spectrum-unknown",
+    )
 
 
 def _limited(spectrum: Spectrum) -> Spectrum:
-    """Return ``spectrum`` clipped to 0 to 1: straight lines leave it far from their points."""
-
+    # Straight lines leave 0 to 1 far from their points.
     def limited(wavelength: Floats) -> Floats:
-        grid = np.asarray(wavelength, dtype=np.float64)
-        return np.clip(spectrum(grid), 0.0, 1.0)
+        return np.clip(spectrum(np.asarray(wavelength, dtype=np.float64)), 0.0, 1.0)
 
     return limited

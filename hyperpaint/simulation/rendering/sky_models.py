@@ -106,9 +106,13 @@ def built_in_sky(
         The sun is not above the horizon, or the wavelengths are no grid.
     """
     check_wavelengths(wavelength)
-    mass = relative_air_mass(sun_zenith)
-    sky = Sky(sun_zenith=sun_zenith, aerosol=aerosol, ozone=ozone, water=water, airmass=mass)
-    direct, diffuse = sky.irradiance(wavelength)
+    direct, diffuse = Sky(
+        sun_zenith=sun_zenith,
+        aerosol=aerosol,
+        ozone=ozone,
+        water=water,
+        airmass=relative_air_mass(sun_zenith),
+    ).irradiance(wavelength)
     # Sky gives the direct light of a level surface
     return direct / np.cos(np.radians(sun_zenith)), diffuse
 
@@ -148,8 +152,9 @@ def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[F
     mass = relative_air_mass(sun_zenith)
     with needs_extra("pvlib", "sim", "the SPECTRL2 atmosphere"):
         from pvlib.spectrum import spectrl2
-    angles = {"apparent_zenith": sun_zenith, "aoi": sun_zenith, "surface_tilt": 0.0, "relative_airmass": mass}
-    table = spectrl2(**angles, **air)
+    table = spectrl2(
+        apparent_zenith=sun_zenith, aoi=sun_zenith, surface_tilt=0.0, relative_airmass=mass, **air
+    )
     coarse = np.asarray(table["wavelength"], dtype=np.float64)
     first, last = wavelength[[0, -1]]
     if not (coarse[0] <= first and last <= coarse[-1]):
@@ -304,8 +309,7 @@ class Haze:
     def _coefficients(self, wavelength: Floats) -> tuple[Floats, Floats]:
         relative = wavelength / _HAZE_REFERENCE_NM
         molecules = _MOLECULES * relative**_MOLECULES_EXPONENT
-        particles = (_CONTRAST / self.visibility - _MOLECULES) * relative**-self.angstrom
-        return molecules, particles
+        return molecules, (_CONTRAST / self.visibility - _MOLECULES) * relative**-self.angstrom
 
     def extinction(self, wavelength: Floats) -> Floats:
         """Return the extinction coefficient at ``wavelength`` [nm], same shape [m-1]."""
@@ -341,7 +345,7 @@ class Haze:
 
 
 def _backward_share(g: float) -> float:
-    """Return the share of Henyey-Greenstein scattering beyond 90 degrees."""
+    # Share of Henyey-Greenstein scattering beyond 90 degrees.
     if abs(g) < 1e-6:
         return 0.5  # the formula is 0/0 there; its slope is -3/4
     return (1.0 - g) / (2.0 * g) * ((1.0 + g) / float(np.sqrt(1.0 + g**2)) - 1.0)

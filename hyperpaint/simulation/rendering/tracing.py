@@ -46,9 +46,8 @@ from .scene_record import SUN_RADIUS_DEG, LabelTables, SceneRecord, TraceSetting
 Sun = tuple[float, float] | Atmosphere | str
 
 
+# A scene as the kernel takes it; prepared once, shared by all tasks.
 class PreparedScene(NamedTuple):
-    """A scene as the kernel takes it; prepared once, shared by all tasks."""
-
     geometry: Geometry
     surfaces: Surfaces
     sources: Sources
@@ -208,11 +207,29 @@ def trace(
     record = SceneRecord.of(scene)
     record.codes(settings)  # raises here, before any task, if they do not fit
     arrays = _lazy_arrays(scene, platform, settings, chunk_lines)
-    return _labelled(arrays, record, platform, settings)
+    labels = LabelTables.of(record)
+    utc = platform.utc.astype("datetime64[ns]")
+    coords = {
+        "time": (ALONG_TRACK, utc),
+        "sun_zenith": (SUN, np.array([zenith for zenith, _ in settings.suns], np.float64)),
+        "sun_azimuth": (SUN, np.array([azimuth for _, azimuth in settings.suns], np.float64)),
+    }
+    traced = xr.Dataset(
+        {name: ([_DIMS[dim] for dim in _LAYOUT[name]], array) for name, array in arrays.items()},
+        {name: (dims, values, VARIABLES[name].attrs) for name, (dims, values) in coords.items()},
+        {
+            "hyperpaint_format": FORMAT_VERSION,
+            "name": record.name,
+            **record.to_attrs(settings),
+            "time_coverage_start": str(utc.min()),
+            "time_coverage_end": str(utc.max()),
+        },
+    )
+    return traced.assign({name: label(traced[name], name, **labels.attrs(name)) for name in arrays})
 
 
 def _directions(suns: Any) -> tuple[Any, bool]:
-    """Return the different directions of suns, and whether an atmosphere among them is overcast."""
+    # Different directions, and whether an atmosphere among them is overcast.
     if isinstance(suns, str | Atmosphere):
         suns = [suns]
     if not isinstance(suns, list | tuple):
@@ -239,17 +256,18 @@ _DIMS = {"l": ALONG_TRACK, "s": SLOT, "u": SUN, "x": CROSS_TRACK}
 def _lazy_arrays(
     scene: Scene, platform: Platform, settings: TraceSettings, chunk_lines: int
 ) -> dict[str, da.Array]:
-    """Return every variable as a dask array; one task a block computes all."""
+    # One task a block computes all variables.
     # the scene is one node of the graph, prepared once; every task holds the poses of its lines only
     name = f"scene-{dask.base.tokenize(scene)}"
-    packed = dask.delayed(_packed(scene), name=name, traverse=False)
-    prepared = dask.delayed(_prepare_packed, pure=True)(packed, settings)
+    # compressed: dask warns of graphs above 10 MB
+    pickled = bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
+    packed = dask.delayed(pickled, name=name, traverse=False)
     blocks = da.blockwise(
         _trace_task,
         "l",
         da.from_array(_poses(platform), chunks=chunk_lines),
         "l",
-        prepared,
+        dask.delayed(_prepare_packed, pure=True)(packed, settings),
         None,
         edges=(platform.column_edges, platform.along_edges),
         dtype=object,
@@ -260,17 +278,12 @@ def _lazy_arrays(
     return split_outputs(blocks, "l", layout, sizes)
 
 
-def _packed(scene: Scene) -> bytes:
-    """Return a compressed scene for the graph: dask warns above 10 MB."""
-    return bytes(Blosc("lz4", 5, SHUFFLE, typesize=8).encode(pickle.dumps(scene, protocol=5)))
-
-
 def _prepare_packed(packed: bytes, settings: TraceSettings) -> PreparedScene:
     return prepare_scene(pickle.loads(Blosc().decode(packed)), settings)
 
 
 def _poses(platform: Platform) -> Array:
-    """Return number, origin and rotation of every scan line in one structured array, shape (line,)."""
+    # Number, origin and rotation of every scan line in one structured array, shape (line,).
     poses = np.empty(
         platform.lines, [("line", "i8"), ("origin", "f8", (2, 3)), ("rotation", "f8", (2, 3, 3))]
     )
@@ -296,28 +309,3 @@ def _trace_task(poses: Array, prepared: PreparedScene, edges: tuple[Array, Array
         "sun_incidence": block.incidence,
         **prepared.labels.layers(block.material, block.instance),
     }
-
-
-def _labelled(
-    arrays: dict[str, da.Array], record: SceneRecord, platform: Platform, settings: TraceSettings
-) -> xr.Dataset:
-    labels = LabelTables.of(record)
-    utc = platform.utc.astype("datetime64[ns]")
-    coords = {
-        "time": (ALONG_TRACK, utc),
-        "sun_zenith": (SUN, np.array([zenith for zenith, _ in settings.suns], np.float64)),
-        "sun_azimuth": (SUN, np.array([azimuth for _, azimuth in settings.suns], np.float64)),
-    }
-    traced = xr.Dataset(
-        {name: ([_DIMS[dim] for dim in _LAYOUT[name]], array) for name, array in arrays.items()},
-        {name: (dims, values, VARIABLES[name].attrs) for name, (dims, values) in coords.items()},
-        {
-            "hyperpaint_format": FORMAT_VERSION,
-            "name": record.name,
-            **record.to_attrs(settings),
-            "time_coverage_start": str(utc.min()),
-            "time_coverage_end": str(utc.max()),
-        },
-    )
-    named = {name: label(traced[name], name, **labels.attrs(name)) for name in arrays}
-    return traced.assign(named)

@@ -88,9 +88,8 @@ class Weathered:
     octaves: Octaves
 
     def population(self, wavelength: Floats) -> Floats:
-        """Return the members at ``wavelength`` [nm], (member, wavelength), 0 to 1."""
-        grid = np.atleast_1d(np.asarray(wavelength, np.float64))
-        return np.clip(self.members(grid), 0.0, 1.0)
+        # Members at ``wavelength`` [nm], (member, wavelength), 0 to 1.
+        return np.clip(self.members(np.atleast_1d(np.asarray(wavelength, np.float64))), 0.0, 1.0)
 
     def __call__(self, wavelength: Floats) -> Floats:
         """Return the reflectance at ``wavelength`` [nm], the mean of the members."""
@@ -149,7 +148,7 @@ def leaf_transmittance(reflectance: Floats) -> Floats:
 
 
 def _draws(kind: int, columns: int) -> Floats:
-    """Return standard normal numbers (column, member, 1), the same at every call."""
+    # Standard normal numbers (column, member, 1), the same at every call.
     return np.random.default_rng([31, kind]).standard_normal((columns, MEMBERS, 1))
 
 

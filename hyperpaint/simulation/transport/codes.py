@@ -14,9 +14,8 @@ from .path_codes import FIRST_DIGIT
 _MULTIPLIER = np.uint64(0x9E3779B1)
 
 
+# Weights of a pixel's paths by code: an open-addressing table whose length is a power of two.
 class PathTable(NamedTuple):
-    """Weights of a pixel's paths by code: an open-addressing table whose length is a power of two."""
-
     codes: Array  # by place; -1 where empty
     sums: Array  # weights by place
     used: Array  # places in use
@@ -25,7 +24,7 @@ class PathTable(NamedTuple):
 
 @borrowing_kernel
 def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
-    """Return a code with one more factor, its digits still in descending order."""
+    # A code with one more factor, its digits still in descending order.
     digit = np.int64(factor) + 1
     full = (np.int64(1) << digit_bits) - 1
     place = FIRST_DIGIT
@@ -37,7 +36,6 @@ def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
 
 @borrowing_kernel
 def add_path(table: PathTable, code: int, weight: float) -> None:
-    """Add a weight to its code."""
     if not weight > 0.0:
         return
     codes, sums, in_use = table.codes, table.sums, table.in_use
@@ -57,7 +55,7 @@ def add_path(table: PathTable, code: int, weight: float) -> None:
 
 @borrowing_kernel
 def _precedes(table: PathTable, a: int, b: int, by_weight: bool) -> Any:
-    """Return whether place a comes before b: heavier first, or smaller code first."""
+    # Heavier first, or smaller code first.
     if by_weight and table.sums[a] != table.sums[b]:
         return table.sums[a] > table.sums[b]
     return table.codes[a] < table.codes[b]
@@ -82,11 +80,9 @@ def _sort(table: PathTable, count: int, by_weight: bool) -> None:
 
 @borrowing_kernel
 def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
-    """Keep ``slots`` of the codes without bias or change of their total; return the number kept.
-
-    The heaviest stay as they are. Of the others, systematic sampling takes each with a probability
-    proportional to its weight, and gives all that are taken the same weight.
-    """
+    # Keep ``slots`` of the codes without bias or change of their total; the result is the number kept. The
+    # heaviest stay as they are. Of the others, systematic sampling takes each with a probability proportional
+    # to its weight, and gives all that are taken the same weight.
     sums, places = table.sums, table.used
     _sort(table, count, True)
     rest = 0.0

@@ -82,7 +82,7 @@ def uniforms(seed: Any, line: Any, column: Any, sample: Any, draw: Any) -> tuple
 
 @borrowing_kernel
 def pixel_key(seed: Any, line: Any, column: Any) -> Any:
-    """Return a word of 32 bits, in uint64, that belongs to a pixel."""
+    # A word of 32 bits, in uint64, that belongs to a pixel.
     key = np.uint64(seed)
     word, _, _, _ = philox(
         np.uint64(line), np.uint64(column), _0, np.uint64(_PIXEL), key & _MASK, key >> _HALF
@@ -120,7 +120,7 @@ def even_pair(key: Any, sample: Any, draw: Any, mask: Any) -> tuple[float, float
 
 @borrowing_kernel
 def _mixed(x: Any) -> Any:
-    """Return a hash of a word (C. Wellons, "Prospecting for hash functions")."""
+    # A hash by C. Wellons, "Prospecting for hash functions".
     x ^= x >> _16
     x = (x * _MIX_0) & _MASK
     x ^= x >> _15
@@ -139,7 +139,7 @@ def _reversed(x: Any) -> Any:
 
 @borrowing_kernel
 def _scrambled(x: Any, seed: Any) -> Any:
-    """Return a word with bits flipped by lower bits (Laine and Karras 2011, Vegdahl's constants)."""
+    # Bits flipped by lower bits (Laine and Karras 2011, Vegdahl's constants).
     x = (x + seed) & _MASK
     x ^= (x * _OWEN_0) & _MASK
     x ^= (x * _OWEN_1) & _MASK

@@ -76,7 +76,7 @@ def _widen(boxes: Array, at: int, others: Array, other: int) -> None:
 
 @borrowing_kernel
 def _measure(boxes: Array, at: int, floor: float) -> Any:
-    """Return the surface area heuristic's measure of a box: half its area; flat boxes get a little more."""
+    # Surface area heuristic: half the area of the box; flat boxes get a little more.
     dx = boxes[at, 3] - boxes[at, 0]
     dy = boxes[at, 4] - boxes[at, 1]
     dz = boxes[at, 5] - boxes[at, 2]
@@ -91,7 +91,7 @@ def _bin(boxes: Array, at: int, axis: int, low: float, per_length: float) -> int
 
 @borrowing_kernel
 def _bins_per_length(room: _Room, axis: int) -> float:
-    """Return bins per length; 0 if all centres coincide."""
+    # 0 if all centres coincide.
     extent = room.boxes[_CENTRES, axis + 3] - room.boxes[_CENTRES, axis]
     return _BINS / extent if extent > 1e-200 else 0.0
 
@@ -111,7 +111,7 @@ def _fill_bins(boxes: Array, order: Array, start: int, stop: int, room: _Room) -
 
 @borrowing_kernel
 def _best_split(count: int, room: _Room) -> tuple[float, int, int]:
-    """Return the lowest cost of a split, its axis, and the first bin on its high side; infinite if none."""
+    # Lowest cost, its axis, and the first bin on its high side; infinite if there is no split.
     cost, best_axis, best_bin = np.inf, 0, 0
     floor = 0.0
     for axis in range(3):
@@ -152,7 +152,7 @@ def _enclose(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> 
 def _partition(
     boxes: Array, order: Array, start: int, stop: int, axis: int, first_high: int, room: _Room
 ) -> int:
-    """Move a run's triangles of low bins to its front; return where the others begin."""
+    # Triangles of low bins move to the front; the result is where the others begin.
     low, per_length = room.boxes[_CENTRES, axis], _bins_per_length(room, axis)
     last = stop - 1
     while start <= last:
@@ -173,7 +173,7 @@ def _push(room: _Room, size: int, start: int, stop: int, level: int, child: int)
 
 @borrowing_kernel
 def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _Room) -> int:
-    """Write nodes and links, sort ``order`` by leaf, and return the number of nodes."""
+    # Also sorts ``order`` by leaf; the result is the number of nodes.
     used = 1
     size = _push(room, 0, 0, order.size, 0, 0) if order.size > 0 else 0
     while size > 0:
@@ -316,9 +316,8 @@ def build_geometry(
     )
 
 
+# As the tests of boxes and triangles need it.
 class _Ray(NamedTuple):
-    """A ray as the tests of boxes and triangles need it."""
-
     sides: tuple[Any, Any, Any]  # of a box that it enters by, for each axis: 0 the lowest, 1 the highest
     origin: Vector
     inverse: Vector  # of the direction
@@ -329,7 +328,7 @@ class _Ray(NamedTuple):
 
 @borrowing_kernel
 def _enter(nodes: Array, at: Any, ray: _Ray, limit: float) -> float:
-    """Return the distance at which a ray enters a box, from 0 on; `_FAR` for a miss before ``limit``."""
+    # Distance at which a ray enters a box, from 0 on; `_FAR` for a miss before ``limit``.
     (nx, ny, nz), (ox, oy, oz), (ix, iy, iz) = ray.sides, ray.origin, ray.inverse
     near = (nodes[at + nx] - ox) * ix
     far = (nodes[at + (nx ^ _1)] - ox) * ix
@@ -349,13 +348,13 @@ def _enter(nodes: Array, at: Any, ray: _Ray, limit: float) -> float:
 
 @borrowing_kernel
 def _inverse(x: float) -> float:
-    """Return 1 / x; large but finite near zero."""
+    # Large but finite near zero.
     return 1.0 / x if abs(x) > 1e-150 else 1e150
 
 
 @borrowing_kernel
 def _axes(dx: float, dy: float, dz: float) -> tuple[Any, Any, Any]:
-    """Return the axes of a ray's own frame: the last is the dominant one."""
+    # Axes of a ray's own frame: the last is the dominant one.
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
         return _1, _2, _0
@@ -373,11 +372,9 @@ def _component(axis: Any, x: float, y: float, z: float) -> float:
 
 @borrowing_kernel
 def _meet(triangles: Array, face: Any, ray: _Ray) -> tuple[float, float, float, float]:
-    """Return the distance to a triangle and the hit's weights of the corners; -1 for a miss.
-
-    S. Woop, C. Benthin, I. Wald, "Watertight ray/triangle intersection", JCGT 2 (2013). The function of an
-    edge has exactly opposite values for the two triangles that share it; zero belongs to both.
-    """
+    # Distance to a triangle and the hit's weights of the corners; -1 for a miss.
+    # S. Woop, C. Benthin, I. Wald, "Watertight ray/triangle intersection", JCGT 2 (2013). The function of an
+    # edge has exactly opposite values for the two triangles that share it; zero belongs to both.
     (kx, ky, kz), (ox, oy, oz), (sx, sy, sz) = ray.axes, ray.begin, ray.shear
     at = face * _9
     az = triangles[at + kz] - oz
@@ -475,7 +472,7 @@ def closest(
 
 @borrowing_kernel
 def occluded(geometry: Geometry, stack: Array, origin: Vector, direction: Vector, limit: float) -> bool:
-    """Return whether a ray hits any triangle; parameters as for `closest`."""
+    # Whether a ray hits any triangle; parameters as for `closest`.
     nodes, links, triangles = geometry.nodes, geometry.links, geometry.triangles
     ray = _ray_of(origin, direction)
     size = 0

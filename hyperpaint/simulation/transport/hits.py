@@ -18,7 +18,7 @@ from .vectors import Frame, Vector, along, dot, frame_of, unit
 
 
 def _waves(count: int = 8) -> np.ndarray:
-    """Return wave vectors [rad/m] and phases [rad], (wave, 4): all directions, lengths of 3 to 12 mm."""
+    # Wave vectors [rad/m] and phases [rad], (wave, 4): all directions, lengths of 3 to 12 mm.
     place = np.arange(count) + 0.5
     z, angle = 1.0 - place / count, np.pi * (1.0 + np.sqrt(5.0)) * place  # a spiral over half a sphere
     across = np.sqrt(1.0 - z**2)
@@ -63,8 +63,6 @@ _LIFT = 1e-9  # of the size of the coordinates
 
 
 class Hit(NamedTuple):
-    """Where a path meets a surface."""
-
     point: Vector  # lifted off the surface
     own: Vector  # normal of the triangle, on the side the path comes from
     frame: Frame  # its last vector is the shading normal
@@ -87,7 +85,7 @@ def _at_hit(array: Array, face: int, weights: Vector) -> Vector:
 
 @borrowing_kernel
 def _normals(geometry: Geometry, face: int, weights: Vector, direction: Vector) -> tuple[Vector, Vector]:
-    """Return the triangle's normal and the shading normal, both on the side that a ray comes from."""
+    # Both the triangle's normal and the shading normal are on the side that a ray comes from.
     at = 3 * face
     own = (geometry.face_normal[at], geometry.face_normal[at + 1], geometry.face_normal[at + 2])
     if dot(own, direction) > 0.0:
@@ -109,11 +107,9 @@ def _normals(geometry: Geometry, face: int, weights: Vector, direction: Vector) 
 def _on_smooth_surface(
     geometry: Geometry, face: int, weights: Vector, point: Vector, normal: Vector
 ) -> Vector:
-    """Return a point raised from its triangle to the curved surface that the corners' normals stand for.
-
-    J. Hanika, "Hacking the shadow terminator", Ray Tracing Gems II (2021), chapter 4: the mean of the point's
-    projections on the planes at the corners, where they lie above it.
-    """
+    # A point raised from its triangle to the curved surface that the corners' normals stand for.
+    # J. Hanika, "Hacking the shadow terminator", Ray Tracing Gems II (2021), chapter 4: the mean of the
+    # point's projections on the planes at the corners, where they lie above it.
     raised = point
     for corner in range(3):
         up = _corner(geometry.corner_normals, face, corner)
@@ -148,7 +144,7 @@ def hit_at(
 
 @borrowing_kernel
 def behind(hit: Hit, point: Vector) -> Hit:
-    """Return the other side of a thin plate at a point of its triangle."""
+    # Other side of a thin plate at a point of its triangle.
     own, normal = hit.own, hit.frame[2]
     back = (-own[0], -own[1], -own[2])
     frame = frame_of((-normal[0], -normal[1], -normal[2]))
@@ -157,11 +153,11 @@ def behind(hit: Hit, point: Vector) -> Hit:
 
 @borrowing_kernel
 def _lifted(point: Vector, normal: Vector) -> Vector:
-    """Return a point lifted off its surface by more than the rounding error."""
+    # By more than the rounding error.
     return along(point, normal, _LIFT * (1.0 + abs(point[0]) + abs(point[1]) + abs(point[2])))
 
 
 @borrowing_kernel
 def leaves(hit: Hit, direction: Vector) -> bool:
-    """Return whether a direction leads away from a surface; a shading normal alone can be wrong."""
+    # Whether a direction leads away from a surface; a shading normal alone can be wrong.
     return hit.raised or dot(hit.own, direction) > 0.0

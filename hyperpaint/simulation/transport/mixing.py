@@ -55,7 +55,7 @@ def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt
 
 @borrowing_kernel
 def _number(flat: Array, table: Array, places: Array, distinct: Array, index: Array) -> int:
-    """Write the numbers of codes in order of appearance; return the count, -1 for too small a table."""
+    # Numbers of codes in order of appearance; the result is their count, -1 for too small a table.
     mask = table.size - 1
     number = 0
     for i in range(flat.size):
@@ -194,7 +194,7 @@ def _is_changed(factors: Array, path: int, factor: int) -> bool:
 
 @borrowing_kernel
 def _apply(sums: Array, changed: Array, column: int, ratio: Array, row: int) -> None:
-    """Add the population term of the pixel to the constant term."""
+    # Add the population term of the pixel to the constant term.
     for band in range(sums.shape[1]):
         sums[column, band] += changed[column, band] * ratio[row, band]
 
@@ -210,7 +210,7 @@ def _mix_shifted(
     sums: Array,
     out: Array,
 ) -> None:
-    """Compute `mix_shifted`; ``sums`` (2, column, band) holds the constant and the population term."""
+    # ``sums`` (2, column, band) holds the constant and the population term.
     columns = out.shape[2]
     for line in range(out.shape[0]):
         for first in range(0, columns, _TILE):

@@ -45,23 +45,23 @@ FIRST_DIGIT, USABLE_BITS = SOURCE_BITS + 2, 63
 
 
 def source_of(codes: Ints) -> Ints:
-    """Return the number of the source of every code."""
+    # Number of the source of every code.
     return codes & (SOURCES - 1)
 
 
 def is_direct(codes: Ints) -> Bools:
-    """Return which paths begin at a sun; light of the sky is diffuse."""
+    # Which paths begin at a sun; light of the sky is diffuse.
     source = source_of(codes)
     return np.asarray((source >= FIRST_SUN) & (source < FIRST_CLEAR_SKY))
 
 
 def is_mirrored(codes: Ints) -> Bools:
-    """Return which paths left the first surface through its coat."""
+    # Which paths left the first surface through its coat.
     return np.asarray((codes & MIRROR) != 0)
 
 
 def is_indirect(codes: Ints) -> Bools:
-    """Return which paths met more than one surface."""
+    # Which paths met more than one surface.
     return np.asarray((codes & INDIRECT) != 0)
 
 
@@ -113,14 +113,13 @@ class PathCodes:
     def code(
         self, source: int, factors: Sequence[int] = (), *, mirror: bool = False, indirect: bool = False
     ) -> int:
-        """Return the code of a path."""
         code = source | (MIRROR if mirror else 0) | (INDIRECT if indirect else 0)
         for place, factor in enumerate(sorted(factors, reverse=True)):
             code |= (factor + 1) << (FIRST_DIGIT + place * self.digit_bits)
         return code
 
     def factors(self, codes: Ints) -> Ints:
-        """Return the factors of every code, shape (code, depth); -1 for none."""
+        # Factors of every code, shape (code, depth); -1 for none.
         shifts = FIRST_DIGIT + self.digit_bits * np.arange(self.depth)
         digits = (np.asarray(codes, np.int64)[:, None] >> shifts) & ((1 << self.digit_bits) - 1)
         return np.asarray(digits - 1)

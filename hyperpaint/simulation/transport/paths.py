@@ -80,7 +80,7 @@ def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direc
 
 @borrowing_kernel
 def _value(shapes: Array, sun: int, function: int, u: float, t: float) -> float:
-    """Return a sky function over a uniform sky, see `hyperpaint.light.sky_functions.relative_radiance`."""
+    # A sky function over a uniform sky, see `hyperpaint.light.sky_functions.relative_radiance`.
     c = shapes[sun, function]
     power = u * (c[0] + u * (c[1] + u * c[2])) + t * (c[3] + t * (c[4] + t * c[5])) + c[6] * u * t + c[7]
     return math.exp(power)
@@ -110,9 +110,8 @@ class _Scene(NamedTuple):
     sources: Sources
 
 
+# Key of the random numbers of a path.
 class _Place(NamedTuple):
-    """Key of a path's random numbers."""
-
     seed: int
     line: int
     column: int
@@ -121,9 +120,8 @@ class _Place(NamedTuple):
     mask: int  # a power of two less 1, not below the last sample
 
 
+# A path of light, followed backwards.
 class _Path(NamedTuple):
-    """A path of light, followed backwards."""
-
     origin: Vector
     direction: Vector
     beta: float  # its weight so far
@@ -132,9 +130,8 @@ class _Path(NamedTuple):
     least_alpha: float  # how rough a mirror is at least for a sun
 
 
+# Codes of a path after each lobe of a surface, without a source.
 class _Codes(NamedTuple):
-    """Codes of a path after each lobe of a surface, without a source."""
-
     base: int
     coat: int
     flakes: int
@@ -265,7 +262,7 @@ def _clear_pixel(room: _Room) -> None:
 
 @borrowing_kernel
 def _vote(label: int, distinct: int, room: _Room) -> int:
-    """Count a sample's first hit; return the number of distinct label pairs."""
+    # Number of distinct label pairs, with the first hit of this sample.
     for i in range(distinct):
         if room.labels[i] == label:
             room.votes[i] += 1
@@ -349,7 +346,7 @@ def _record_first(sources: Sources, room: _Room, distance: float, point: Vector,
 def _trace_sample(
     scene: _Scene, rays: Rays, line: int, place: _Place, settings: Settings, room: _Room
 ) -> int:
-    """Follow one camera ray, record its light, and return the labels of its first hit."""
+    # The result holds the labels of the first hit.
     geometry, surfaces, sources = scene
     u, v = even_pair(place.key, place.sample, _PIXEL, place.mask)
     w, _ = even_pair(place.key, place.sample, _TIME, place.mask)
@@ -397,7 +394,7 @@ def _trace_sample(
 def _codes_after(
     surfaces: Surfaces, material: int, code: int, mirrored: int, spent: int, settings: Settings
 ) -> _Codes:
-    """Return the codes of a path after each lobe of a surface; ``mirrored`` is the one after its coat."""
+    # ``mirrored`` is the code after the coat.
     bits, base, flakes = settings.digit_bits, surfaces.base_factor[material], surfaces.flake_factor[material]
     by_flakes = turned = with_factor(code, flakes, bits)
     recycled = twice = -1
@@ -410,7 +407,7 @@ def _codes_after(
 
 @borrowing_kernel
 def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settings) -> _Codes:
-    """Return the codes of a path through a plate, which has one lobe."""
+    # A plate has one lobe.
     through = with_factor(code, surfaces.through_factor[material], settings.digit_bits)
     return _Codes(through, through, through, -1, -1, through)
 
@@ -419,7 +416,7 @@ def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settin
 def _code_of(
     codes: _Codes, kind: int, spent: int, lobes: Lobes, local: Vector, place: _Place, turn: int
 ) -> tuple[int, int]:
-    """Return the code of the followed lobe (turned flakes by chance), and its number of factors."""
+    # Turned flakes are followed by chance; the second number is the count of factors.
     if kind == COAT:
         return codes.coat, spent
     if kind == FLAKES and codes.turned != codes.flakes:
@@ -434,10 +431,7 @@ def _code_of(
 
 @borrowing_kernel
 def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Settings, branch: int) -> None:
-    """Follow a path from its first surface on, and record its light.
-
-    ``branch`` is 1 for a path that left by the coat: its random numbers are others.
-    """
+    # ``branch`` is 1 for a path that left by the coat: its random numbers are others.
     geometry, surfaces, sources = scene
     origin, direction, beta, code, spent, least = path
     for bounce in range(1, settings.depth):
@@ -489,10 +483,7 @@ def _record_suns(
     place: _Place,
     bounce: int,
 ) -> None:
-    """Add the reflected light of the visible suns at a surface.
-
-    A shadow ray goes to some point of a disc; angles are those of its middle, lobes means over the disc.
-    """
+    # A shadow ray goes to some point of a disc; angles are those of its middle, lobes means over the disc.
     sources = scene.sources
     for sun in range(sources.suns.shape[0]):
         middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])

@@ -115,13 +115,12 @@ def surfaces_of(
         none if part is None else part for part in (through_factor, turned_factor)
     )
     factors = (base_factor, flake_factor, through_factor, turned_factor)
-    rest = (np.ascontiguousarray(part, np.int32) for part in factors)
-    return Surfaces(numbers, *rest)
+    return Surfaces(numbers, *(np.ascontiguousarray(part, np.int32) for part in factors))
 
 
 @borrowing_kernel
 def fresnel(cosine: float, index: float) -> float:
-    """Return the reflectance of a smooth dielectric for unpolarised light from outside."""
+    # Reflectance of a smooth dielectric for unpolarised light from outside.
     g2 = index * index - 1.0 + cosine * cosine
     g = math.sqrt(g2)
     a = (g - cosine) / (g + cosine)
@@ -131,7 +130,7 @@ def fresnel(cosine: float, index: float) -> float:
 
 @borrowing_kernel
 def refracted_cosine(cosine: float, index: float) -> float:
-    """Return the cosine inside a medium for a cosine outside (Snell's law)."""
+    # Cosine inside a medium for a cosine outside (Snell's law).
     return math.sqrt(1.0 - (1.0 - cosine * cosine) / (index * index))
 
 
@@ -181,7 +180,7 @@ def sample_facet(view: Vector, alpha: float, u: float, v: float) -> Vector:
 
 @borrowing_kernel
 def sample_cosine(u: float, v: float) -> Vector:
-    """Return a direction with density cos / pi (Lambert's lobe)."""
+    # A direction with density cos / pi (Lambert's lobe).
     radius = math.sqrt(u)
     angle = 2.0 * math.pi * v
     return radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
@@ -205,9 +204,8 @@ _BASE_PREFERENCE = 0.25
 _GRAZING = 1e-9  # cosines below this carry no light
 
 
+# A surface, seen from one direction.
 class Lobes(NamedTuple):
-    """A surface, seen from one direction."""
-
     material: int
     refraction: float  # index of the coat; 1 for none
     coat_alpha: float
@@ -223,7 +221,6 @@ class Lobes(NamedTuple):
 
 @borrowing_kernel
 def _at_node(numbers: Array, material: int, first: int, cosine: float) -> Any:
-    """Return a material's table interpolated at a cosine."""
     place = math.sqrt(min(cosine, 1.0)) * (_NODES - 1)
     node = min(int(place), _NODES - 2)
     part = place - node
@@ -232,7 +229,6 @@ def _at_node(numbers: Array, material: int, first: int, cosine: float) -> Any:
 
 @borrowing_kernel
 def _between(row: Array, first: int, cosine: float) -> Any:
-    """Return the table of a single row interpolated at a cosine."""
     place = math.sqrt(cosine) * (_NODES - 1)
     node = min(int(place), _NODES - 2)
     part = place - node
@@ -241,7 +237,7 @@ def _between(row: Array, first: int, cosine: float) -> Any:
 
 @borrowing_kernel
 def _transmitted(numbers: Array, material: int, cosine: float, index: float) -> Any:
-    """Return the part of the light from a direction that enters a coat (or leaves it in that direction)."""
+    # Part of the light from a direction that enters a coat (or leaves it in that direction).
     if index <= 1.0:
         return 1.0
     return 1.0 - fresnel(cosine, index) * _at_node(numbers, material, _SINGLE, cosine)
@@ -358,7 +354,7 @@ def sun_weights(
 
 @borrowing_kernel
 def _returned(numbers: Array, material: int, cosine: float, entered: float) -> float:
-    """Return the directional dependence of recycled light: 1 on average over diffuse light."""
+    # Directional dependence of recycled light: 1 on average over diffuse light.
     whole = numbers[material, _RETURNED]
     return entered * _at_node(numbers, material, _LOST, cosine) / whole if whole > 0.0 else 0.0
 
@@ -382,14 +378,14 @@ def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vect
 
 @borrowing_kernel
 def scatter_coat(lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    """Return the same for the coat alone."""
+    # Same for the coat alone.
     direction, weight = _scatter_by_facets(lobes.mirrored, lobes.coat_alpha, lobes.refraction, u, v)
     return COAT if weight > 0.0 else ENDED, direction, weight
 
 
 @borrowing_kernel
 def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    """Return the same for the layers under the coat: base, flakes or recycled light."""
+    # Same for the layers under the coat: base, flakes or recycled light.
     direct = lobes.share * (1.0 - lobes.lost)
     twice = direct + lobes.share * (lobes.share - direct)
     if u < direct:
@@ -410,7 +406,7 @@ def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int,
 
 @borrowing_kernel
 def _scatter_by_facets(view: Vector, alpha: float, index: Any, u: float, v: float) -> tuple[Vector, float]:
-    """Return a direction from a GGX surface, and F G2 / G1; an index of 0 reflects everything."""
+    # A direction from a GGX surface, and F G2 / G1; an index of 0 reflects everything.
     half = sample_facet(view, alpha, u, v)
     cosine = dot(view, half)
     direction = (
@@ -429,10 +425,7 @@ def _scatter_by_facets(view: Vector, alpha: float, index: Any, u: float, v: floa
 
 @borrowing_kernel
 def _scatter_by_flakes(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[Vector, float]:
-    """Return a direction from flakes, and G2 / G1 times the transmission on the way out.
-
-    The weight is 0 where the light does not leave the coat.
-    """
+    # G2 / G1 times the transmission on the way out; 0 where the light does not leave the coat.
     direction, weight = _leave_flakes(lobes.outgoing, lobes.refraction, lobes.flake_alpha, u, v)
     if weight > 0.0:
         weight *= _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
@@ -441,7 +434,7 @@ def _scatter_by_flakes(numbers: Array, lobes: Lobes, u: float, v: float) -> tupl
 
 @borrowing_kernel
 def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) -> tuple[Vector, float]:
-    """Return a direction outside, and G2 / G1; 0 beyond the critical angle."""
+    # A direction outside, and G2 / G1; 0 beyond the critical angle.
     inside, weight = _scatter_by_facets(_refracted(view, index), alpha, 0.0, u, v)
     square = 1.0 - index * index * (1.0 - inside[2] * inside[2])
     if weight == 0.0 or square < _GRAZING:
@@ -451,11 +444,9 @@ def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) 
 
 @borrowing_kernel
 def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> None:
-    """Write the energy of single reflections by a coat, and by flakes under it (alpha 0: none).
-
-    Sums over the facets that are visible, as paths meet them; then the means over diffuse light. ``row`` are
-    the columns of a material from the transmission of diffuse light on.
-    """
+    # Energy of single reflections by a coat, and by flakes under it (alpha 0: none). Sums over the facets
+    # that are visible, as paths meet them; then the means over diffuse light. ``row`` are the columns of a
+    # material from the transmission of diffuse light on.
     single, lost = _SINGLE - _ENTERING, _LOST - _ENTERING
     alpha, count = max(alpha, MIN_ALPHA), _DRAWS * _DRAWS
     for node in range(_NODES):

@@ -100,7 +100,7 @@ def member_rows(material: Array, instance: Array, place: Array, grain: Grain, se
 
 
 def _pixel_sizes(place: Array) -> Array:
-    """Return the median distance of neighbours in every scan line [m], from that scan line alone."""
+    # Median distance of neighbours [m], from each scan line alone.
     if place.shape[2] < 2:
         return np.zeros(place.shape[1])
     apart = np.hypot(*np.diff(place[:2], axis=2))
@@ -141,7 +141,6 @@ def _write_rows(
 
 @borrowing_kernel
 def _noise(x: float, y: float, z: float, instance: int, octave: int, seed: int) -> float:
-    """Return the field at a place in units of the lattice."""
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
     u, v, w = _smooth(x - i), _smooth(y - j), _smooth(z - k)
     total, square = 0.0, 0.0
@@ -161,7 +160,7 @@ def _smooth(t: float) -> float:
 
 @borrowing_kernel
 def _normal(i: int, j: int, k: int, instance: int, octave: int, seed: int) -> float:
-    """Return the normal number of a lattice corner (Box & Muller 1958)."""
+    # Box & Muller 1958.
     a, b, _, _ = philox(
         np.uint64(int(i) & _MASK),
         np.uint64(int(j) & _MASK),

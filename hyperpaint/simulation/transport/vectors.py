@@ -50,7 +50,7 @@ def in_frame(frame: Frame, a: Vector) -> Vector:
 
 @borrowing_kernel
 def from_frame(frame: Frame, a: Vector) -> Vector:
-    """Return the vector with these components along the axes of a frame."""
+    # Vector with these components along the axes of a frame.
     x, y, z = frame
     return (
         a[0] * x[0] + a[1] * y[0] + a[2] * z[0],
