@@ -154,7 +154,7 @@ def open_with_settings(
 def _joined(
     collect: Collect, lines: Mapping[str, xr.Dataset], irradiance: Any
 ) -> Iterator[tuple[str, JoinedLine]]:
-    """Yield the lines by their names; cubes of one table become one line where the recording goes on."""
+    # The lines by their names; cubes of one table become one line where the recording goes on.
     record = irradiance if isinstance(irradiance, xr.Dataset) else None
     flights = {names[0]: (names, wanted) for names, wanted in collect.flights if names}
     inside = {name for names, _ in flights.values() for name in names[1:]}
@@ -178,7 +178,7 @@ def _levelled(
     collect: Collect,
     level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None,
 ) -> xr.Dataset:
-    """Return the record of a light sensor on the aircraft, converted to level ground."""
+    # The record of a light sensor on the aircraft, converted to level ground.
     dated = [poses for poses in navigation if poses.utc is not None]
     if level is None or not dated:
         raise CollectError(
@@ -197,7 +197,7 @@ def _levelled(
 
 
 def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iterator[tuple[str, xr.Dataset]]:
-    """Open the files of each field spectrometer: one instrument has one set of wavelengths."""
+    # Open the files of each field spectrometer: one instrument has one set of wavelengths.
     for entry in entries:
         if not entry.files:  # reported before
             continue

@@ -14,9 +14,9 @@ from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, with_numbers
 from hyperpaint.io.flightline.flightline_opening import BLANK_COUNT
 from hyperpaint.io.spectrometers.irradiance import cut_irradiance
 
+#: Maximum time from the last line of a cube to the first of the next within one recording [line periods]:
+#: one lost frame is bridged, as in the navigation.
 MAX_STEP_PERIODS = 2.5
-"""Maximum time from the last line of a cube to the first of the next within one recording [line periods]: one
-lost frame is bridged, as in the navigation."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,6 @@ def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -
 
 
 def _interruption(lines: Mapping[str, xr.Dataset], before: str, name: str) -> str:
-    """Return why a cube does not continue the one before; empty where it does."""
     first, second = lines[before], lines[name]
     apart = _apart(first, second)
     if apart is None:
@@ -75,7 +74,7 @@ def _interruption(lines: Mapping[str, xr.Dataset], before: str, name: str) -> st
 
 
 def _apart(first: xr.Dataset, second: xr.Dataset) -> tuple[np.timedelta64, np.timedelta64] | None:
-    """Return the time from the last line of a cube to the first of the next, and from line to line."""
+    # The time from the last line of a cube to the first of the next, and from line to line.
     times, after = (line["time"].values.astype("datetime64[ns]") for line in (first, second))
     # lines of lost frames are blank, without a time
     timed, timed_after = (np.flatnonzero(~np.isnat(values)) for values in (times, after))
@@ -87,7 +86,7 @@ def _apart(first: xr.Dataset, second: xr.Dataset) -> tuple[np.timedelta64, np.ti
 
 
 def _frames_between(first: xr.Dataset, second: xr.Dataset) -> int:
-    """Return the number of frames lost between two cubes: by frame number if it continues, else by time."""
+    # The number of frames lost between two cubes: by frame number if it continues, else by time.
     by_number = int(second["frame"].values[0]) - int(first["frame"].values[-1]) - 1
     if 0 <= by_number < MAX_STEP_PERIODS:
         return by_number
@@ -96,7 +95,7 @@ def _frames_between(first: xr.Dataset, second: xr.Dataset) -> int:
 
 
 def _blank_lines(before: xr.Dataset, count: int) -> xr.Dataset:
-    """Return blank lines for lost frames, without time and place; frame numbers continue."""
+    # Blank lines for lost frames, without time and place; frame numbers continue.
     blank = before.isel({ALONG_TRACK: [-1] * count})
     for name, variable in before.variables.items():
         filled = blank[name]
@@ -140,7 +139,6 @@ def _joined(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Datase
 
 
 def _attrs(lines: list[xr.Dataset], lost: int) -> dict[str, Any]:
-    """Return the attributes of all cubes together."""
     return {
         "source": ", ".join(str(line.attrs["source"]) for line in lines),
         "dropped_frames": sum(int(line.attrs["dropped_frames"]) for line in lines) + lost,

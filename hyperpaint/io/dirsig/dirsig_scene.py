@@ -54,15 +54,14 @@ _SPECULAR = "specular_reflectance"
 
 
 class _Surface(NamedTuple):
-    """Material of faces: a spectrum, under a coat of a refractive index (0 for none) and roughness."""
-
+    # Material of faces: a spectrum, under a coat of a refractive index (0 for none) and roughness.
     spectrum: str
     coat_index: float
     roughness: float  # 0 where not written
 
     @property
     def mirrored(self) -> float:
-        """Reflectance of the coat for light from the normal [1]."""
+        # For light from the normal [1].
         return ((self.coat_index - 1.0) / (self.coat_index + 1.0)) ** 2 if self.coat_index else 0.0
 
 
@@ -224,7 +223,7 @@ _FOLDERS = (
 def _surfaces(
     scene: Triangles, repaint: dict[str, str], *, with_roughness: bool
 ) -> tuple[list[_Surface], NDArray[np.int64]]:
-    """Return the distinct surfaces, and the surface of every face (face,)."""
+    # The distinct surfaces, and the surface of every face (face,).
     problems = Problems("the scene cannot be painted", SchemaError)
     materials, instances = scene.materials, scene.instances
     names = {each.name for each in (*materials, *instances)} | {each.spectrum for each in materials}
@@ -250,7 +249,7 @@ def _surfaces(
 
 
 def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -> list[list[tuple[int, int]]]:
-    """Return for every library its surfaces: their numbers, and the places of their paints."""
+    # For every library its surfaces: their numbers, and the places of their paints.
     problems = Problems("the scene cannot be painted", SchemaError)
     shares: list[list[tuple[int, int]]] = [[] for _ in libraries]
     places = [
@@ -278,7 +277,7 @@ def _write_materials(
     coat_brdf: bool,
     progress: Callable[[int, int], None] | None,
 ) -> list[dict[str, Any]]:
-    """Write the spectra of all surfaces; return their records, with the number of their ``surface``."""
+    # Write the spectra of all surfaces; return their records, with the number of their ``surface``.
     records: list[dict[str, Any]] = []
     for library, share in zip(libraries, shares, strict=True):
         if not share:
@@ -313,7 +312,7 @@ def _write_materials(
 
 
 def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
-    """Return a library with coats of reflectance ``mirrored`` (signature,) [1], apart or within a BRDF."""
+    # A library with coats of reflectance ``mirrored`` (signature,) [1], apart or within a BRDF.
     plain = library.drop_vars(_SPECULAR, errors="ignore")
     if not mirrored.any():
         return plain
@@ -366,7 +365,6 @@ def _attrs(
 
 
 def _write_pictures(build: Path, records: Sequence[dict[str, Any]], window: Sequence[float]) -> None:
-    """Write a texture picture for every population, and name it in the record."""
     grid = np.linspace(window[0], window[1], 301)
     for record in records:
         record["texture"] = ""

@@ -266,7 +266,6 @@ def _checked(
     thermal: Mapping[str, float] | None,
     specular: float | str,
 ) -> str:
-    """Return the kind of curves; refuse invalid arguments."""
     problems = Problems("no DIRSIG materials can be written", SchemaError)
     kind = curves or ("members" if CURVES["members"] in library.variables else "centre")
     # dims and units are judged without reading values: an empty library has them, too
@@ -409,7 +408,6 @@ def _write_paint(
     curve_text: ColumnText,
     plain_text: ColumnText,
 ) -> dict[str, Any]:
-    """Write the files of one paint; return the rest of its record."""
     clipped = 0
     with open(build / record["emissivity_file"], "wb") as file:
         file.write(emissivity_head(len(spectra.curves)))
@@ -441,14 +439,13 @@ def _write_paint(
 
 
 def _colour(wavelength: Array, reflectance: Array) -> list[float]:
-    """Return red, green and blue for DIRSIG's editor, brightened; white where unknown."""
+    # Red, green and blue for DIRSIG's editor, brightened; white where unknown.
     if wavelength[0] > _RGB[2] or wavelength[-1] < _RGB[0]:
         return [1.0, 1.0, 1.0]
     return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
 
 
 def _warn(records: list[dict[str, Any]], *, gaps_chosen: bool) -> None:
-    """Warn of changes to the spectra."""
     messages = []
     for key, change in (
         ("clipped", "samples outside 0 to 1 were clipped"),

@@ -212,7 +212,6 @@ def _weights(lines: list[bytes], problems: Problems) -> Floats:
 
 
 def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curve]]:
-    """Return the layout and the curves that follow the weights."""
     blank = len(body) - len(body.lstrip(b" \t\n"))
     start = body.rfind(b"\n", 0, blank) + 1
     new = _NEW_MARK.match(body, start) is not None
@@ -282,7 +281,7 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
 
 
 def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
-    """Return rows of two numbers (row, 2), None for any other text."""
+    # Rows of two numbers (row, 2), None for any other text.
     if _ROWS.fullmatch(rows):
         return np.array(rows.split(), np.float64).reshape(-1, 2)
     if not rows.strip():

@@ -327,7 +327,7 @@ def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool
 
 
 def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None) -> slice:
-    """Return the bands of a range and the next ones outside, so that the range is covered."""
+    # The bands of a range and the next ones outside, so that the range is covered.
     first, last = int(usable[0]), int(usable[-1])
     if wanted is not None:
         low = int(np.searchsorted(wavelength, wanted[0], "right")) - 1
@@ -337,7 +337,6 @@ def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None
 
 
 def _hole_error(subject: str, at: Array) -> PaintProblemError:
-    """Return the error about bands [nm] without values inside the range."""
     shown = ", ".join(f"{nm:.1f}" for nm in at[:6]) + (", ..." if at.size > 6 else "")
     return PaintProblemError(
         f"{subject} no value at {shown} nm, inside the range",

@@ -216,7 +216,7 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
 
 
 def _fresnel(angle: Array, index: float) -> Array:
-    """Return the reflectance of an interface for unpolarised light at angles from its normal [rad]."""
+    # Unpolarised light, angle from the normal [rad].
     outside, inside = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
     across = (outside - index * inside) / (outside + index * inside)
     along = (index * outside - inside) / (index * outside + inside)

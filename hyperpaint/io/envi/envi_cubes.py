@@ -86,7 +86,7 @@ def _data_of(header: Path) -> Path:
 
 
 def _existing(candidates: list[Path]) -> list[Path]:
-    """Return the files among the candidates; two spellings of one file count once."""
+    # The files among the candidates; two spellings of one file count once.
     files: list[Path] = []
     for path in candidates:
         if is_plain_file(path) and not any(path.samefile(other) for other in files):
@@ -250,7 +250,7 @@ def _has_gain(header: EnviHeader) -> bool:
 
 
 def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: bool) -> int:
-    """Return the number of lines; FormatError where the file's size contradicts the header."""
+    # The number of lines; FormatError where the file's size contradicts the header.
     expected = header.header_offset + header.lines * header.line_bytes
     if size == expected:
         return header.lines
@@ -277,13 +277,12 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
 
 
 def _level(header: EnviHeader) -> str | None:
-    """Return the processing level in the description; None without one."""
     levels = _LEVEL.findall(header.description[:10_000])
     return str(levels[-1]).lower() if levels else None
 
 
 def _is_unscaled(header: EnviHeader) -> bool:
-    """Return whether integers are called reflectance without a scale to fractions."""
+    # Whether integers are called reflectance without a scale to fractions.
     unscaled = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
     return _level(header) == "reflectance" and header.dtype.kind in "iu" and unscaled
 
@@ -294,7 +293,7 @@ _CUBE_TYPES = ("", "envi", "envi standard")
 def _quantity(
     header: EnviHeader, quantity: str | None, unsaid: str, path: Path
 ) -> tuple[str, dict[str, Any]]:
-    """Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``."""
+    # The quantity of the samples, and its attributes; refuse a contradicting ``quantity``.
     declared, radiance_units = _declared_quantity(header)
     is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
     if quantity not in (None, *_QUANTITIES):
@@ -324,7 +323,7 @@ def _quantity(
 
 
 def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
-    """Return the quantity that the header declares, and its units of radiance; None where it does not."""
+    # The quantity that the header declares, and its units of radiance; None where it does not.
     if _is_unscaled(header):
         return "values", None
     # Headwall's comment on units, if it can be read as units

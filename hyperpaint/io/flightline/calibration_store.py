@@ -136,7 +136,7 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
 def _read(
     source: Any, group: str | None, kind: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
 ) -> xr.Dataset:
-    """Open any Zarr, or load a netCDF file."""
+    # Open any Zarr, or load a netCDF file.
     from hyperpaint.io.store.reader import is_zarr
 
     zarr = is_zarr(source)
@@ -208,7 +208,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 
 
 def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a variable in the units, dims and dtype of the table, without coordinates."""
+    # A variable in the units, dims and dtype of the table, without coordinates.
     spec = VARIABLES[name]
     if name not in dataset.variables:
         raise SchemaError(

@@ -54,7 +54,6 @@ def growing_cubes(folder: Path, text: str) -> list[Path]:
 
 
 def _data_of(path: Path) -> Path | None:
-    """Return the data file of a pair, None where it is missing."""
     if path.suffix.lower() != ".hdr":
         is_data = not path.suffix or path.suffix.lower() in DATA_SUFFIXES
         return path if is_data and path.is_file() else None
@@ -152,7 +151,7 @@ class GrowingLine:
         return next((path for path in names if path.is_file()), None)
 
     def _header_of_dark(self) -> Path | None:
-        """Return the header of a dark cube of this camera, used until the line has its own."""
+        # The header of a dark cube of this camera, used until the line has its own.
         dark = None if self._inputs is None else self._inputs.dark
         return find_pair(dark[0])[0] if isinstance(dark, tuple) else None
 
@@ -179,7 +178,7 @@ class GrowingLine:
         return min(self._starts[-1], len(list(self._rows())))
 
     def _index_files(self) -> list[Path]:
-        """Return the frame index of each cube, or the common one."""
+        # The frame index of each cube, or the common one.
         by_cube = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
         common = self._timing.frame_index
         return (
@@ -191,7 +190,7 @@ class GrowingLine:
         )
 
     def _rows(self) -> Iterator[bytes]:
-        """Yield the rows of all frame indexes from the first frame of the first cube on."""
+        # The rows of all frame indexes from the first frame of the first cube on.
         first = cube_number(self._cubes[0]) or 0
         for table in self._indexes.values():
             skipped = 0
@@ -245,7 +244,6 @@ class GrowingLine:
 
 
 def _counts_lines(header: Path) -> bool:
-    """Return whether a header has a positive number of lines."""
     with open_input(header, "an ENVI header") as file:
         match = _LINES.search(file.read(4 * 2**20).decode("utf-8", "replace"))
     digits = "" if match is None else match[0].partition("=")[2].strip()

@@ -78,7 +78,6 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
 
 
 def _columns(line: xr.Dataset) -> dict[str, Any]:
-    """Return the columns by their headings."""
     lines = line.sizes.get(ALONG_TRACK)
     names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
     if lines is None or not names:

@@ -193,7 +193,6 @@ def _check(timing: Timing, exposure_s: float) -> None:
 def _clock(
     timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: NDArray[np.intp], cube: Path
 ) -> Clock:
-    """Return the clock of the one source of UTC."""
     if timing.start_time is not None:
         if index is not None and nav is not None and nav.utc is not None:
             raise TimeError(
@@ -249,7 +248,7 @@ def _clock(
 
 
 def _steady(stamp: int, utc: int, source: str) -> Clock:
-    """Return a clock that runs true from one instant."""
+    # A clock that runs true from one instant.
     span = np.array([-10 * _DAY_US, 10 * _DAY_US], np.int64)
     return Clock(stamp + span, utc + span * 1000, source)
 
@@ -261,8 +260,7 @@ def _check_rate(
     exposure_time: float | NDArray[np.float64],
     cube: Path,
 ) -> None:
-    """Warn where stated period, exposure and stamps contradict each other."""
-
+    # Warn where stated period, exposure and stamps contradict each other.
     def warn(text: str, code: str) -> None:
         warnings.warn(PaintWarning(f"{cube.name}: {text}", code=code), stacklevel=4)
 

@@ -95,7 +95,7 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
 
 
 def _foreign(text: str) -> str:
-    """Return the word or unit of another quantity than reflectance; empty without one."""
+    # The word or unit of another quantity than reflectance; empty without one.
     if word := other_quantity(text):
         return word
     if "reflect" in text.lower():
@@ -146,7 +146,6 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_r
 
 
 def _bare(heading: str) -> str:
-    """Return a heading in lower case without words for mean and spread."""
     text = _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower()))
     return "".join(sign for sign in text if sign.isalnum())
 

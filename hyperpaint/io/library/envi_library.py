@@ -111,7 +111,7 @@ def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
 
 
 def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
-    """Yield blocks of records with the index of their first record."""
+    # Blocks of records with the index of their first record.
     step = max(1, _BLOCK_BYTES // header.line_bytes)
     with open_input(path, "the data of a spectral library") as file:
         file.seek(header.header_offset)
@@ -200,7 +200,7 @@ def _names(header: EnviHeader, warned: list[str]) -> list[str]:
 
 
 def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int:
-    """Return the number of leading records that are wavelengths and bandwidths (USGS libraries)."""
+    # The number of leading records that are wavelengths and bandwidths (USGS libraries).
     if len(names) < 3 or not _WAVELENGTHS.match(names[0]):
         return 0
     axis = stored[0].astype(np.float64)
@@ -214,7 +214,7 @@ def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int
 def _with_error_bars(
     names: Sequence[str], values: npt.NDArray[np.float32]
 ) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float32]]]:
-    """Return the indices of the spectra, and the error bars from the records after them."""
+    # The indices of the spectra, and the error bars from the records after them.
     bars = np.array([_ERROR_BARS.match(name) is not None for name in names], np.bool_)
     if bars.size:
         bars[0] = False
@@ -229,7 +229,7 @@ def _with_error_bars(
 
 
 def _scale(header: EnviHeader, source: str) -> float | None:
-    """Return the stored value of a reflectance of one, from the header."""
+    # The stored value of a reflectance of one, from the header.
     factor = header.reflectance_scale_factor
     titles = bare(header.fields.get("z plot titles", ""))
     # the first names the wavelengths, and may itself hold commas
@@ -258,10 +258,8 @@ def _scale(header: EnviHeader, source: str) -> float | None:
 
 
 def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Return the columns of a table of classes beside the library; empty without such a table.
-
-    EnMAP-Box keeps one: its first column, "spectra names", repeats the names.
-    """
+    # The columns of a table of classes beside the library; empty without such a table.
+    # EnMAP-Box keeps one: its first column, "spectra names", repeats the names.
     table = path.with_suffix(".csv")
     try:
         text = read_limited(table, _MAX_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")

@@ -41,18 +41,14 @@ _DIGITS = re.compile(r"(\d+)")
 
 @dataclass(frozen=True, eq=False)
 class _Options:
-    """Axes, scale and quantity given by the caller."""
-
+    # Axes, scale and quantity given by the caller.
     wavelength: Floats | None
     fwhm: Floats | None
     scale: float | None
     is_reflectance: bool  # that values are reflectance
 
     def refuse_for(self, path: Path_) -> None:
-        """Refuse them for a library of hyperpaint, which has its own.
-
-        Raises FormatError: One is given.
-        """
+        # A library of hyperpaint has its own axes, scale and quantity.
         if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
             raise FormatError(OWN_AXES.format(path), code="option-conflict")
 
@@ -168,7 +164,7 @@ def open_library(
 
 
 def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
-    """Return wavelengths or bandwidths given as numbers or as a file."""
+    # Wavelengths or bandwidths given as numbers or as a file.
     if argument is None:
         return None
     if isinstance(argument, str | os.PathLike):
@@ -190,11 +186,9 @@ def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
 
 
 def _spectra_among(paths: Sequence[Path]) -> list[Path]:
-    """Return the files that hold spectra, sorted by name with numbers in numeric order.
-
-    Left out are companion files: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
-    tables of classes.
-    """
+    # The files that hold spectra, sorted by name with numbers in numeric order.
+    # Left out are companion files: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
+    # tables of classes.
     candidates = []
     for path in paths:
         if not path.is_dir() and not path.name.startswith(".") and not path.name.endswith(_ANCILLARY):
@@ -258,7 +252,7 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
 
 
 def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Dataset:
-    """Open a library of another program, or one of ours in ENVI format."""
+    # Open a library of another program, or one of ours in ENVI format.
     nm, scale = options.wavelength, options.scale
     if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
         return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
@@ -276,11 +270,7 @@ _OF_BANDS = ("wavelength", "fwhm", "good")
 
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
-    """Return one library of several, in order; the coordinate `file` names the file of each paint.
-
-    Raises FormatError: Their wavelengths differ, or one has more than a spectrum for each paint; all are
-        listed.
-    """
+    # One library of several, in order; the coordinate `file` names the file of each paint.
     opened = [
         (
             path,
@@ -350,7 +340,7 @@ def _grid(library: xr.Dataset) -> str:
 
 
 def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
-    """Return a coordinate of the paints, empty or NaN where a file lacks it."""
+    # A coordinate of the paints, empty or NaN where a file lacks it.
     having = [library[name] for library in libraries if name in library.coords]
     kinds = {array.dtype.kind for array in having}
     attrs = having[0].attrs
@@ -368,11 +358,7 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
 
 
 def _read_store(path: Any) -> xr.Dataset:
-    """Open a library of a Zarr store lazily.
-
-    Raises FormatError: The store is whole but holds no paint library; groups that do are named.
-    Raises StoreError: It is not whole, or no store.
-    """
+    # Open a library of a Zarr store lazily.
     from hyperpaint.io.store import list_groups, open_store
 
     groups = list_groups(path)

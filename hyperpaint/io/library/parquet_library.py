@@ -132,7 +132,6 @@ def _schema() -> pa.Schema:
 
 
 def _common(library: xr.Dataset) -> dict[str, Any]:
-    """Return the cells that all rows share."""
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     attrs = {**library.attrs, **library[CENTRE].attrs}
     fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
@@ -159,7 +158,7 @@ def _common(library: xr.Dataset) -> dict[str, Any]:
 def _row(
     common: dict[str, Any], name: str, properties: dict[str, Any], key: Key, values: Floats32
 ) -> dict[str, Any]:
-    """Return the cells of one spectrum; ``key`` holds its variable, paint and place."""
+    # The cells of one spectrum; ``key`` holds its variable, paint and place.
     variable, paint, place = key
     missing = int((~np.isfinite(values)).sum())
     identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{place}"
@@ -222,7 +221,7 @@ _WANTED = (
 
 
 def _rows(file: Any, source: str) -> list[dict[str, Any]]:
-    """Return the rows with the columns in use; refuse files that would fill the memory."""
+    # The rows with the columns in use; refuse files that would fill the memory.
     missing = [name for name in _WANTED if name not in file.schema_arrow.names]
     if missing:
         raise FormatError(
@@ -286,7 +285,7 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
 
 
 def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
-    """Return the common wavelengths (band,) and the values (row, band) of all rows."""
+    # The common wavelengths (band,) and the values (row, band) of all rows.
     first = rows[0]["spectral_data.wavelengths"]
     for at, row in enumerate(rows):
         if not np.array_equal(row["spectral_data.wavelengths"], first):

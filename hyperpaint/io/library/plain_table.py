@@ -27,8 +27,7 @@ _UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|fraction|-|1)\s*[)\]]\s*$", re.IG
 
 @dataclass(frozen=True)
 class _Dialect:
-    """Separator and decimal mark of a table; an empty separator stands for blanks."""
-
+    # Separator and decimal mark of a table; an empty separator stands for blanks.
     separator: str
     comma: bool
 
@@ -36,7 +35,7 @@ class _Dialect:
         return line.split(self.separator) if self.separator else line.split()
 
     def row(self, line: str) -> list[float] | None:
-        """Return the numbers of a line, None for any other line; the first cell must not be empty."""
+        # The numbers of a line, None for any other line; the first cell must not be empty.
         cells = self.cells(line.strip(" "))
         if len(cells) < 2 or not cells[0].strip():
             return None
@@ -112,7 +111,7 @@ def read_plain_table(
 
 
 def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
-    """Return the index of the first line of numbers, its dialect, and the number of columns."""
+    # The index of the first line of numbers, its dialect, and the number of columns.
     shown = [at for at, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
     for position, at in enumerate(shown[:_MAX_PREAMBLE]):
         rows = [(dialect, row) for dialect in _DIALECTS if (row := dialect.row(lines[at])) is not None]
@@ -130,7 +129,7 @@ def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
 
 
 def _check_order(wavelength: Floats, source: str) -> None:
-    """Refuse a first column that changes direction more often than detectors join."""
+    # Refuse a first column that changes direction more often than detectors join.
     steps = np.diff(wavelength)
     back = min(int((steps < 0).sum()), int((steps > 0).sum()))
     if np.isnan(wavelength).any() or back > max(4, steps.size // 20) or not steps.any():
@@ -143,7 +142,6 @@ def _check_order(wavelength: Floats, source: str) -> None:
 
 
 def _names(headings: Sequence[str], spread: Ints, stem: str) -> list[str]:
-    """Return the names of the spectra; ``spread`` is the result of `spread_columns`."""
     paints = np.flatnonzero(spread != IS_SPREAD)
     names = [headings[at + 1].strip() for at in paints.tolist()] if headings else []
     without_units = [_UNIT.sub("", name) for name in names]
@@ -156,7 +154,7 @@ def _names(headings: Sequence[str], spread: Ints, stem: str) -> list[str]:
 
 
 def _headings(preamble: Sequence[str], dialect: _Dialect, columns: int) -> list[str]:
-    """Return the cells of the last heading; empty where their number is not that of the columns."""
+    # The cells of the last heading; empty where their number is not that of the columns.
     last = next((line for line in reversed(preamble) if line.strip()), "")
     text = last.strip().lstrip("#")
     # a heading in a comment may have commas although another mark separates the numbers

@@ -99,7 +99,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
 
 
 def _is_plain_number(library: xr.Dataset, name: str) -> bool:
-    """Return whether a variable is a count or a share without units, which only spectra must have."""
+    # Whether a variable is a count or a share without units, which only spectra must have.
     units = LIBRARY_VARIABLES[name].units
     plain = name in library.variables and BAND not in library[name].dims
     return plain and units == "1" and "units" not in library[name].attrs
@@ -168,7 +168,7 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
 
 
 def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
-    """Return ranges of paints: the chunks of dask, else as many as fit a block."""
+    # Ranges of paints: the chunks of dask, else as many as fit a block.
     if array.chunks is not None:
         edges = [0, *itertools.accumulate(array.chunks[0])]
     else:

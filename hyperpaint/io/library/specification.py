@@ -212,7 +212,6 @@ def library_terms(library: xr.Dataset) -> dict[str, Any]:
 
 
 def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Check that the required variables exist, on their dims."""
     for name in (CENTRE, "wavelength", SIGNATURE):
         row = LIBRARY_VARIABLES[name]
         expected = f"a variable {name} ({', '.join(row.dims)})"
@@ -299,7 +298,6 @@ def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Check spread and uncertainty: present or declared unknown, never negative."""
     stated = False
     for name in _SPREADS:
         if name in library.variables:
@@ -343,7 +341,6 @@ def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Check angles and times."""
     for name, (low, high) in _ANGLES_DEG.items():
         if name in library.variables:
             values = np.asarray(library[name].values, np.float64)
@@ -360,7 +357,6 @@ def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _declarations(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Check version, title, and every term."""
     version = library.attrs.get(VERSION_NAME)
     if version != VERSION or isinstance(version, bool):
         yield LibraryFinding(

@@ -114,7 +114,7 @@ def read_usgs_axis(path: Path) -> tuple[Floats, str]:
 
 
 def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> Floats | None:
-    """Return the wavelengths or bandwidths from a file near a spectrum; None without one of equal length."""
+    # The wavelengths or bandwidths from a file near a spectrum; None without one of equal length.
     axes = {}
     for file in _candidates(path, kind):
         try:
@@ -141,7 +141,6 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
 
 
 def _candidates(path: Path, kind: str) -> list[Path]:
-    """Return the files that may hold an axis, from the nearest folder with any."""
     words = ("wavelength",) if kind == "wave" else ("bandpass", "fwhm", "resolution")
     folder = path.absolute().parent
     for above in [folder, *folder.parents][:_LEVELS]:

@@ -22,10 +22,6 @@ from .records import CENTRE, checked_library, spectral_variables
 
 
 def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
-    """Write a checked library with `hyperpaint.to_store`.
-
-    Raises StoreError: As `hyperpaint.to_store`.
-    """
     from hyperpaint.io.store import to_store
 
     total = library.sizes[SIGNATURE]
@@ -165,7 +161,7 @@ def write_library(
 
 
 def _named(path: Path, format: str) -> Path:
-    """Return the path of the written file, with a suffix that `open_library` recognises."""
+    # The path of the written file, with a suffix that `open_library` recognises.
     if format == "envi":
         own = path.suffix.lower() in (".sli", ".hdr")
         return path.with_suffix(".sli") if own else path.with_name(f"{path.name}.sli")

@@ -167,7 +167,7 @@ _POSITION_ELEMENTS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transfor
 
 
 def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
-    """Refuse a raster without a position, or with metadata in files beside it, which are not read."""
+    # Refuse a raster without a position, or with metadata in files beside it, which are not read.
     from rasterio.enums import MaskFlags
 
     place = os.path.abspath(path)
@@ -217,7 +217,7 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
 
 
 def _declared(raster: Any) -> dict[str, Any]:
-    """Return the declared unit of the heights, and their reference surface from tags."""
+    # The declared unit of the heights, and their reference surface from tags.
     tags = raster.tags()
     declared: dict[str, Any] = {"units": raster.units[0]} if raster.units[0] else {}
     if "height_reference" in tags:
@@ -229,7 +229,6 @@ def _declared(raster: Any) -> dict[str, Any]:
 
 
 def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
-    """Return heights of a window as floats, NaN at nodata values or masked cells."""
     from rasterio.enums import MaskFlags
     from rasterio.windows import Window
 
@@ -265,7 +264,7 @@ _TRACK_POINTS = 257
 def _window(
     raster: Any, path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the rows and columns of a raster around a flight."""
+    # The rows and columns of a raster around a flight.
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import CRSError, RasterioError
     from rasterio.warp import transform

@@ -53,8 +53,7 @@ _STAMP = re.compile(
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of the header: its name and unit."""
-
+    # One column of the header: its name and unit.
     key: str
     shown: str
     unit: str | None
@@ -126,7 +125,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
 
 
 def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
-    """Return comments, header and cells; unused columns are dropped."""
+    # Comments, header and cells; unused columns are dropped.
     text = read_text(path, _MAX_BYTES, MAX_TABLE_ROWS)
     comments: dict[str, str] = {}
     start, head = 0, ""
@@ -184,7 +183,7 @@ def _column(cell: str) -> _Column:
 def _declared(
     comments: Mapping[str, str], problems: Problems
 ) -> tuple[Convention, list[str], dict[str, Any]]:
-    """Return the convention, its assumed fields, and the clock settings in the comments."""
+    # The convention, its assumed fields, and the clock settings in the comments.
     names = {field.name for field in fields(Convention)}
     declared: dict[str, Any] = {}
     for key, value in comments.items():
@@ -231,7 +230,6 @@ def _declared(
 
 
 def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
-    """Return the columns of pose and time; missing and duplicate ones are noted."""
     columns_by_name: dict[str, list[_Column]] = {}
     for column in header:
         name = _ALIASES.get(column.key) or ("time" if column.key in _CLOCKS else None)
@@ -291,7 +289,7 @@ def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> N
 def _stamps(
     table: Table, column: _Column, clock_settings: Mapping[str, Any], problems: Problems
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
-    """Return nanoseconds, which rows have a time, and the origin of the stamps."""
+    # Nanoseconds, which rows have a time, and the origin of the stamps.
     clock = _CLOCKS[column.key]
     cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
     has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
@@ -359,7 +357,7 @@ def _counted(
 def _iso(
     cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, zoned: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return nanoseconds since 1970, and the lines with an unreadable stamp."""
+    # Nanoseconds since 1970, and the lines with an unreadable stamp.
     texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
     bad = np.zeros(len(cells), np.bool_)
     for place in np.flatnonzero(has_time).tolist():

@@ -232,7 +232,6 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 
 
 def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
-    """Return a stored result of `open_navigation`."""
     from hyperpaint.io.store import load_group
 
     record = load_group(path)
@@ -291,7 +290,7 @@ def read_record(
 
 
 def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
-    """Read ``imu_gps.txt`` with uncorrected stamps."""
+    # Read ``imu_gps.txt`` with uncorrected stamps.
     record: Navigation = read_imu_gps(path)
     own_clock = record.utc is None
     if own_clock and gps_time is not None:
@@ -415,7 +414,7 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
 
 
 def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
-    """Return the GPS week of the stamps, and its source."""
+    # The GPS week of the stamps, and its source.
     if source.week is not None:
         return int(source.week), "given"
     if source.midnight is not None:

@@ -298,7 +298,7 @@ def _number(cell: str) -> float:
 
 
 def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return nanoseconds since 1970-01-01; NaT where an unaligned row has no date."""
+    # Nanoseconds since 1970-01-01; NaT where an unaligned row has no date.
     dates = instants([_iso(cell) for cell in table.columns[column]])
     wrong = table.rows[np.isnat(dates) & ~unaligned]
     if wrong.size:
@@ -344,7 +344,7 @@ def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:
 def _dated(
     utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, unaligned: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which rows have a date; an unaligned row needs one that agrees with the aligned rows."""
+    # Which rows have a date; an unaligned row needs one that agrees with the aligned rows.
     dated: NDArray[np.bool_] = np.not_equal(utc, NAT)
     aligned = dated & ~unaligned
     if stamp is None or not aligned.any():

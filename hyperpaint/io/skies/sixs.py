@@ -69,7 +69,7 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
 
 
 def _run(path: str | Path) -> tuple[float, ...]:
-    """Return wavelength [micron] and the three irradiances [W m-2 micron-1] of one output."""
+    # Wavelength [micron] and the three irradiances [W m-2 micron-1].
     lines = sky_lines(path)
     wavelength = next((match[1] for line in lines if (match := _WAVELENGTH.search(line))), None)
     place = next((n for n, line in enumerate(lines[:-1]) if "direct solar irr." in line), None)

@@ -119,7 +119,6 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
 
 
 def _names(line: str) -> list[str]:
-    """Return the column names, each as one word."""
     for name in _TWO_WORDS:
         line = line.replace(name, name.replace(" ", "_"))
     return line.split()

@@ -37,8 +37,7 @@ _MAX_SHOWN = 20
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    """Samples as logged, before correction of clocks and units."""
-
+    # Samples as logged, before correction of clocks and units.
     sources: Sequence[str]
     stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
     utc_offset_h: Sequence[float]
@@ -387,7 +386,6 @@ def _from_xarray(
 
 
 def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return the time and the wavelength coordinate of a series."""
     axes = []
     for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
         name = next((name for name in names if name in array.dims and name in array.coords), None)
@@ -433,7 +431,7 @@ def _refuse_duplicates(
 
 
 def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> Floats:
-    """Return the ordered values in the units of the table; refuse values beyond float32."""
+    # The ordered values in the units of the table; refuse values beyond float32.
     raw = series.values[order]
     with np.errstate(over="ignore"):
         values: Floats = raw * factor

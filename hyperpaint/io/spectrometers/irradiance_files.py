@@ -151,7 +151,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
 
 
 def _beside_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
-    """Yield the numbered lines of a table, and collect its comments in a dict."""
+    # Its comments go into the dict ``comments``.
     for line_number, line in numbered_lines(text):
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
@@ -191,12 +191,10 @@ def stored_series(path: Any) -> xr.Dataset:
 
 
 def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
-    """Return a product of HYPERNETS (L1A to L1C, irradiance) as a series; other data unchanged.
-
-    Its dims are ``wavelength`` and ``scan`` or ``series``; ``acquisition_time`` counts seconds of UTC from
-    1970, and ``bandwidth`` [nm] is the width at half maximum (hypernets_processor, variables of its data
-    format).
-    """
+    # A product of HYPERNETS (L1A to L1C, irradiance) as a series; other data unchanged.
+    # Its dims are ``wavelength`` and ``scan`` or ``series``; ``acquisition_time`` counts seconds of UTC from
+    # 1970, and ``bandwidth`` [nm] is the width at half maximum (hypernets_processor, variables of its data
+    # format).
     dim = next((name for name in ("series", "scan") if name in data.dims), None)
     if dim is None or not {"irradiance", "acquisition_time", "wavelength"} <= set(data.variables):
         return data

@@ -136,7 +136,6 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def _sections(lines: list[str]) -> dict[str, list[tuple[int, str]]]:
-    """Return the numbered lines of every section."""
     sections: dict[str, list[tuple[int, str]]] = {}
     current: list[tuple[int, str]] | None = None
     for place, line in enumerate(lines, 1):
@@ -153,7 +152,7 @@ def _sections(lines: list[str]) -> dict[str, list[tuple[int, str]]]:
 
 
 def _table(name: str, sections: dict[str, list[tuple[int, str]]], columns: int, problems: Problems) -> Floats:
-    """Return the numbers of a section (row, column); faults are noted."""
+    # The numbers of a section (row, column); faults are noted.
     rows = sections.get(name, [])
     if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
         problems.add(

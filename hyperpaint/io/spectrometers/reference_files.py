@@ -57,7 +57,7 @@ def _of_store(path: Any) -> list[xr.Dataset]:
 
 
 def _spectra_in(inside: list[Path]) -> list[Path]:
-    """Return the spectra of a folder; text exports only without others."""
+    # The spectra of a folder; text exports only without others.
     spectra = [path for path in inside if path.suffix.lower() in (".sig", ".asd")]
     return spectra or [path for path in inside if path.suffix.lower() in (".txt", ".tsv", ".csv")]
 
@@ -73,7 +73,7 @@ def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.
 
 
 def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) -> list[xr.Dataset]:
-    """Open spectra as `open_spectra`; references may differ in wavelengths, or be libraries."""
+    # Open spectra as `open_spectra`; references may differ in wavelengths, or be libraries.
     problems = Problems("references cannot be opened", FormatError)
     files_by_opener: dict[Any, list[Path]] = {}
     libraries: list[Path] = []

@@ -265,7 +265,7 @@ def _measurement(
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
-    """Return the wavelength of the change of detectors, for each step back of the wavelengths [nm]."""
+    # The wavelength of the change of detectors, for each step back of the wavelengths [nm].
     handovers = []
     for start, join in zip(file.starts[1:], joins or SVC_JOINS, strict=False):
         first, last = float(file.wavelength[start]), float(file.wavelength[start - 1])
@@ -284,7 +284,7 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
 
 
 def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
-    """Return which channels remain with one detector on each side of a join."""
+    # Which channels remain with one detector on each side of a join.
     used = np.ones(len(file.wavelength), bool)
     for start, join in zip(file.starts[1:], handovers, strict=False):
         used[:start] &= file.wavelength[:start] <= join
@@ -293,7 +293,7 @@ def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]
 
 
 def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
-    """Return the advice to trim, where trimming gives all files one set of wavelengths."""
+    # The advice to trim, where trimming gives all files one set of wavelengths.
     for joins in sorted({item.overlap.joins for item in measured if item.overlap.joins is not None}):
         try:
             grids = [

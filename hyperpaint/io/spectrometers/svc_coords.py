@@ -89,8 +89,7 @@ def coords_of_times(
 
 
 class _Clock:
-    """Converts stamps to UTC, and collects the reasons of failures."""
-
+    # Converts stamps to UTC, and collects the reasons of failures.
     def __init__(self, orders: Mapping[str, bool], dayfirst: bool | None, utc_offset_h: float | None) -> None:
         self._orders = orders
         self._dayfirst = dayfirst
@@ -144,7 +143,7 @@ def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
 
 
 def _of_spectra(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, dict[str, str]]:
-    """Return a coordinate of the spectra; lists hold texts."""
+    # A coordinate of the spectra; lists hold texts.
     array = np.array(values, object) if isinstance(values, list) else values
     return "spectrum", array, {"long_name": meaning, **attrs}
 
@@ -181,7 +180,7 @@ def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[s
 
 
 def _column_differences(files: Sequence[SvcFile]) -> Floats:
-    """Return the distance of each file's fourth column from the ratio; warn where it exceeds rounding."""
+    # The distance of each file's fourth column from the ratio; warn where it exceeds rounding.
     differences = np.full(len(files), np.nan)
     contradictory = []
     for place, file in enumerate(files):
@@ -300,7 +299,7 @@ def read_stamp(text: str) -> LocalStamp | None:
 
 
 def _month(text: str) -> int | None:
-    """Return the number of a month; a number is returned unchanged, and may be a day."""
+    # The number of a month; a number is returned unchanged, and may be a day.
     if text.isdecimal():
         return int(text)
     word = text.lower()

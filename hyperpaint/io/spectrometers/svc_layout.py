@@ -146,7 +146,7 @@ def _svc_number(text: str) -> float | None:
 
 
 def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
-    """Return the values by key, and the index of the first row of the table."""
+    # The values by key, and the index of the first row of the table.
     header: dict[str, str] = {}
     last = ""
     for number, line in enumerate(lines[1 : _MAX_HEADER_LINES + 1], start=1):

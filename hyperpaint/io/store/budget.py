@@ -276,7 +276,7 @@ def available_memory(system: Path = Path("/")) -> int:
 
 
 def _shared_memory(system: Path) -> int:
-    """Return the memory left by the machine and its container, which other programs share."""
+    # The memory left by the machine and its container, which other programs share.
     import psutil
 
     # includes the file cache, which is freed on demand
@@ -311,7 +311,7 @@ def _address_limit() -> int | None:
 
 
 def _address_space() -> int | None:
-    """Return the address space left for slabs; None without a limit."""
+    # The address space left for slabs; None without a limit.
     limit = _address_limit()
     if limit is None:
         return None
@@ -324,10 +324,8 @@ def _address_space() -> int | None:
 
 
 def _container_memory(system: Path) -> Iterator[int]:
-    """Yield the memory left by each control group (version 2 or 1) of this process, and by those above.
-
-    psutil knows no control groups, and distributed only the limit of the innermost one.
-    """
+    # The memory left by each control group (version 2 or 1) of this process, and by those above.
+    # psutil knows no control groups, and distributed only the limit of the innermost one.
     root = system / "sys/fs/cgroup"
     try:
         entries = (system / "proc/self/cgroup").read_text(encoding="ascii", errors="replace").splitlines()
@@ -448,7 +446,7 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
 
 
 def _threads_within(limit: int, needed: Callable[[int], float]) -> int:
-    """Return the largest number of threads, at least one, within a memory limit."""
+    # The largest number of threads, at least one, within a memory limit.
     threads = thread_count()
     while threads > 1 and needed(threads) > limit:
         threads -= 1

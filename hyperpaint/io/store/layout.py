@@ -300,11 +300,9 @@ def _is_plain(value: Any, depth: int = 0) -> bool:
 
 @functools.cache
 def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], bytes]:
-    """Return a function that makes a blosc frame of an array, by the package ``blosc`` or else numcodecs.
-
-    Both make the same bytes; the first uses wider instructions of newer processors. Many tasks encode at
-    once, one thread each.
-    """
+    # A function that makes a blosc frame of an array, by the package ``blosc`` or else numcodecs.
+    # Both make the same bytes; the first uses wider instructions of newer processors. Many tasks encode at
+    # once, one thread each.
     import numcodecs.blosc
 
     try:

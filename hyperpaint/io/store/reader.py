@@ -417,7 +417,7 @@ def is_zarr(path: Any) -> bool:
 
 
 def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
-    """Return a store object for a group of ours that dask names by content, not by path and time."""
+    # A store object for a group of ours that dask names by content, not by path and time.
     content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
     added = seal.partition(" ")[0] != str(len(arrays))  # arrays of other programs may change unnoticed
     if content is None or added or not isinstance(source, str):
@@ -452,7 +452,6 @@ def check_metadata(location: Location | None, group: str) -> None:
 
 
 def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
-    """Yield key and size of the metadata documents of a group and of its members."""
     if location.local is not None:
         folder = location.key(group)
         names = itertools.chain([""], os.listdir(folder) if os.path.isdir(folder) else ())

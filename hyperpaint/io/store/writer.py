@@ -222,8 +222,7 @@ class Job:
 
 
 class _StoreWriter:
-    """Publishes groups one by one, then writes the manifest; created by `_writer`."""
-
+    # Publishes groups one by one, then writes the manifest; created by `_writer`.
     def __init__(
         self,
         location: Location,
@@ -297,7 +296,6 @@ class _StoreWriter:
     def _note(
         self, job: Job, files: dict[str, bytes], sums: Mapping[str, Mapping[str, bytes]]
     ) -> dict[str, Any]:
-        """Record a group's metadata and its manifest entry; return the group's root metadata."""
         documents = {
             key.removesuffix(METADATA).rstrip("/"): json.loads(raw)
             for key, raw in files.items()
@@ -321,7 +319,7 @@ class _StoreWriter:
         return dict(root)
 
     def announce(self, group: str) -> None:
-        """Create the groups above; before the first group is published, record all that are to be written."""
+        # Create the groups above; before the first group is published, record all that are to be written.
         if not self._announced:
             replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
             self._announced = True
@@ -330,10 +328,7 @@ class _StoreWriter:
         self._ensured.update(missing)
 
     def finish(self) -> None:
-        """List all metadata in the root, and write the manifest.
-
-        Raises `IncompleteStoreError`: a group of this run, or of another unfinished one, is missing.
-        """
+        # List all metadata in the root, and write the manifest.
         location, manifest = self._location, self._manifest
         listed = listed_documents(location)
         there = [name for name in self._write.contents if location.has(name, METADATA)]
@@ -441,7 +436,7 @@ def _writer(
 
 
 def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str, Any]) -> bool:
-    """Return whether the manifest and the root list all these groups, with nothing left to do."""
+    # Whether the manifest and the root list all these groups, with nothing left to do.
     manifest = Manifest.read(location, ignore_damage=True)
     if manifest is None or any(set(write.contents) & set(contents) for write in manifest.writes):
         return False
@@ -456,7 +451,7 @@ def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str
 
 @contextlib.contextmanager
 def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
-    """Remove builds after an error that would recur in the same run."""
+    # Remove builds after an error that would recur in the same run.
     try:
         yield
     except BaseException as error:
@@ -632,10 +627,8 @@ def _write_arrays(
 
 
 def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, bytes]:
-    """Return the files of a group, as zarr makes them in memory: metadata, and values not streamed.
-
-    On a disk each of some hundred small files would wait for zarr's threads.
-    """
+    # The files of a group, as zarr makes them in memory: metadata, and values not streamed.
+    # On a disk each of some hundred small files would wait for zarr's threads.
     from zarr.storage import MemoryStore
 
     files: dict[str, Any] = {}
@@ -698,7 +691,6 @@ def real_folder(local: Path) -> Path:
 def _plan(
     data: xr.Dataset | xr.DataTree, group: str, source_token: str | None, form: tuple[layout.Codec, Layout]
 ) -> tuple[list[Job], dict[str, dict[str, Any]]]:
-    """Return the groups to write, and the attributes of groups without variables."""
     is_tree = not isinstance(data, xr.Dataset)
     if isinstance(data, xr.Dataset):
         nodes = {group: data}
@@ -746,7 +738,7 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 
 
 def _content(variable: xr.Variable) -> Any:
-    """Return a stand-in for a variable's values that changes with them."""
+    # A stand-in for a variable's values that changes with them.
     if layout.is_at_hand(variable) and is_named_by_content(variable):
         # dask's names of text arrays are ambiguous
         is_text = variable.dtype.kind in "OT" and variable._in_memory
@@ -840,7 +832,7 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:
-    """Refuse groups that exceed disk or memory; return the number of threads that fit, None for any."""
+    # Refuse groups that exceed disk or memory; return the number of threads that fit, None for any.
     _check_disk(jobs, location)
     if computing.client_in_force() is not None:
         return None  # the workers have their own memory
