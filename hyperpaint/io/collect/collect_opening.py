@@ -192,8 +192,7 @@ def _levelled(
     }
     time = np.concatenate([np.asarray(poses.utc) for poses in dated]).astype("datetime64[ns]")
     declared = dict(collect.flightlines[0].convention) if collect.flightlines else {}
-    attitude = xr.Dataset(columns, {"time": time}, Convention(**declared).to_attrs())
-    return level(record, attitude)
+    return level(record, xr.Dataset(columns, {"time": time}, Convention(**declared).to_attrs()))
 
 
 def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iterator[tuple[str, xr.Dataset]]:

@@ -518,8 +518,7 @@ def parse_collect(
     Raises `CollectError`: The file cannot be read, or is not TOML.
     """
     try:
-        raw = load_tables(path, "a collect.toml") if tables is None else tables
-        reader = _Reader(path, raw, problems)
+        reader = _Reader(path, load_tables(path, "a collect.toml") if tables is None else tables, problems)
     except FormatError as error:
         fault = error.problem
         raise CollectError(fault.found, expected=fault.expected, mend=fault.mend, code=fault.code) from error

@@ -73,8 +73,7 @@ def export_folder(
             mend="write to a folder and copy it",
             code="folder-is-url",
         )
-    place = Path(os.path.abspath(folder))
-    with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
+    with published_folder(Path(os.path.abspath(folder)), overwrite=overwrite, foreign=_foreign) as build:
         for name in inside:
             (build / name).mkdir(parents=True)
         yield build

@@ -96,8 +96,7 @@ class EnviArray(BackendArray):
         return values.reshape(shape)
 
     def _read(self, positions: list[Ints]) -> Array:
-        shape = tuple(len(wanted) for wanted in positions)
-        samples = np.empty(shape, self.stored.newbyteorder("="))
+        samples = np.empty(tuple(len(wanted) for wanted in positions), self.stored.newbyteorder("="))
         if samples.size == 0:
             return samples
         # a view of the same memory, axes in the order of the file
@@ -111,8 +110,7 @@ class EnviArray(BackendArray):
             is_slab = self.axes == (0, 1, 2) and bool((np.diff(planes) == 1).all())
             is_slab = is_slab and np.array_equal(rows, np.arange(height))
             if is_slab and np.array_equal(columns, np.arange(width)):
-                first = int(planes[0]) * height * width
-                self._fill(file, first, samples.reshape(-1))
+                self._fill(file, int(planes[0]) * height * width, samples.reshape(-1))
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
             else:

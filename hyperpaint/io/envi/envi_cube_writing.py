@@ -120,8 +120,7 @@ def write_envi(
         raise SchemaError(
             f"interleave {chosen!r:.40}", expected="'bil', 'bip' or 'bsq'", code="choice-unknown"
         )
-    order = [dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]]
-    stored = cube.transpose(*order)
+    stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]])
     header = _header(dataset, cube, chosen, grid)
     # names of data file and header
     data = head = Path(path)
@@ -261,8 +260,7 @@ class _Target:
         try:
             for plane in range(block.shape[0]):
                 first = ((starts[0] + plane) * rows + starts[1]) * columns + starts[2]
-                pieces = [block[plane]] if whole_rows else block[plane]
-                for row, piece in enumerate(pieces):
+                for row, piece in enumerate([block[plane]] if whole_rows else block[plane]):
                     self._write(descriptor, piece, first + row * columns)
             if block.shape[1:] == self.shape[1:] and hasattr(os, "posix_fadvise"):
                 # Linux starts to write these pages, so that little is left to flush at the end

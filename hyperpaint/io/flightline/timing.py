@@ -98,8 +98,7 @@ def utc_of(value: Any, name: str) -> np.datetime64:
             expected="a year from 1980 to 2200",
             code="value-out-of-range",
         )
-    utc = value.astimezone(datetime.UTC).replace(tzinfo=None)
-    return np.datetime64(utc, "ns")
+    return np.datetime64(value.astimezone(datetime.UTC).replace(tzinfo=None), "ns")
 
 
 def line_times(

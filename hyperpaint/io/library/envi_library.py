@@ -231,9 +231,8 @@ def _with_error_bars(
 def _scale(header: EnviHeader, source: str) -> float | None:
     # The stored value of a reflectance of one, from the header.
     factor = header.reflectance_scale_factor
-    titles = bare(header.fields.get("z plot titles", ""))
     # the first names the wavelengths, and may itself hold commas
-    title = titles.rpartition(",")[2]
+    title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
     if other_quantity(title):
         raise FormatError(
             f"{source}: the z plot title is {title.strip()[:60]!r}",

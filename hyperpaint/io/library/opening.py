@@ -135,8 +135,7 @@ def open_library(
             mend="leave quantity= out",
             code="choice-unknown",
         )
-    is_reflectance = quantity is not None
-    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, is_reflectance)
+    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, quantity is not None)
     from hyperpaint.io.store.reader import is_zarr
 
     if is_zarr(path):

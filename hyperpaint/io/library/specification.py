@@ -222,8 +222,7 @@ def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
     for key, array in library.variables.items():
         row_of = LIBRARY_VARIABLES.get(str(key))
         if row_of is not None and key not in (CENTRE, "wavelength", SIGNATURE):
-            wrong = row_of.dim_problem(library[key])
-            if wrong and array.dims != (SIGNATURE, *row_of.dims):
+            if row_of.dim_problem(library[key]) and array.dims != (SIGNATURE, *row_of.dims):
                 yield LibraryFinding(
                     "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
                 )

@@ -165,6 +165,4 @@ def _named(path: Path, format: str) -> Path:
     if format == "envi":
         own = path.suffix.lower() in (".sli", ".hdr")
         return path.with_suffix(".sli") if own else path.with_name(f"{path.name}.sli")
-    if format == "csv" and not path.suffix and not path.is_dir():
-        return path.with_suffix(".csv")
-    return path
+    return path.with_suffix(".csv") if format == "csv" and not path.suffix and not path.is_dir() else path

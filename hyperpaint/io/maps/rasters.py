@@ -284,8 +284,7 @@ def _window(
             mend="declare it with gdal_edit -a_srs",
             code="crs-missing",
         )
-    step = max(1, points.shape[1] // _TRACK_POINTS)
-    longitude, latitude, _ = points[:, ::step]
+    longitude, latitude, _ = points[:, :: max(1, points.shape[1] // _TRACK_POINTS)]
     try:
         x, y = (np.asarray(each) for each in transform("EPSG:4326", raster.crs, longitude, latitude))
     except (CPLE_BaseError, CRSError, RasterioError) as error:

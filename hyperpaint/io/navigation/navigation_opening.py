@@ -258,8 +258,7 @@ def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.
         raise TimeError(
             f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]", code="type-wrong"
         )
-    utc = time.astype("datetime64[ns]").astype(np.int64)
-    refuse_backwards(str(path), utc, row="sample")
+    refuse_backwards(str(path), time.astype("datetime64[ns]").astype(np.int64), row="sample")
     declared = Convention.from_attrs(record.attrs) or Convention()
     if convention is not None:
         declared = convention if isinstance(convention, Convention) else declared.replace(**convention)

@@ -350,8 +350,7 @@ def _dated(
     if stamp is None or not aligned.any():
         return dated
     offset = utc / 1e9 - stamp / 1e6
-    agrees = np.abs(offset - np.median(offset[aligned])) < 1.0
-    has_date: NDArray[np.bool_] = dated & (agrees | ~unaligned)
+    has_date: NDArray[np.bool_] = dated & ((np.abs(offset - np.median(offset[aligned])) < 1.0) | ~unaligned)
     return has_date
 
 

@@ -82,8 +82,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
             mend="give date='YYYY-MM-DD' of its first row",
             code="date-missing",
         )
-    seconds = np.array(list(log.rows))
-    stamp = np.rint(seconds * NS_PER_S).astype(np.int64) + day
+    stamp = np.rint(np.array(list(log.rows)) * NS_PER_S).astype(np.int64) + day
     names = (*POSE, "separation")
     values = {name: np.array([row.get(name, np.nan) for row in log.rows.values()]) for name in names}
     separation = values.pop("separation")

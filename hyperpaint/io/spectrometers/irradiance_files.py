@@ -179,8 +179,7 @@ def stored_series(path: Any) -> xr.Dataset:
     try:
         if not is_zarr(path):
             return _of_hypernets(load_netcdf(input_path(path, "an irradiance series")))
-        group = "irradiance" if "irradiance" in list_groups(path) else None
-        return _of_hypernets(load_group(path, group))
+        return _of_hypernets(load_group(path, "irradiance" if "irradiance" in list_groups(path) else None))
     except IncompleteStoreError:
         raise
     except Exception as error:  # h5py and xarray leak classes of their own on damaged files

@@ -157,8 +157,7 @@ def _names(heading: str, column: int, last: bool) -> list[str]:
     names: list[list[str]] = []
     for cell in cells:
         inside = [aside.pop(0).strip() for _ in range(cell.count("\x00"))]
-        bare = " ".join(cell.replace("\x00", " ").split())
-        end = _AT_END.search(bare)
+        end = _AT_END.search(" ".join(cell.replace("\x00", " ").split()))
         names.append([*inside, *([] if end is None else [end[1] or end[2] or end[3]])])
     plain = [" ".join(_AT_END.sub("", cell.replace("\x00", " ").strip()).split()).lower() for cell in cells]
     of_columns = bool(_WAVELENGTH.fullmatch(plain[0])) and (plain[0] != "" or bool(names[0]))

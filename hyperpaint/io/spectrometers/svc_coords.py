@@ -118,8 +118,7 @@ class _Clock:
                 "local times without GPS time are NaT; pass utc_offset_h=", "zone-missing", file
             )
         if self._utc_offset_h is not None and gps is not None:
-            difference_h = (local - utc).total_seconds() / 3600.0 - self._utc_offset_h
-            if abs(difference_h) > 0.25:
+            if abs((local - utc).total_seconds() / 3600.0 - self._utc_offset_h) > 0.25:
                 reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
                 self._note(reason, "utc-offset-conflict", file)
         return np.datetime64(utc, "ns")

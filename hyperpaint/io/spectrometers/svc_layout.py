@@ -140,9 +140,7 @@ def _svc_number(text: str) -> float | None:
     >>> _svc_number("-5,1"), _svc_number("1.5E-02"), _svc_number("1,5,0")
     (-5.1, 0.015, None)
     """
-    if _NUMBER.fullmatch(text):
-        return float(text.replace(",", "."))
-    return _NO_NUMBERS.get(text.lower())
+    return float(text.replace(",", ".")) if _NUMBER.fullmatch(text) else _NO_NUMBERS.get(text.lower())
 
 
 def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:

@@ -439,8 +439,7 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     resident = resident_memory()
 
     def needed(threads: int) -> float:
-        peak = load.peak(lines=lines, threads=threads, fixed=resident + RUNNING)
-        return MARGIN * peak + threads * fixed
+        return MARGIN * load.peak(lines=lines, threads=threads, fixed=resident + RUNNING) + threads * fixed
 
     return _threads_within(process_limit(resident), needed)
 

@@ -424,8 +424,7 @@ def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
         return source
     from .named_stores import NamedFsspecStore, NamedLocalStore
 
-    remote = "://" in source
-    store: Any = (NamedFsspecStore.from_url if remote else NamedLocalStore)(source, read_only=True)
+    store: Any = (NamedFsspecStore.from_url if "://" in source else NamedLocalStore)(source, read_only=True)
     store.content = f"{source} {content} {seal}"
     return store
 

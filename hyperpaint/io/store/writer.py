@@ -170,8 +170,7 @@ def to_store(
         return path
     location = Location.of(path)
     contents = {job.group: job.content for job in jobs}
-    datasets = {job.group: job.dataset for job in jobs}
-    with errors_of_the_system(location, datasets):
+    with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
         # groups that are read must not be replaced
         problems = Problems(f"cannot write {location.url}", StoreError)
         for job, other in itertools.product(jobs, jobs):
@@ -278,8 +277,7 @@ class _StoreWriter:
                 root = self._note(job, files, sums)
                 place = Location.of(closed)
                 if not job.group:  # published with its manifest in one step
-                    documents = {name: doc for name, doc in self._documents.items() if name}
-                    root = with_listed(root, documents)
+                    root = with_listed(root, {name: doc for name, doc in self._documents.items() if name})
                     writes = (self._write,) if len(self._write.contents) > 1 else ()
                     replace(self._manifest, groups={"": self._entries[""]}, writes=writes).write(place)
                 place.write_files({METADATA: json.dumps(root).encode()})
