@@ -370,7 +370,23 @@ def _flightline(
             start = utc_of(start, "start_time")
         except TimeError as error:
             reader.problems.add_error(place, error)
-    _check_timing(reader, place, table)
+    stated = table["?"]
+    period = "frame_period_ms" in stated or "frame_period_ms" in reader.one("camera")["?"]
+    by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
+    if not by_index and not ("start_time" in stated and period):
+        sources = sorted(stated & {"frame_index", "nav", "start_time"})
+        sources += ["frame_period_ms"] if period else []
+        reader.problems.add(
+            f"{place} no line times: found {', '.join(sources) or 'nothing'}",
+            expected="frame_index and nav, or start_time and frame_period_ms",
+            code="line-times-missing",
+        )
+    if "date" in stated and reader.clock.clock_offset_s is None:
+        reader.problems.add(
+            f"{place} date without [camera] clock_offset_s",
+            mend="state clock_offset_s: UTC = computer clock + clock_offset_s",
+            code="clock-offset-missing",
+        )
     timing: Timing | Unavailable = Unavailable.REPORTED
     if len(reader.problems) == before:
         timing = replace(
@@ -405,26 +421,6 @@ def _with_files_beside(table: Mapping[str, Any], cube: Path | None) -> Mapping[s
         beside["nav"] = navigation_beside(cube)
     paths = {key: str(path.absolute()) for key, path in beside.items() if path is not None}
     return {**table, **paths, "?": stated | set(paths)}
-
-
-def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any]) -> None:
-    stated = table["?"]
-    period = "frame_period_ms" in stated or "frame_period_ms" in reader.one("camera")["?"]
-    by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
-    if not by_index and not ("start_time" in stated and period):
-        sources = sorted(stated & {"frame_index", "nav", "start_time"})
-        sources += ["frame_period_ms"] if period else []
-        reader.problems.add(
-            f"{place} no line times: found {', '.join(sources) or 'nothing'}",
-            expected="frame_index and nav, or start_time and frame_period_ms",
-            code="line-times-missing",
-        )
-    if "date" in stated and reader.clock.clock_offset_s is None:
-        reader.problems.add(
-            f"{place} date without [camera] clock_offset_s",
-            mend="state clock_offset_s: UTC = computer clock + clock_offset_s",
-            code="clock-offset-missing",
-        )
 
 
 def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:

@@ -77,7 +77,7 @@ def obj_lines(
     places = np.take_along_axis(scene.vertices[projected % len(scene.vertices)], axes, axis=1) / texture_m
     yield from (f"vt {a:.5f} {b:.5f}" for a, b in places.tolist())
     yield from (f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in scene.normals.tolist())
-    smooth = np.asarray(np.asarray((scene.normals != 0.0).any(axis=1))[scene.faces].all(axis=1)).tolist()
+    smooth = (scene.normals != 0.0).any(axis=1)[scene.faces].all(axis=1).tolist()
     order = np.lexsort((face_id, scene.face_instance))
     last = (-1, -1)
     points, turns = (scene.faces + 1).tolist(), (texture.reshape(scene.faces.shape) + 1).tolist()
@@ -218,7 +218,8 @@ def _fresnel(angle: Array, index: float) -> Array:
     # Unpolarised light, angle from the normal [rad].
     outside, inside = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
     across = (outside - index * inside) / (outside + index * inside)
-    return np.asarray(0.5 * (across**2 + ((index * outside - inside) / (index * outside + inside)) ** 2))
+    along = (index * outside - inside) / (index * outside + inside)
+    return np.asarray(0.5 * (across**2 + along**2))
 
 
 _ORIGIN = ("latitude", "longitude", "altitude")

@@ -176,7 +176,27 @@ def open_envi(
     """
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
-    _refuse_contradictions(header, header_path)
+    problems = Problems(f"ENVI header {str(header_path)!r} cannot be used", FormatError)
+    if header.is_spectral_library:
+        problems.add(
+            f"file type is {header.fields['file type']!r}: a spectral library",
+            expected="a cube",
+            code="file-type-wrong",
+        )
+    scale = header.reflectance_scale_factor not in (None, 1.0)
+    if scale and _has_gain(header):
+        problems.add(
+            "both 'reflectance scale factor' and band gains or offsets are given",
+            mend="delete those that do not belong to the stored samples",
+            code="scale-conflict",
+        )
+    if scale and _level(header) == "radiance":
+        problems.add(
+            "the description says RADIANCE but a 'reflectance scale factor' is given",
+            mend="delete one",
+            code="scale-conflict",
+        )
+    problems.raise_if_any()
     status = os.stat(data_path)
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
     # anything that may make values wrong
@@ -218,30 +238,6 @@ def open_envi(
     return xr.Dataset(
         {name: variable}, coords=_coordinates(header, lines), attrs=_attributes(header, data_path, lines)
     )
-
-
-def _refuse_contradictions(header: EnviHeader, path: Path) -> None:
-    problems = Problems(f"ENVI header {str(path)!r} cannot be used", FormatError)
-    if header.is_spectral_library:
-        problems.add(
-            f"file type is {header.fields['file type']!r}: a spectral library",
-            expected="a cube",
-            code="file-type-wrong",
-        )
-    scale = header.reflectance_scale_factor not in (None, 1.0)
-    if scale and _has_gain(header):
-        problems.add(
-            "both 'reflectance scale factor' and band gains or offsets are given",
-            mend="delete those that do not belong to the stored samples",
-            code="scale-conflict",
-        )
-    if scale and _level(header) == "radiance":
-        problems.add(
-            "the description says RADIANCE but a 'reflectance scale factor' is given",
-            mend="delete one",
-            code="scale-conflict",
-        )
-    problems.raise_if_any()
 
 
 def _has_gain(header: EnviHeader) -> bool:

@@ -72,7 +72,7 @@ def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
     # an older program separates the two columns of a frame index with blanks
     separator = "\t" if "\t" in first else None
     names = [cell.strip().lower() for cell in first.rstrip("\t").split(separator)]
-    if [name for name in needs if name not in names] or len(set(names)) != len(names):
+    if not set(needs) <= set(names) or len(set(names)) != len(names):
         raise FormatError(
             f"{path}: first line {first[:120]!r}",
             expected=f"the header of a {kind}, which names {list(needs)} once",

@@ -93,7 +93,27 @@ def write_parquet_library(
     names = names_of(library)
     columns = paint_columns(library)
     schema = _schema().with_metadata({b"openspeclib_version": b"0", b"source": _OURS})
-    common = _common(library)
+    wavelength = np.asarray(library["wavelength"].values, np.float64)
+    attrs = {**library.attrs, **library[CENTRE].attrs}
+    fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
+    common = {
+        "source.library": "hyperpaint",
+        "source.library_version": str(attrs.get("paint_library_version", "unknown")),
+        "source.url": "",
+        "source.license": str(attrs.get("licence", "unknown")),
+        "source.citation": str(attrs.get("title", "unknown")),
+        "material.category": "man_made",
+        "material.subcategory": "car paint",
+        "measurement.technique": "reflectance",
+        "measurement.geometry": str(attrs.get("measurement_geometry", "unknown")),
+        "spectral_data.type": "reflectance",
+        "spectral_data.wavelength_unit": "nm",
+        "spectral_data.wavelength_min": wavelength.min(),
+        "spectral_data.wavelength_max": wavelength.max(),
+        "spectral_data.num_points": wavelength.size,
+        "spectral_data.wavelengths": wavelength,
+        "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
+    }
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
         metadata_file.write_bytes(metadata.encode())
         with pq.ParquetWriter(table, schema, compression="zstd") as writer:
@@ -129,30 +149,6 @@ def _schema() -> pa.Schema:
             pa.field("quality.coverage_fraction", pa.float64(), nullable=False),
         ]
     )
-
-
-def _common(library: xr.Dataset) -> dict[str, Any]:
-    wavelength = np.asarray(library["wavelength"].values, np.float64)
-    attrs = {**library.attrs, **library[CENTRE].attrs}
-    fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
-    return {
-        "source.library": "hyperpaint",
-        "source.library_version": str(attrs.get("paint_library_version", "unknown")),
-        "source.url": "",
-        "source.license": str(attrs.get("licence", "unknown")),
-        "source.citation": str(attrs.get("title", "unknown")),
-        "material.category": "man_made",
-        "material.subcategory": "car paint",
-        "measurement.technique": "reflectance",
-        "measurement.geometry": str(attrs.get("measurement_geometry", "unknown")),
-        "spectral_data.type": "reflectance",
-        "spectral_data.wavelength_unit": "nm",
-        "spectral_data.wavelength_min": wavelength.min(),
-        "spectral_data.wavelength_max": wavelength.max(),
-        "spectral_data.num_points": wavelength.size,
-        "spectral_data.wavelengths": wavelength,
-        "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
-    }
 
 
 def _row(

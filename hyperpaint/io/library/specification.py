@@ -221,11 +221,15 @@ def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
             yield LibraryFinding("structure", problem.found, expected)
     for key, array in library.variables.items():
         row_of = LIBRARY_VARIABLES.get(str(key))
-        if row_of is not None and key not in (CENTRE, "wavelength", SIGNATURE):
-            if row_of.dim_problem(library[key]) and array.dims != (SIGNATURE, *row_of.dims):
-                yield LibraryFinding(
-                    "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
-                )
+        if (
+            row_of is not None
+            and key not in (CENTRE, "wavelength", SIGNATURE)
+            and row_of.dim_problem(library[key])
+            and array.dims != (SIGNATURE, *row_of.dims)
+        ):
+            yield LibraryFinding(
+                "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
+            )
 
 
 def _names(library: xr.Dataset) -> Iterator[LibraryFinding]:

@@ -151,7 +151,14 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
             rows, columns = _window(raster, path, around)
         values = _cells(raster, rows, columns)
         crs = None if raster.crs is None else raster.crs.to_wkt()
-        declared = _declared(raster)
+        # the declared unit of the heights, and their reference surface
+        tags = raster.tags()
+        declared: dict[str, Any] = {"units": raster.units[0]} if raster.units[0] else {}
+        if "height_reference" in tags:
+            declared["height_reference"] = tags["height_reference"]
+        undulation = number(tags.get("geoid_undulation", ""))
+        if undulation is not None and np.isfinite(undulation):
+            declared["geoid_undulation"] = undulation
     attrs = {"GeoTransform": f"{c} {a} {b} {f} {d} {e}"} | ({} if crs is None else {"crs_wkt": crs})
     coords = {
         # half a cell is added to the corner first, like in rioxarray: the same bits
@@ -214,18 +221,6 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
             mend="set it with gdal_translate -a_ullr <west north east south>",
             code="not-finite",
         )
-
-
-def _declared(raster: Any) -> dict[str, Any]:
-    # The declared unit of the heights, and their reference surface from tags.
-    tags = raster.tags()
-    declared: dict[str, Any] = {"units": raster.units[0]} if raster.units[0] else {}
-    if "height_reference" in tags:
-        declared["height_reference"] = tags["height_reference"]
-    undulation = number(tags.get("geoid_undulation", ""))
-    if undulation is not None and np.isfinite(undulation):
-        declared["geoid_undulation"] = undulation
-    return declared
 
 
 def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:

@@ -163,7 +163,19 @@ def open_irradiance(
     times = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
-    values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
+    factor = conversion_factor(series.units, VARIABLES["irradiance"].units)
+    # in the units of the table, within float32
+    raw = series.values[order]
+    with np.errstate(over="ignore"):
+        values: Floats = raw * factor
+    lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
+    if lost.any():
+        where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
+        raise FormatError(
+            f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}: {where}",
+            mend="check whether the file is damaged",
+            code="value-out-of-range",
+        )
     _check_magnitude(series.wavelength, values)
     dataset = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
     uncertainty_s = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
@@ -428,22 +440,6 @@ def _refuse_duplicates(
     if len(twice) > len(shown):
         problems.add(f"... ({len(twice)} pairs in all)", code="time-duplicate")
     problems.raise_if_any()
-
-
-def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> Floats:
-    # The ordered values in the units of the table; refuse values beyond float32.
-    raw = series.values[order]
-    with np.errstate(over="ignore"):
-        values: Floats = raw * factor
-    lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
-    if lost.any():
-        where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
-        raise FormatError(
-            f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}: {where}",
-            mend="check whether the file is damaged",
-            code="value-out-of-range",
-        )
-    return values
 
 
 def _dataset(

@@ -117,10 +117,13 @@ class _Clock:
             return self._note(
                 "local times without GPS time are NaT; pass utc_offset_h=", "zone-missing", file
             )
-        if self._utc_offset_h is not None and gps is not None:
-            if abs((local - utc).total_seconds() / 3600.0 - self._utc_offset_h) > 0.25:
-                reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
-                self._note(reason, "utc-offset-conflict", file)
+        if (
+            self._utc_offset_h is not None
+            and gps is not None
+            and abs((local - utc).total_seconds() / 3600.0 - self._utc_offset_h) > 0.25
+        ):
+            reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
+            self._note(reason, "utc-offset-conflict", file)
         return np.datetime64(utc, "ns")
 
     def warn(self) -> None:
