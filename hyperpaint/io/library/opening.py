@@ -26,8 +26,7 @@ from .ecostress import is_ecostress, read_ecostress
 from .envi_library import read_envi_library
 from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
 from .parquet_library import is_parquet, read_parquet_library
-from .plain_table import read_plain_table
-from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
+from .plain_table import is_usgs, is_usgs_axis, read_plain_table, read_usgs, read_usgs_axis
 
 Path_ = str | os.PathLike[str]
 
