@@ -232,9 +232,8 @@ def _surfaces(
         spectrum = repaint.get(material.name, repaint.get(material.spectrum, material.spectrum))
         if material.kind == "paint":
             spectrum = repaint.get(instance.name, spectrum)
-        surface = _Surface(spectrum, 0.0, 0.0)
-        if (coat := material.coat) is not None:
-            surface = _Surface(spectrum, float(coat.index), float(coat.roughness) if with_roughness else 0.0)
+        index, roughness = (0.0, 0.0) if (coat := material.coat) is None else (coat.index, coat.roughness)
+        surface = _Surface(spectrum, float(index), float(roughness) if with_roughness else 0.0)
         surface_of_pair.append(numbers.setdefault(surface, len(numbers)))
     return list(numbers), np.asarray(surface_of_pair, np.int64)[face_pair.ravel()]
 

@@ -263,9 +263,11 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
     )
     if by_lines:
         found += f"\nit holds {whole} whole lines and {remainder} bytes more"
-    mend = "check samples, bands, lines and data type, or copy the file again"
-    if possible:
-        mend = f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
+    mend = (
+        f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
+        if possible
+        else "check samples, bands, lines and data type, or copy the file again"
+    )
     raise FormatError(
         f"ENVI data file {str(path)!r} does not fit its header",
         problems=[Problem(found, mend=mend, code="file-size")],

@@ -27,6 +27,8 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import convert
 from hyperpaint.io.files.reading import load_netcdf
+from hyperpaint.io.store import list_groups, load_group, open_unverified
+from hyperpaint.io.store.reader import is_zarr
 
 _ELEMENT = (BAND, CROSS_TRACK)
 #: Variables of the table that a calibration may hold, those it must hold first.
@@ -124,7 +126,6 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     """
     if isinstance(source, xr.Dataset):
         return check_calibration(source)
-    from hyperpaint.io.store import list_groups, load_group
 
     def load(source: Any, group: str | None) -> xr.Dataset:
         groups = {} if group is not None else {"", "calibration"}.intersection(list_groups(source))
@@ -137,8 +138,6 @@ def _read(
     source: Any, group: str | None, kind: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
 ) -> xr.Dataset:
     # Open any Zarr, or load a netCDF file.
-    from hyperpaint.io.store.reader import is_zarr
-
     zarr = is_zarr(source)
     is_path = isinstance(source, str | os.PathLike) and "://" not in os.fspath(source)
     if is_path and not input_path(Path(source), f"a {kind} in a Zarr store or netCDF file").exists():
@@ -337,8 +336,6 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     FormatError
         It cannot be read, or holds no counts of steps.
     """
-    from hyperpaint.io.store import open_unverified
-
     # counts change from step to step only along one dim: a chunk of steps is all that is in memory
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:

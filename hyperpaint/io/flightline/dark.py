@@ -125,10 +125,9 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
     counts = label(counts.reset_coords(drop=True), "dark_counts")
     if times is not None:
         counts = counts.assign_coords(dark_time=times.astype("datetime64[ns]"))
-    seconds: tuple[float | None, ...] = (None,)
-    if exposure is not None:
-        seconds = tuple(float(value) for value in np.atleast_1d(arrays["dark_exposure_time"].values))
-    return Dark(counts, seconds, None, name)
+    if exposure is None:
+        return Dark(counts, (None,), None, name)
+    return Dark(counts, tuple(map(float, np.atleast_1d(arrays["dark_exposure_time"].values))), None, name)
 
 
 def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:

@@ -193,9 +193,8 @@ class GrowingLine:
         # The rows of all frame indexes from the first frame of the first cube on.
         first = cube_number(self._cubes[0]) or 0
         for table in self._indexes.values():
-            skipped = 0
-            if len(self._indexes) == 1 and first:
-                skipped = bisect.bisect_left(table.rows, first, key=_frame)
+            common = len(self._indexes) == 1 and first
+            skipped = bisect.bisect_left(table.rows, first, key=_frame) if common else 0
             yield from table.rows[skipped if skipped < len(table.rows) else 0 :]
 
     def counts(self, first: int, stop: int) -> NDArray[Any]:

@@ -127,9 +127,7 @@ def line_times(
     """
     _check(timing, float(np.max(exposure_time, initial=0.0)))
     index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
-    nav = timing.nav
-    if isinstance(nav, Path):
-        nav = read_imu_gps(nav, timing.correction)
+    nav = read_imu_gps(timing.nav, timing.correction) if isinstance(timing.nav, Path) else timing.nav
     if index is None:
         frame = np.arange(lines, dtype=np.int64) + (cube_number(cube) or 0)
         row = np.arange(lines)

@@ -19,6 +19,8 @@ from hyperpaint.base.input_files import head_of
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
+from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.io.store.reader import is_zarr
 
 from .column_quantities import warn_of_light
 from .csv_library import is_csv_library, read_csv_library
@@ -135,8 +137,6 @@ def open_library(
             code="choice-unknown",
         )
     options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, quantity is not None)
-    from hyperpaint.io.store.reader import is_zarr
-
     if is_zarr(path):
         options.refuse_for(str(path))
         return _read_store(path)
@@ -357,8 +357,6 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
 
 def _read_store(path: Any) -> xr.Dataset:
     # Open a library of a Zarr store lazily.
-    from hyperpaint.io.store import list_groups, open_store
-
     groups = list_groups(path)
     if "" not in groups:
         named = ", ".join(f"{path}/{group}" for group in groups) or "none"

@@ -199,13 +199,12 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
 def library_terms(library: xr.Dataset) -> dict[str, Any]:
     """Return the declaration of each term: a list with one word a paint, one word for all, or None."""
     attrs = {**library.attrs, **library[CENTRE].attrs}
-    declared: dict[str, Any] = {}
-    for term in TERMS:
-        if term.name in library.variables and library[term.name].dims == (SIGNATURE,):
-            declared[term.name] = [str(word) for word in library[term.name].values.tolist()]
-        else:
-            declared[term.name] = attrs.get(term.name)
-    return declared
+    return {
+        term.name: list(map(str, library[term.name].values.tolist()))
+        if term.name in library.variables and library[term.name].dims == (SIGNATURE,)
+        else attrs.get(term.name)
+        for term in TERMS
+    }
 
 
 # --- the rules ---------------------------------------------------------------------------------------------

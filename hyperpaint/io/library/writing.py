@@ -13,6 +13,7 @@ from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.io.store import to_store
 
 from .csv_library import write_csv_library
 from .ecostress import write_ecostress_library
@@ -22,8 +23,6 @@ from .records import CENTRE, checked_library, spectral_variables
 
 
 def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
-    from hyperpaint.io.store import to_store
-
     total = library.sizes[SIGNATURE]
     if progress is not None:
         progress(0, total)

@@ -21,6 +21,7 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
+from hyperpaint.io.store.stages import in_stages
 
 from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, stored_float
 from .rasters import TIFF, open_raster
@@ -347,8 +348,6 @@ def _write(
 def _write_in_stages(array: da.Array, target: _Target) -> None:
     # Write the blocks of a lazy map (y, x, band), one row of tiles after another, in this process.
     import dask.threaded
-
-    from hyperpaint.io.store.stages import in_stages
 
     lock = threading.Lock()  # rasterio datasets are not thread-safe
 

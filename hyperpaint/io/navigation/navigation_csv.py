@@ -101,9 +101,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     problems.raise_if_any()
     if not has_time.any():
         raise FormatError(f"{path}: no row with a time", code="time-missing")
-    timed_stamps = stamp[has_time]
-    if clock == "week":
-        timed_stamps = unwrap_weeks(timed_stamps)
+    timed_stamps = unwrap_weeks(stamp[has_time]) if clock == "week" else stamp[has_time]
     refuse_backwards(path.name, timed_stamps, row="row")
     left_out = int((~has_time).sum())
     return PoseRecord(

@@ -19,6 +19,8 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.io.store import load_group
+from hyperpaint.io.store.reader import is_zarr
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
 from .navigation_csv import read_navigation_csv
@@ -144,8 +146,6 @@ def open_navigation(
     'left_to_right'
     >>> scratch.cleanup()
     """  # noqa: E501
-    from hyperpaint.io.store.reader import is_zarr
-
     if is_zarr(paths):
         return _stored(paths, convention)
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
@@ -232,8 +232,6 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 
 
 def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
-    from hyperpaint.io.store import load_group
-
     record = load_group(path)
     problems = Problems(f"{path} holds no navigation record", FormatError)
     for name in (NAVIGATION_TIME, *POSE):

@@ -250,9 +250,7 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
         values[name][unaligned] = np.nan
     for name in ("latitude", "longitude", "altitude"):
         values[name][nowhere] = np.nan
-    utc = None
-    if _UTC_COLUMN in table.columns:
-        utc = _dates(table, _UTC_COLUMN, unaligned)
+    utc = _dates(table, _UTC_COLUMN, unaligned) if _UTC_COLUMN in table.columns else None
     record = Navigation(table.name, table.rows, _stamps(table), utc=None, values=values)
     if unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"

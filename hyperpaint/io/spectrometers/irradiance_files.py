@@ -19,6 +19,8 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, IncompleteStoreError, PaintWarning
 from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import load_netcdf, number, numbered_lines, numbers, read_limited_text
+from hyperpaint.io.store import list_groups, load_group
+from hyperpaint.io.store.reader import is_zarr
 
 #: Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm].
 ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
@@ -165,17 +167,12 @@ _SUFFIXES = (".nc", ".nc4", ".h5")
 
 def is_store(path: Any) -> bool:
     """Return whether a path or store object is Zarr or netCDF, by its name or content."""
-    from hyperpaint.io.store.reader import is_zarr
-
     is_name = isinstance(path, str | os.PathLike)
     return is_zarr(path) or (is_name and os.fspath(path).lower().endswith(_SUFFIXES))
 
 
 def stored_series(path: Any) -> xr.Dataset:
     """Return the dataset with the series: the root, or the group irradiance of a collect."""
-    from hyperpaint.io.store import list_groups, load_group
-    from hyperpaint.io.store.reader import is_zarr
-
     try:
         if not is_zarr(path):
             return _of_hypernets(load_netcdf(input_path(path, "an irradiance series")))

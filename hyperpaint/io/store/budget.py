@@ -270,9 +270,8 @@ def available_memory(system: Path = Path("/")) -> int:
     """
     space, limit = _address_space(), _LIMIT.get()
     shared = _shared_memory(system)
-    if limit is not None:
-        shared = min(shared, limit - resident_memory())
-    return max(0, shared if space is None else min(shared, space))
+    own = shared if limit is None else limit - resident_memory()
+    return max(0, min(shared, own, shared if space is None else space))
 
 
 def _shared_memory(system: Path) -> int:

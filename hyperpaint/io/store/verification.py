@@ -249,10 +249,8 @@ def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> t
     where = joined(group, name)
     document = location.metadata(where)
     if document is None or document_checksum(document) != array.metadata:
-        state = "metadata differ from those written [metadata-changed]"
-        if document is None:
-            state = "the array is missing [array-missing]"
-        return 0, [f"/{where}: {state}"]
+        changed = "metadata differ from those written [metadata-changed]"
+        return 0, [f"/{where}: {'the array is missing [array-missing]' if document is None else changed}"]
     keys = chunk_keys(document, where)
     problems = [
         f"/{where}/{stray}: not a chunk of this array [chunk-foreign]"
