@@ -235,9 +235,32 @@ def open_envi(
     variable = xr.Variable(
         dims, indexing.LazilyIndexedArray(array), attrs, encoding={"preferred_chunks": chunks}
     )
-    return xr.Dataset(
-        {name: variable}, coords=_coordinates(header, lines), attrs=_attributes(header, data_path, lines)
-    )
+    # fastpath: else xarray imports dask, which takes longer than the rest, to check the type of the values
+    coords: dict[str, Any] = {
+        name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
+        for name, values in (
+            ("wavelength", header.wavelength),
+            ("fwhm", header.fwhm),
+            ("good", header.good),
+        )
+        if values is not None
+    }
+    if header.map_info is not None and header.map_info.rotation == 0:
+        # pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner
+        info = header.map_info
+        column, row = info.reference_pixel
+        x = info.reference[0] + (np.arange(header.samples) + 1.5 - column) * info.pixel_size[0]
+        y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
+        if info.projection.lower().startswith("geographic"):
+            x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
+            y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
+        else:
+            unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
+            x_attrs, y_attrs = ({"standard_name": f"projection_{axis}_coordinate"} for axis in "xy")
+            for axis_attrs in (x_attrs, y_attrs):
+                axis_attrs.update({"units": unit} if unit else {})
+        coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
+    return xr.Dataset({name: variable}, coords=coords, attrs=_attributes(header, data_path, lines))
 
 
 def _has_gain(header: EnviHeader) -> bool:
@@ -360,35 +383,6 @@ def _scaling(header: EnviHeader, name: str) -> Scaling | None:
         gain=header.data_gain_values if gained else None,
         offset=header.data_offset_values if gained else None,
     )
-
-
-def _coordinates(header: EnviHeader, lines: int) -> dict[str, Any]:
-    # fastpath: else xarray imports dask, which takes longer than the rest, to check the type of the values
-    coords: dict[str, Any] = {
-        name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
-        for name, values in (
-            ("wavelength", header.wavelength),
-            ("fwhm", header.fwhm),
-            ("good", header.good),
-        )
-        if values is not None
-    }
-    if header.map_info is not None and header.map_info.rotation == 0:
-        # pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner
-        info = header.map_info
-        column, row = info.reference_pixel
-        x = info.reference[0] + (np.arange(header.samples) + 1.5 - column) * info.pixel_size[0]
-        y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
-        if info.projection.lower().startswith("geographic"):
-            x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
-            y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
-        else:
-            unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
-            x_attrs, y_attrs = ({"standard_name": f"projection_{axis}_coordinate"} for axis in "xy")
-            for axis_attrs in (x_attrs, y_attrs):
-                axis_attrs.update({"units": unit} if unit else {})
-        coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
-    return coords
 
 
 def _attributes(header: EnviHeader, path: Path, lines: int) -> dict[str, Any]:

@@ -176,7 +176,47 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         except (SchemaError, UnitsError) as error:
             problems.add_error("", error)
     for name, array in arrays.items():
-        _check_values(name, array.values, problems)
+        finite = bool(np.isfinite(array.values).all())
+        if name == "radiance_gain":
+            gains = array.values[~np.isnan(array.values)]
+            bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
+            if not gains.size:
+                problems.add(
+                    "'radiance_gain' is NaN everywhere",
+                    expected="a gain for the elements that are not bad",
+                    code="not-finite",
+                )
+            elif bad:
+                problems.add(
+                    f"'radiance_gain' is zero, negative or infinite in {bad} elements",
+                    expected="positive gains, and NaN for bad elements",
+                    code="value-out-of-range",
+                )
+        elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
+            if not (finite and (array.values > 0).all()):
+                problems.add(f"{name!r} is not finite and positive everywhere", code="value-out-of-range")
+        elif name in _MAX_MAGNITUDES:
+            largest, unit = _MAX_MAGNITUDES[name]
+            if not (finite and (np.abs(array.values) < largest).all()):
+                problems.add(
+                    f"{name!r} is not finite and below {largest:g} {unit} everywhere",
+                    code="value-out-of-range",
+                )
+        elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
+            if (array.values < 0).any():
+                problems.add(
+                    f"{name!r} is negative in places",
+                    expected="a standard uncertainty",
+                    code="value-out-of-range",
+                )
+        elif name in ("read_noise", "srf"):
+            levels = array.values[~np.isnan(array.values)] if name == "read_noise" else array.values
+            if not (np.isfinite(levels).all() and (levels >= 0).all()):
+                problems.add(
+                    f"{name!r} is not finite and at least zero everywhere", code="value-out-of-range"
+                )
+        elif name == "srf_offset" and not (finite and (np.diff(array.values) > 0).all()):
+            problems.add("'srf_offset' does not increase strictly", code="axis-unordered")
     if shape is not None and shape not in SRF_SHAPES:
         problems.add(
             f"attribute srf_shape {shape!r}",
@@ -232,47 +272,6 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
         # float64 until the factor is in, rounded once
         array = convert(array.astype(np.float64), spec.units, name)
     return label(array.astype(dtype_of(name)), name)
-
-
-def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -> None:
-    finite = bool(np.isfinite(values).all())
-    if name == "radiance_gain":
-        gains = values[~np.isnan(values)]
-        bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
-        if not gains.size:
-            problems.add(
-                "'radiance_gain' is NaN everywhere",
-                expected="a gain for the elements that are not bad",
-                code="not-finite",
-            )
-        elif bad:
-            problems.add(
-                f"'radiance_gain' is zero, negative or infinite in {bad} elements",
-                expected="positive gains, and NaN for bad elements",
-                code="value-out-of-range",
-            )
-    elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
-        if not (finite and (values > 0).all()):
-            problems.add(f"{name!r} is not finite and positive everywhere", code="value-out-of-range")
-    elif name in _MAX_MAGNITUDES:
-        largest, unit = _MAX_MAGNITUDES[name]
-        if not (finite and (np.abs(values) < largest).all()):
-            problems.add(
-                f"{name!r} is not finite and below {largest:g} {unit} everywhere", code="value-out-of-range"
-            )
-    elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
-        if (values < 0).any():
-            problems.add(
-                f"{name!r} is negative in places",
-                expected="a standard uncertainty",
-                code="value-out-of-range",
-            )
-    elif name in ("read_noise", "srf"):
-        levels = values[~np.isnan(values)] if name == "read_noise" else values
-        if not (np.isfinite(levels).all() and (levels >= 0).all()):
-            problems.add(f"{name!r} is not finite and at least zero everywhere", code="value-out-of-range")
-    elif name == "srf_offset" and not (finite and (np.diff(values) > 0).all()):
-        problems.add("'srf_offset' does not increase strictly", code="axis-unordered")
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:

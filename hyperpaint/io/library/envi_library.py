@@ -58,25 +58,7 @@ def read_envi_library(
     """
     header_path, data_path = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
-    _refuse_contradictions(header, header_path, data_path)
-    if _MARK not in header.fields:
-        return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
-    if scale is not None or wavelength is not None or fwhm is not None:
-        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
-    source = data_path.name
-    if header.wavelength is None or header.dtype != np.dtype("<f4"):
-        raise FormatError(
-            f"{source}: the header is not a hyperpaint header",
-            mend="write the library again",
-            code="header-unreadable",
-        )
-    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
-    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
-    return restored(data_path, names, keys, axes, _records(header, data_path), {})
-
-
-def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
-    problems = Problems(f"{path.name} cannot be used", FormatError)
+    problems = Problems(f"{header_path.name} cannot be used", FormatError)
     if not header.is_spectral_library:
         problems.add(
             f"file type is {header.fields.get('file type', 'none')!r}",
@@ -96,10 +78,10 @@ def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
             "'data gain values' or 'data offset values' are set, which libraries do not have",
             code="key-unknown",
         )
-    stored_bytes, expected = data.stat().st_size, header.header_offset + header.lines * header.line_bytes
+    stored_bytes, expected = data_path.stat().st_size, header.header_offset + header.lines * header.line_bytes
     if stored_bytes != expected:
         problems.add(
-            f"{data.name} has {stored_bytes} bytes",
+            f"{data_path.name} has {stored_bytes} bytes",
             expected=(
                 f"{expected} ({header.lines} spectra of {header.samples} values of "
                 f"{header.dtype.itemsize} bytes after {header.header_offset})"
@@ -108,6 +90,20 @@ def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
             code="file-size",
         )
     problems.raise_if_any()
+    if _MARK not in header.fields:
+        return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+    if scale is not None or wavelength is not None or fwhm is not None:
+        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
+    source = data_path.name
+    if header.wavelength is None or header.dtype != np.dtype("<f4"):
+        raise FormatError(
+            f"{source}: the header is not a hyperpaint header",
+            mend="write the library again",
+            code="header-unreadable",
+        )
+    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
+    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
+    return restored(data_path, names, keys, axes, _records(header, data_path), {})
 
 
 def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:

@@ -90,7 +90,15 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     convention, assumed, clock_settings = _declared(comments, problems)
     columns = _columns(header, problems)
     problems.raise_if_any()
-    unit = _angle_unit(columns, convention, "angle_unit" not in assumed, problems)
+    declared = "angle_unit" not in assumed
+    radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
+    unit: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
+    if declared and convention.angle_unit != unit:
+        problems.add(
+            f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
+            mend="drop one",
+            code="units-conflict",
+        )
     values: dict[str, NDArray[np.float64]] = {}
     for name in POSE:
         wanted = unit if name in _ANGLES else "m" if name == "altitude" else "degree"
@@ -257,20 +265,6 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
             except UnitsError as error:
                 problems.add_error(f"column {columns_by_name[name][0].shown!r}", error)
     return {name: columns[0] for name, columns in columns_by_name.items()}
-
-
-def _angle_unit(
-    columns: Mapping[str, _Column], convention: Convention, declared: bool, problems: Problems
-) -> Literal["degree", "radian"]:
-    radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
-    unit: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
-    if declared and convention.angle_unit != unit:
-        problems.add(
-            f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
-            mend="drop one",
-            code="units-conflict",
-        )
-    return unit
 
 
 def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> NDArray[np.float64]:

@@ -251,7 +251,19 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     for name in ("latitude", "longitude", "altitude"):
         values[name][nowhere] = np.nan
     utc = _dates(table, _UTC_COLUMN, unaligned) if _UTC_COLUMN in table.columns else None
-    record = Navigation(table.name, table.rows, _stamps(table), utc=None, values=values)
+    stamps: dict[str, NDArray[np.int64]] = {}
+    for column in _CLOCK_COLUMNS:
+        if column not in table.columns:
+            continue
+        try:
+            stamps[column] = to_integers(table, column)
+        except FormatError:
+            if column == "timestamp":
+                raise
+            # of SystemTime and GPS_UTC either may be no count of microseconds
+    if "time" in table.columns:
+        stamps["time of day"] = time_of_day(table, "time")[0]
+    record = Navigation(table.name, table.rows, stamps, utc=None, values=values)
     if unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
         warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
@@ -321,22 +333,6 @@ def _iso(cell: str) -> str:
             return "NaT"
         month = str(_MONTHS.index(month.lower()) + 1)
     return f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
-
-
-def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:
-    stamps: dict[str, NDArray[np.int64]] = {}
-    for column in _CLOCK_COLUMNS:
-        if column not in table.columns:
-            continue
-        try:
-            stamps[column] = to_integers(table, column)
-        except FormatError:
-            if column == "timestamp":
-                raise
-            # of SystemTime and GPS_UTC either may be no count of microseconds
-    if "time" in table.columns:
-        stamps["time of day"] = time_of_day(table, "time")[0]
-    return stamps
 
 
 def _dated(

@@ -349,7 +349,26 @@ def _from_xarray(
             code="variable-missing",
         )
     array = data["irradiance"]
-    time, wavelength = _axes(array, origin)
+    axes = []
+    for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
+        name = next((name for name in names if name in array.dims and name in array.coords), None)
+        if name is None or array.ndim != 2:
+            raise SchemaError(
+                f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}",
+                expected=(
+                    f"a time and a wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
+                    f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
+                ),
+                code="dims-wrong",
+            )
+        axes.append(array[name])
+    time, wavelength = axes
+    if time.dtype.kind != "M" or time.isnull().any():
+        raise TimeError(
+            f"{origin}: {time.name!r} has dtype {time.dtype}",
+            expected="datetime64 without NaT",
+            code="type-wrong",
+        )
     array = array.transpose(time.name, wavelength.name)
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
@@ -395,30 +414,6 @@ def _from_xarray(
         clock_uncertainty_s=None if clock is None else float(convert(clock, "s")),
         attrs={key: value for key, value in data.attrs.items() if str(key).startswith("irradiance_")},
     )
-
-
-def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]:
-    axes = []
-    for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
-        name = next((name for name in names if name in array.dims and name in array.coords), None)
-        if name is None or array.ndim != 2:
-            raise SchemaError(
-                f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}",
-                expected=(
-                    f"a time and a wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
-                    f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
-                ),
-                code="dims-wrong",
-            )
-        axes.append(array[name])
-    time, wavelength = axes
-    if time.dtype.kind != "M" or time.isnull().any():
-        raise TimeError(
-            f"{origin}: {time.name!r} has dtype {time.dtype}",
-            expected="datetime64 without NaT",
-            code="type-wrong",
-        )
-    return time, wavelength
 
 
 def _refuse_duplicates(

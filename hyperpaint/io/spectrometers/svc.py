@@ -139,7 +139,28 @@ def open_svc(
     >>> opened["spectrum"].values.tolist(), opened["time"].values
     (['red'], array(['2025-05-27T07:42:59.000000000'], dtype='datetime64[ns]'))
     """
-    _check_arguments(quantity, scan, overlap, joins, utc_offset_h)
+    problems = Problems("SVC files cannot be opened as asked", SchemaError)
+    if quantity is not None and quantity not in QUANTITIES:
+        problems.add(
+            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
+        )
+    if scan not in SCANS:
+        problems.add(f"scan={scan!r}", expected="'target' or 'reference'", code="choice-unknown")
+    if scan == "reference" and quantity == "reflectance":
+        problems.add(
+            "scan='reference' with quantity='reflectance', which is a ratio of both scans",
+            mend="leave scan out, or pass quantity='radiance'",
+            code="option-conflict",
+        )
+    if overlap not in ("keep", "trim"):
+        problems.add(f"overlap={overlap!r}", expected="'keep' or 'trim'", code="choice-unknown")
+    if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
+        problems.add(
+            f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
+        )
+    problems.raise_if_any()
+    if utc_offset_h is not None:
+        check_utc_offset(utc_offset_h)
     files = find_paths(paths, lambda inside: [p for p in inside if p.suffix.lower() == ".sig"], ".sig files")
     contents = for_all(files, read_svc)
     side = SCANS.index(scan)
@@ -182,37 +203,6 @@ def open_svc(
     data = xr.DataArray(values, dims=("spectrum", "wavelength"))
     extra = {"reflectance_scale": "relative"} if wanted == "reflectance" else {}
     return xr.Dataset({wanted: label(data, wanted, **extra)}, coords=coords, attrs=attrs)
-
-
-def _check_arguments(
-    quantity: str | None,
-    scan: str,
-    overlap: str,
-    joins: tuple[float, float] | None,
-    utc_offset_h: float | None,
-) -> None:
-    problems = Problems("SVC files cannot be opened as asked", SchemaError)
-    if quantity is not None and quantity not in QUANTITIES:
-        problems.add(
-            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
-        )
-    if scan not in SCANS:
-        problems.add(f"scan={scan!r}", expected="'target' or 'reference'", code="choice-unknown")
-    if scan == "reference" and quantity == "reflectance":
-        problems.add(
-            "scan='reference' with quantity='reflectance', which is a ratio of both scans",
-            mend="leave scan out, or pass quantity='radiance'",
-            code="option-conflict",
-        )
-    if overlap not in ("keep", "trim"):
-        problems.add(f"overlap={overlap!r}", expected="'keep' or 'trim'", code="choice-unknown")
-    if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
-        problems.add(
-            f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
-        )
-    problems.raise_if_any()
-    if utc_offset_h is not None:
-        check_utc_offset(utc_offset_h)
 
 
 def _measurement(
