@@ -237,19 +237,14 @@ class _Reader(TableReader):
     outside = True  # files of camera and spectrometer are often copied to different folders
 
     def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
-        self.dark = self._dark_word(raw)
+        word = raw["dark"].get("cubes") if isinstance(raw.get("dark"), dict) else raw.get("dark")
+        self.dark: str | None = word if word in ("none", "calibration") else None
         super().__init__(path, raw, SCHEMA, _LISTS, problems)
         self.file_name = path.name
         self.collect_name = self.one("collect").get("name", path.resolve().parent.name)
         self.clock = Timing(**{key: value for key, value in self.one("camera").items() if key in _CLOCK})
         self.nav: dict[Path, None] = {}
         self.flights: list[tuple[tuple[str, ...], str | None]] = []
-
-    def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
-        word = raw.get("dark")
-        if isinstance(word, dict):
-            word = word.get("cubes")
-        return word if word in ("none", "calibration") else None
 
     def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
         # The dark may be a word instead of a table.

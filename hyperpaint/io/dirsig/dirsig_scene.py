@@ -613,7 +613,8 @@ def _fresnel(angle: Array, index: float) -> Array:
     # Unpolarised light, angle from the normal [rad].
     outside, inside = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
     across = (outside - index * inside) / (outside + index * inside)
-    return np.asarray(0.5 * (across**2 + ((index * outside - inside) / (index * outside + inside))**2))
+    along = (index * outside - inside) / (index * outside + inside)
+    return np.asarray(0.5 * (across**2 + along**2))
 
 
 _ORIGIN = ("latitude", "longitude", "altitude")

@@ -124,7 +124,9 @@ class GrowingLine:
     def header(self) -> EnviHeader:
         """Layout of the samples of the cubes."""
         if self._header is None:
-            source = self._own_header() or self._header_of_dark()
+            # that of a dark cube of this camera until the line has its own
+            dark = None if self._inputs is None else self._inputs.dark
+            source = self._own_header() or (find_pair(dark[0])[0] if isinstance(dark, tuple) else None)
             if source is None:
                 raise FormatError(
                     f"{self._cubes[0]}: no header yet, and no dark cube with one", code="header-missing"
@@ -150,11 +152,6 @@ class GrowingLine:
         names = (Path(f"{first}.hdr"), first.with_suffix(".hdr"))
         return next((path for path in names if path.is_file()), None)
 
-    def _header_of_dark(self) -> Path | None:
-        # The header of a dark cube of this camera, used until the line has its own.
-        dark = None if self._inputs is None else self._inputs.dark
-        return find_pair(dark[0])[0] if isinstance(dark, tuple) else None
-
     def look(self, cubes: Sequence[Path], inputs: FlightlineInputs) -> int:
         """Return the number of lines that are complete in ``cubes``, and in the frame index if there is one.
 
@@ -171,23 +168,15 @@ class GrowingLine:
             self._navigation = GrowingTable(self._timing.nav)
         if self._navigation is not None:
             self._navigation.grow()
-        if self._timing.frame_index is None:
+        common = self._timing.frame_index
+        if common is None:
             return self._starts[-1]
-        for path in self._index_files():
+        # the frame index of each cube, or the common one
+        by_cube = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
+        of_cubes = common in by_cube and all(path.is_file() for path in by_cube)
+        for path in by_cube if of_cubes else [common]:
             self._indexes.setdefault(path, GrowingTable(path)).grow()
         return min(self._starts[-1], len(list(self._rows())))
-
-    def _index_files(self) -> list[Path]:
-        # The frame index of each cube, or the common one.
-        by_cube = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
-        common = self._timing.frame_index
-        return (
-            by_cube
-            if common in by_cube and all(path.is_file() for path in by_cube)
-            else [common]
-            if common
-            else []
-        )
 
     def _rows(self) -> Iterator[bytes]:
         # The rows of all frame indexes from the first frame of the first cube on.
