@@ -5,10 +5,12 @@ from .flightline.line_table import write_line_table as write_line_table
 from .library.specification import check_library as check_library, declare_library as declare_library
 from .maps.geotiff import write_geotiff as write_geotiff
 from .navigation.control_points import read_control_points as read_control_points
-from .skies.sixs import read_sixs as read_sixs
-from .skies.sky_table import read_sky_csv as read_sky_csv
-from .skies.tape7 import read_tape7 as read_tape7
-from .skies.uvspec import read_uvspec as read_uvspec
+from .skies.sky_table import (
+    read_sixs as read_sixs,
+    read_sky_csv as read_sky_csv,
+    read_tape7 as read_tape7,
+    read_uvspec as read_uvspec,
+)
 from .spectrometers.radcal import read_radcal as read_radcal
 from .spectrometers.spectrum_csv import read_certificate as read_certificate
 from .store import encoding as encoding

@@ -87,15 +87,13 @@ class EnviBackendEntrypoint(BackendEntrypoint):
 
 
 class _SpectrometerEntrypoint(BackendEntrypoint):
-    """Shared part of the engines of field spectrometers: one file is one spectrum."""
-
+    # Shared part of the engines of field spectrometers: one file is one spectrum.
     open_dataset_parameters: ClassVar[tuple[str, ...]] = ("filename_or_obj", "drop_variables", "quantity")
     suffix: ClassVar[str]
+    #: Regular expression that the first bytes of a file match.
     beginning: ClassVar[bytes]
-    """Regular expression that the first bytes of a file match."""
 
     def guess_can_open(self, filename_or_obj: Any) -> bool:
-        """Return whether this is a file of the instrument, by its suffix and its first bytes."""
         if not isinstance(filename_or_obj, str | os.PathLike):
             return False
         path = Path(os.fsdecode(filename_or_obj))
@@ -156,7 +154,7 @@ def _is_envi_header(path: Path) -> bool:
 
 
 def _first_bytes(path: Path, count: int) -> bytes:
-    """Return the first bytes of a file; empty for an unreadable one."""
+    # Empty for an unreadable file.
     try:
         if not path.is_file():  # a pipe would wait
             return b""

@@ -28,7 +28,7 @@ _CONVENTION = (
 
 
 def _is_width(value: Any) -> bool:
-    """Return whether a value is a positive number, or pairs of wavelength and value."""
+    # Whether a value is a positive number, or pairs of wavelength and value.
     if not isinstance(value, list):
         return is_number(value) and value > 0
     pairs = (isinstance(pair, list) and len(pair) == 2 and all(map(is_number, pair)) for pair in value)
@@ -36,7 +36,7 @@ def _is_width(value: Any) -> bool:
 
 
 def _is_span(value: Any) -> bool:
-    """Return whether a value is the first index and the index after the last."""
+    # Whether a value is the first index and the index after the last.
     is_whole = isinstance(value, list) and [type(index) for index in value] == [int, int]
     return is_whole and 0 <= value[0] < value[1] < 2**31
 
@@ -61,6 +61,7 @@ _SPAN: Any = {
 }  # fmt: skip
 _EXPOSURE: Any = {"unit": "ms", "least": 0, "above": True, "example": 5.0}
 
+#: Facts of every key of every table.
 SCHEMA: Mapping[str, Facts] = {
     "collect": by_key([
         _text("name", "name of the collect; by default the name of its folder"),
@@ -162,10 +163,9 @@ SCHEMA: Mapping[str, Facts] = {
              doc="angle and azimuth of its normal, where it is not level"),
     ]),
 }  # fmt: skip
-"""Facts of every key of every table."""
 
+#: Tables that may occur several times.
 _LISTS = ("flightlines", "references", "panels")
-"""Tables that may occur several times."""
 
 
 @dataclass(frozen=True)
@@ -233,12 +233,12 @@ class Collect:
 
 
 class _Reader(TableReader):
-    """Reads a collect's tables, of which one may be a word."""
-
+    # Reads a collect's tables, of which one may be a word.
     outside = True  # files of camera and spectrometer are often copied to different folders
 
     def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
-        self.dark = self._dark_word(raw)
+        word = raw["dark"].get("cubes") if isinstance(raw.get("dark"), dict) else raw.get("dark")
+        self.dark: str | None = word if word in ("none", "calibration") else None
         super().__init__(path, raw, SCHEMA, _LISTS, problems)
         self.file_name = path.name
         self.collect_name = self.one("collect").get("name", path.resolve().parent.name)
@@ -246,14 +246,8 @@ class _Reader(TableReader):
         self.nav: dict[Path, None] = {}
         self.flights: list[tuple[tuple[str, ...], str | None]] = []
 
-    def _dark_word(self, raw: Mapping[str, Any]) -> str | None:
-        word = raw.get("dark")
-        if isinstance(word, dict):
-            word = word.get("cubes")
-        return word if word in ("none", "calibration") else None
-
     def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
-        """Return the valid keys of the tables of this name; the dark may be a word."""
+        # The dark may be a word instead of a table.
         if name == "dark":
             if value in ("none", "calibration"):
                 return []
@@ -265,12 +259,12 @@ class _Reader(TableReader):
 
 
 def _seconds(key: str, *tables: Mapping[str, Any]) -> float | None:
-    """Return seconds from the milliseconds of the first table that has them."""
+    # Seconds from the milliseconds of the first table that has them.
     return next((float(f"{table[key] / 1000:.12g}") for table in tables if key in table), None)
 
 
 def _camera(reader: _Reader) -> dict[str, Any]:
-    """Return the inputs that all flight lines share."""
+    # The inputs that all flight lines share.
     table = reader.one("camera")
     same = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
     convention = values(reader.one("navigation"))
@@ -281,7 +275,7 @@ def _camera(reader: _Reader) -> dict[str, Any]:
 
 
 def _calibration(reader: _Reader) -> tuple[Path | Unavailable | None, Path | None]:
-    """Return the paths of a calibration and of a lab sweep, of which there is one at most."""
+    # The paths of a calibration and of a lab sweep, of which there is one at most.
     table = reader.one("calibration")
     reader.exclude("[calibration]", table, "path", "sweep")
     path = reader.path("[calibration]", "path", table.get("path"))
@@ -328,7 +322,7 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
 def _cubes(
     reader: _Reader, number: int, table: Mapping[str, Any], shared: Mapping[str, Any]
 ) -> Iterator[FlightlineInputs | None]:
-    """Yield the cubes of one ``[[flightlines]]``: one, or those of a pattern or a folder in their order."""
+    # The cubes of one ``[[flightlines]]``: one, or those of a pattern or a folder in their order.
     place = f"[[flightlines]] {number + 1}"
     if "cube" not in table:
         if "cube" not in table["?"]:
@@ -371,7 +365,23 @@ def _flightline(
             start = utc_of(start, "start_time")
         except TimeError as error:
             reader.problems.add_error(place, error)
-    _check_timing(reader, place, table)
+    stated = table["?"]
+    period = "frame_period_ms" in stated or "frame_period_ms" in reader.one("camera")["?"]
+    by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
+    if not by_index and not ("start_time" in stated and period):
+        sources = sorted(stated & {"frame_index", "nav", "start_time"})
+        sources += ["frame_period_ms"] if period else []
+        reader.problems.add(
+            f"{place} no line times: found {', '.join(sources) or 'nothing'}",
+            expected="frame_index and nav, or start_time and frame_period_ms",
+            code="line-times-missing",
+        )
+    if "date" in stated and reader.clock.clock_offset_s is None:
+        reader.problems.add(
+            f"{place} date without [camera] clock_offset_s",
+            mend="state clock_offset_s: UTC = computer clock + clock_offset_s",
+            code="clock-offset-missing",
+        )
     timing: Timing | Unavailable = Unavailable.REPORTED
     if len(reader.problems) == before:
         timing = replace(
@@ -397,7 +407,7 @@ def _flightline(
 
 
 def _with_files_beside(table: Mapping[str, Any], cube: Path | None) -> Mapping[str, Any]:
-    """Return the table with the frame index and the navigation beside the cube, where it names none."""
+    # The table with the frame index and the navigation beside the cube, where it names none.
     stated = table["?"]
     if cube is None or not os.path.isdir(cube.parent) or stated & {"frame_index", "start_time"}:
         return table
@@ -406,26 +416,6 @@ def _with_files_beside(table: Mapping[str, Any], cube: Path | None) -> Mapping[s
         beside["nav"] = navigation_beside(cube)
     paths = {key: str(path.absolute()) for key, path in beside.items() if path is not None}
     return {**table, **paths, "?": stated | set(paths)}
-
-
-def _check_timing(reader: _Reader, place: str, table: Mapping[str, Any]) -> None:
-    stated = table["?"]
-    period = "frame_period_ms" in stated or "frame_period_ms" in reader.one("camera")["?"]
-    by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
-    if not by_index and not ("start_time" in stated and period):
-        sources = sorted(stated & {"frame_index", "nav", "start_time"})
-        sources += ["frame_period_ms"] if period else []
-        reader.problems.add(
-            f"{place} no line times: found {', '.join(sources) or 'nothing'}",
-            expected="frame_index and nav, or start_time and frame_period_ms",
-            code="line-times-missing",
-        )
-    if "date" in stated and reader.clock.clock_offset_s is None:
-        reader.problems.add(
-            f"{place} date without [camera] clock_offset_s",
-            mend="state clock_offset_s: UTC = computer clock + clock_offset_s",
-            code="clock-offset-missing",
-        )
 
 
 def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
@@ -462,7 +452,6 @@ def _geometry(reader: _Reader) -> dict[str, Any]:
 
 
 def _note_absent(reader: _Reader, place: str, name: str, table: Mapping[str, Any]) -> None:
-    """Note the needed keys of a table that are not there."""
     for key, fact in SCHEMA[name].items():
         if fact.needed and key not in table["?"]:
             reader.problems.add(f"{place} {key} is missing", mend=f"state the {fact.doc}", code="key-missing")
@@ -520,8 +509,7 @@ def parse_collect(
     Raises `CollectError`: The file cannot be read, or is not TOML.
     """
     try:
-        raw = load_tables(path, "a collect.toml") if tables is None else tables
-        reader = _Reader(path, raw, problems)
+        reader = _Reader(path, load_tables(path, "a collect.toml") if tables is None else tables, problems)
     except FormatError as error:
         fault = error.problem
         raise CollectError(fault.found, expected=fault.expected, mend=fault.mend, code=fault.code) from error

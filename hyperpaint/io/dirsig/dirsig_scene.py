@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from hyperpaint.base.arrays import Array
+from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
@@ -30,19 +32,8 @@ from .dirsig_writing import (
 )
 from .emissivity_files import read_emissivity
 from .instructions import material_section
-from .material_list import Material, Section, material_ids, materials_text
+from .material_list import Material, Section, material_ids, materials_text, plain_name
 from .paint_curves import GAPS, Axis, Choices, coat_of
-from .scene_texts import (
-    Triangles,
-    fit_text,
-    geometry_list_text,
-    material_colours_text,
-    obj_lines,
-    scene_readme_text,
-    scene_text,
-    simulation_text,
-    texture_picture,
-)
 
 #: Default of the largest number of curves of a population.
 MAX_CURVES = 64
@@ -54,15 +45,14 @@ _SPECULAR = "specular_reflectance"
 
 
 class _Surface(NamedTuple):
-    """Material of faces: a spectrum, under a coat of a refractive index (0 for none) and roughness."""
-
+    # Material of faces: a spectrum, under a coat of a refractive index (0 for none) and roughness.
     spectrum: str
     coat_index: float
     roughness: float  # 0 where not written
 
     @property
     def mirrored(self) -> float:
-        """Reflectance of the coat for light from the normal [1]."""
+        # For light from the normal [1].
         return ((self.coat_index - 1.0) / (self.coat_index + 1.0)) ** 2 if self.coat_index else 0.0
 
 
@@ -224,7 +214,7 @@ _FOLDERS = (
 def _surfaces(
     scene: Triangles, repaint: dict[str, str], *, with_roughness: bool
 ) -> tuple[list[_Surface], NDArray[np.int64]]:
-    """Return the distinct surfaces, and the surface of every face (face,)."""
+    # The distinct surfaces, and the surface of every face (face,).
     problems = Problems("the scene cannot be painted", SchemaError)
     materials, instances = scene.materials, scene.instances
     names = {each.name for each in (*materials, *instances)} | {each.spectrum for each in materials}
@@ -242,15 +232,14 @@ def _surfaces(
         spectrum = repaint.get(material.name, repaint.get(material.spectrum, material.spectrum))
         if material.kind == "paint":
             spectrum = repaint.get(instance.name, spectrum)
-        surface = _Surface(spectrum, 0.0, 0.0)
-        if (coat := material.coat) is not None:
-            surface = _Surface(spectrum, float(coat.index), float(coat.roughness) if with_roughness else 0.0)
+        index, roughness = (0.0, 0.0) if (coat := material.coat) is None else (coat.index, coat.roughness)
+        surface = _Surface(spectrum, float(index), float(roughness) if with_roughness else 0.0)
         surface_of_pair.append(numbers.setdefault(surface, len(numbers)))
     return list(numbers), np.asarray(surface_of_pair, np.int64)[face_pair.ravel()]
 
 
 def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -> list[list[tuple[int, int]]]:
-    """Return for every library its surfaces: their numbers, and the places of their paints."""
+    # For every library its surfaces: their numbers, and the places of their paints.
     problems = Problems("the scene cannot be painted", SchemaError)
     shares: list[list[tuple[int, int]]] = [[] for _ in libraries]
     places = [
@@ -278,7 +267,7 @@ def _write_materials(
     coat_brdf: bool,
     progress: Callable[[int, int], None] | None,
 ) -> list[dict[str, Any]]:
-    """Write the spectra of all surfaces; return their records, with the number of their ``surface``."""
+    # Write the spectra of all surfaces; return their records, with the number of their ``surface``.
     records: list[dict[str, Any]] = []
     for library, share in zip(libraries, shares, strict=True):
         if not share:
@@ -313,7 +302,7 @@ def _write_materials(
 
 
 def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
-    """Return a library with coats of reflectance ``mirrored`` (signature,) [1], apart or within a BRDF."""
+    # A library with coats of reflectance ``mirrored`` (signature,) [1], apart or within a BRDF.
     plain = library.drop_vars(_SPECULAR, errors="ignore")
     if not mirrored.any():
         return plain
@@ -366,7 +355,6 @@ def _attrs(
 
 
 def _write_pictures(build: Path, records: Sequence[dict[str, Any]], window: Sequence[float]) -> None:
-    """Write a texture picture for every population, and name it in the record."""
     grid = np.linspace(window[0], window[1], 301)
     for record in records:
         record["texture"] = ""
@@ -416,3 +404,414 @@ def _summary(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]) -> 
     }
     coords = {SIGNATURE: column("paint", object), "material_id": column("id", object)}
     return xr.Dataset(values, coords, {"title": "DIRSIG scene", **attrs})
+
+
+# ----------------------------------------------------------------------------------------------------------
+# Texts of a DIRSIG scene: geometry, scene, simulation, texture pictures, README.
+
+
+#: Side of a texture's picture [pixel].
+PICTURE_PX = 128
+
+_GRAIN_PX = 3.0  # sigma of the blur that joins neighbouring pixels of a picture
+
+
+class Triangles(Protocol):
+    """Attributes of `hyperpaint.simulation.rendering.scene.Scene` that are written."""
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+
+    @property
+    def vertices(self) -> Floats:
+        """Shape (vertex, 3) [m]: x east, y north, z up."""
+
+    @property
+    def faces(self) -> NDArray[np.int64]:
+        """Vertices of every triangle (face, 3)."""
+
+    @property
+    def normals(self) -> Floats:
+        """At the vertices (vertex, 3), zero where faces are flat."""
+
+    @property
+    def face_material(self) -> NDArray[np.int32]:
+        """Number of the material of every triangle (face,)."""
+
+    @property
+    def face_instance(self) -> NDArray[np.int32]:
+        """Number of the instance of every triangle (face,)."""
+
+    @property
+    def materials(self) -> Sequence[Any]:
+        """Each with ``name``, ``spectrum``, ``kind``, and ``coat`` with its ``index``, or None."""
+
+    @property
+    def instances(self) -> Sequence[Any]:
+        """Each with a ``name``."""
+
+
+def obj_lines(
+    scene: Triangles, material_id: Sequence[str], face_id: NDArray[np.int64], library: str, texture_m: float
+) -> Iterator[str]:
+    """Yield the lines of a scene as Wavefront OBJ, one object for each instance.
+
+    Faces name their material by its ID (``face_id`` (face,), a number into ``material_id``); ``library`` is
+    the ``.mtl`` file. Texture coordinates are metres over ``texture_m``, on the plane of the two axes that a
+    face leans least against, so that a picture has the same size everywhere.
+    """
+    yield f"mtllib {library}"
+    yield from (f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in scene.vertices.tolist())
+    # vertices on the planes across x, y and z that their faces lean least against
+    corners = scene.vertices[scene.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    plane: NDArray[np.int64] = np.argmax(np.abs(across), axis=1, keepdims=True)
+    projected, texture = np.unique(scene.faces + plane * len(scene.vertices), return_inverse=True)
+    axes = np.array([(1, 2), (0, 2), (0, 1)])[projected // len(scene.vertices)]
+    places = np.take_along_axis(scene.vertices[projected % len(scene.vertices)], axes, axis=1) / texture_m
+    yield from (f"vt {a:.5f} {b:.5f}" for a, b in places.tolist())
+    yield from (f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in scene.normals.tolist())
+    smooth = (scene.normals != 0.0).any(axis=1)[scene.faces].all(axis=1).tolist()
+    order = np.lexsort((face_id, scene.face_instance))
+    last = (-1, -1)
+    points, turns = (scene.faces + 1).tolist(), (texture.reshape(scene.faces.shape) + 1).tolist()
+    for face in order.tolist():
+        here = (int(scene.face_instance[face]), int(face_id[face]))
+        if here[0] != last[0]:
+            yield f"o {plain_name(scene.instances[here[0]].name)}"
+        if here != last:
+            yield f"usemtl {material_id[here[1]]}"
+        last = here
+        pairs = zip(points[face], turns[face], strict=True)
+        # a vertex's normal has the vertex's own number
+        yield "f " + " ".join(f"{a}/{b}/{a}" if smooth[face] else f"{a}/{b}" for a, b in pairs)
+
+
+def material_colours_text(records: Sequence[Mapping[str, Any]]) -> str:
+    """Return an ``.mtl`` file: the colours of the materials, for programs that show the geometry."""
+    rows = []
+    for record in records:
+        red, green, blue = record["editor_color"]
+        rows += [f"newmtl {record['id']}", f"Kd {red:.3f} {green:.3f} {blue:.3f}", ""]
+    return "\n".join(rows)
+
+
+def geometry_list_text(geometry: str) -> str:
+    """Return a geometry list of one OBJ file that names materials by their IDs."""
+    return f"""<geometrylist enabled="true">
+
+  <object>
+    <basegeometry>
+      <obj><filename>{escape(geometry)}</filename></obj>
+    </basegeometry>
+    <staticinstance/>
+  </object>
+
+</geometrylist>
+"""
+
+
+def texture_picture(means: Array, name: str) -> NDArray[np.uint8] | None:
+    """Return a picture (row, column) that selects every curve of a population equally often.
+
+    DIRSIG gives a pixel the curve whose mean over the picture's wavelengths, in standard deviations of the
+    population, is nearest to the pixel's brightness in standard deviations of the picture. Here pixels have
+    the brightness of the curves themselves, each curve as many pixels, so that both scales are one. Curves
+    nearer to each other than 1/255 of their range share pixels.
+
+    ``means`` (curve,) are the curves' mean reflectances over those wavelengths; ``name`` seeds the grain.
+    None where the curves are equally bright, or one.
+
+    Examples
+    --------
+    >>> np.unique(texture_picture(np.array([0.2, 0.4, 0.25, 0.32]), "red"), return_counts=True)
+    (array([  0,  64, 153, 255], dtype=uint8), array([4096, 4096, 4096, 4096]))
+    """
+    spread = float(np.ptp(means))
+    if not spread > 1e-6:
+        return None
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    frequency = np.fft.fftfreq(PICTURE_PX)
+    blur = np.exp(-2.0 * (np.pi * _GRAIN_PX) ** 2 * (frequency[:, None] ** 2 + frequency**2))
+    grain = np.fft.ifft2(np.fft.fft2(rng.standard_normal((PICTURE_PX, PICTURE_PX))) * blur).real
+    rank = np.empty(grain.size, np.int64)
+    rank[np.argsort(grain.ravel(), kind="stable")] = np.arange(grain.size)
+    level = np.rint(255.0 * (np.sort(means) - means.min()) / spread).astype(np.uint8)
+    return np.asarray(level[rank * len(means) // grain.size].reshape(grain.shape))
+
+
+_FIT_STEP_NM = 20.0
+_SMOOTH_DEG = 90.0  # shadowing and obscuration of a coat, which has hardly any: tau and omega
+
+
+def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> str:
+    r"""Return the ``.fit`` file of a clear coat over a Lambert body, for DIRSIG's Shell Target BRDF.
+
+    That is the Beard-Maxwell model of the NEF database [1]_, equation 10,
+
+    .. math:: f = \frac{F(\beta)}{F(0)} \frac{B e^{-(\theta_h / \sigma)^2} \cos^2 \theta_h}
+                  {\cos \theta_i \cos \theta_r} S + \rho_d + \frac{2 \rho_v}{\cos \theta_i + \cos \theta_r}
+
+    with B such that the first term reflects F(0) of light from the normal, :math:`\rho_d` the body over pi,
+    and no :math:`\rho_v`. DHR is all that is reflected of light from the normal. Blocks of parameters stand
+    at many wavelengths, close enough for any interpolation between them.
+
+    Parameters
+    ----------
+    index, roughness
+        Refractive index of the coat, and GGX alpha of its surface, whose peak the Gaussian has.
+    wavelength, body
+        Reflectance of the body through the coat (wavelength,) [nm], [1].
+
+    References
+    ----------
+    .. [1] H. B. Westlund, G. W. Meyer, "A BRDF database employing the Beard-Maxwell reflection model",
+       Graphics Interface 2002, 189-200, https://doi.org/10.20380/GI2002.22
+
+    Examples
+    --------
+    >>> text = fit_text(1.5, 0.05, np.array([400.0, 410.0]), np.array([0.1, 0.1]))
+    >>> print(*text.splitlines()[:6], sep="\n")
+    FIT_PARAMS {
+        LAMBDA = 0.4
+        N = 1.5
+        K = 0
+        DHR = 0.14
+        BIAS = 1.28092
+    """
+    normal = ((index - 1.0) / (index + 1.0)) ** 2
+    sigma = max(roughness, 1e-4)
+    # light from the normal leaves at twice the facet's tilt: d omega = 2 sin(2 theta) d theta d phi
+    tilt = np.linspace(0.0, min(8.0 * sigma, np.pi / 4.0), 4001)
+    shadow = np.degrees(tilt) / _SMOOTH_DEG
+    shadow = (1.0 + shadow * np.exp(-2.0 * shadow)) / (1.0 + shadow)
+    lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * _fresnel(tilt, index) / normal
+    flux = float(np.trapezoid(2.0 * np.pi * lobe * 2.0 * np.sin(2.0 * tilt), tilt))
+    number = max(2, int(np.ceil((wavelength[-1] - wavelength[0]) / _FIT_STEP_NM)) + 1)
+    blocks = []
+    for nm in np.linspace(wavelength[0], wavelength[-1], number).tolist():
+        level = float(np.interp(nm, wavelength, body))
+        values = {
+            "LAMBDA": nm / 1000.0,
+            "N": index,
+            "K": 0.0,
+            "DHR": normal + level,
+            "BIAS": normal / flux,
+            "SIGMA": sigma,
+            "TAU": _SMOOTH_DEG,
+            "OMEGA": _SMOOTH_DEG,
+            "RHO_D": level / np.pi,
+            "RHO_V": 0.0,
+        }
+        rows = "".join(f"    {key} = {value:.6g}\n" for key, value in values.items())
+        blocks.append(f"FIT_PARAMS {{\n{rows}}}\n")
+    return "".join(blocks)
+
+
+def _fresnel(angle: Array, index: float) -> Array:
+    # Unpolarised light, angle from the normal [rad].
+    outside, inside = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
+    across = (outside - index * inside) / (outside + index * inside)
+    along = (index * outside - inside) / (index * outside + inside)
+    return np.asarray(0.5 * (across**2 + along**2))
+
+
+_ORIGIN = ("latitude", "longitude", "altitude")
+
+
+def scene_text(
+    title: str,
+    stem: str,
+    records: Sequence[Mapping[str, Any]],
+    origin: Sequence[float],
+    features: str,
+    window: tuple[float, float],
+) -> str:
+    """Return a ``.scene`` file.
+
+    ``origin``: latitude, longitude [degree], height [m]; ``features``: parts of the spectrum that all
+    materials cover; ``window``: wavelengths of the textures' pictures [nm]. Records with a ``texture`` have
+    one.
+    """
+    place = "".join(
+        f"      <{key}>{value:.10f}</{key}>\n" for key, value in zip(_ORIGIN, origin, strict=True)
+    )
+    maps = "".join(_texture_map(record, window) for record in records if record.get("texture"))
+    return f"""<classicscene name={quoteattr(title)}>
+
+  <metadata>
+    <entry>
+      <name>Description</name>
+      <value>{escape(title)}, written by hyperpaint</value>
+    </entry>
+  </metadata>
+
+  <sceneorigin>
+    <location frame="geodetic">
+{place}    </location>
+  </sceneorigin>
+
+  <properties features="{features}" mingsd="0" maxgsd="0"/>
+
+  <odbdirectory>$SCENE_DIR/geometry</odbdirectory>
+  <gdbdirectory>$SCENE_DIR/geometry</gdbdirectory>
+  <geometrylist enabled="true">
+    <geometrylistinclude name={quoteattr(title)} enabled="true">lists/{stem}.glist</geometrylistinclude>
+  </geometrylist>
+
+  <matfilename>$SCENE_DIR/materials/{stem}.mat</matfilename>
+  <emsdirectory>$SCENE_DIR/materials/</emsdirectory>
+
+  <mapdirectory>$SCENE_DIR/maps</mapdirectory>
+  <maplist>
+{maps}  </maplist>
+</classicscene>
+"""
+
+
+def _texture_map(record: Mapping[str, Any], window: tuple[float, float]) -> str:
+    low, high = (f"{nm / 1000.0:.4g}" for nm in window)
+    return f"""    <texturemap name={quoteattr("population of " + record["name"])} enabled="true">
+      <matidlist>
+        <matid>{record["id"]}</matid>
+      </matidlist>
+      <projector origin="cartesian" flipx="false" flipy="false" extendx="mirror" extendy="mirror" >
+        <uvprojector/>
+      </projector>
+      <bandlist>
+        <band>
+          <bandpass>
+            <min>{low}</min>
+            <max>{high}</max>
+          </bandpass>
+          <image>
+            <filename>{record["texture"]}</filename>
+          </image>
+        </band>
+      </bandlist>
+    </texturemap>
+"""
+
+
+def simulation_text(stem: str) -> str:
+    """Return a ``.jsim`` file of the scene, to be completed with atmosphere and platform."""
+    return json.dumps([{"scene_list": [{"inputs": f"./{stem}.scene"}], "plugin_list": []}], indent=4) + "\n"
+
+
+def scene_readme_text(
+    title: str, stem: str, records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]
+) -> str:
+    """Return the README: the files, how to run them, and which constructs were checked."""
+    (low, high), (first, last) = attrs["coverage_nm"], attrs["window_nm"]
+    north, east, height = attrs["origin"]
+    return f"""{title}: a scene for DIRSIG
+{"=" * (len(title) + 20)}
+
+Written by hyperpaint. Materials cover {low:g} to {high:g} nm in common: features "{attrs["features"]}".
+
+Files
+-----
+{stem}.scene
+    the scene: origin, directories, texture maps
+{stem}.jsim
+    a simulation of it, to be completed
+geometry/lists/{stem}.glist
+    the geometry list
+geometry/objects/{stem}.obj, {stem}.mtl
+    {attrs["faces"]} triangles in metres, x east, y north, z up; usemtl names IDs of materials;
+    colours for other programs
+materials/{stem}.mat
+    {len(records)} materials
+materials/emissivity/<ID>.ems, materials/reflectance/<ID>.txt
+    their curves, and the centre of each
+materials/brdf/<ID>.fit
+    the coats, where they are a BRDF
+maps/<ID>.pgm
+    a picture of every population of several curves
+paints.json
+    names, ranges and counts
+
+Running it
+----------
+1. scene2hdf {stem}.scene
+2. Put a platform and an atmosphere into the "plugin_list" of {stem}.jsim, such as
+   {{"name": "BasicAtmosphere", "inputs": {{"atmosphere_filename": "./my.atm"}}}}, and run dirsig5 with it.
+   The sensor's bands must lie inside the range above.
+3. The origin is latitude {north:g}, longitude {east:g}, height {height:g} m: change it in {stem}.scene.
+
+Populations
+-----------
+A material of several curves has a texture map. Its picture holds every curve equally often, as far as its
+256 levels tell them apart, and repeats, mirrored, every {attrs["texture_m"]:g} m. DIRSIG gives a pixel the
+curve that stands where the pixel's brightness does, both in standard deviations, over {first:g} to
+{last:g} nm.
+
+Clear coats
+-----------
+{attrs["coat_advice"]}
+Flakes are not in these files.
+
+Checked against
+---------------
+{_CHECKED}
+Not checked
+-----------
+{_UNCHECKED}
+Materials
+---------
+{_materials(records)}
+"""
+
+
+_CHECKED = """\
+construct                                          manual page, or file of a real scene
+.scene: classicscene, sceneorigin, properties,     docs/new/scene.html; tahoe.scene [1]
+  directories, matfilename, geometrylistinclude
+texturemap: matidlist, projector, uvprojector,     docs/new/maps.html; tahoe.scene [1]
+  bandlist, bandpass [micrometre], image, .pgm
+how a texture chooses curves (standard scores)     docs/manual/propertymapping-tutorial.html
+.glist: geometrylist, object, basegeometry, obj,   docs/new/glist.html; terrain.glist [1]
+  filename, staticinstance
+.jsim: scene_list, plugin_list                     docs/new/jsim.html
+scene2hdf                                          docs/new/scene2hdf.html
+.mat: MATERIAL_ENTRY, Classic, ClassicEmissivity,  docs/new/mat.html; tahoe.mat [1]; anadirsig.mat [2]
+  FILENAME, SPECULAR_FRACTION
+.ems: CURVE_BEGIN, several curves                  docs/new/ems.html; ideal_mat_1.ems [2]
+which models vary with wavelength                  docs/new/surface_props.html
+OBJ: usemtl names IDs, vt, vn, triangles           docs/new/obj.html; dirsig.blogspot.com/2010/10 (using
+                                                     OBJ for scene geometry); demo VertexNormals2
+ShellTarget: EMISSIVITY_FILE, BRDF_FIT_FILE;       two readers of RIT's own files: scene_coverage.py [1], and
+  FIT_PARAMS, LAMBDA [micrometre], N, K, DHR,        the car example of an fVDB toolbox, which renders the
+  BIAS, SIGMA [rad], TAU, OMEGA [degree], RHO_D,     demo VertexNormals2 (loader.py, radiometry.py, after
+  RHO_V                                              Westlund and Meyer 2002)
+Generic solver and its keys                        hypersonic.mat [1]
+
+Pages are those of https://dirsig.cis.rit.edu, docs/manual of http://www.dirsig.org.
+[1] RIT's Lake Tahoe scene, as kept in github.com/KevinKearney/protoDIRSIG, config_repo and
+manifold_config_repo. [2] github.com/Rendered-ai/dirsig-channel.
+"""
+
+_UNCHECKED = """\
+* DIRSIG itself has not run these files.
+* That SPECULAR_FRACTION is the specular share of reflectance: taken from its name.
+* Shell Target: no .mat or .fit with it was at hand, only programs that read them, which say nothing of other
+  keys it may need (demo Brdf1 speaks of an interpolation "method"), nor whether DHR is of the whole surface,
+  as here, or of its first term alone.
+* Other coats: the Ward BRDF is the same at all wavelengths (surface_props.html) and would take the paint its
+  colour; no keys of PriestGermer were seen.
+* Words of properties/features other than vis, nir, swir, sources, exoatm; what mingsd and maxgsd of 0 mean.
+* Temperatures: there is no thermal solver, so that only reflected light means anything.
+"""
+
+
+def _materials(records: Sequence[Mapping[str, Any]]) -> str:
+    width = max(2, *(len(record["id"]) for record in records))
+    head = f"{'ID':<{width}}  {'range [nm]':>17}  curves  complete  thinned  specular  texture"
+    rows = [
+        f"{record['id']:<{width}}  {record['wavelength'][0]:8.2f} {record['wavelength'][1]:8.2f}  "
+        f"{record['curves']:6d}  {record['complete']:8d}  {record['thinned']:7d}  "
+        f"{record['specular_fraction']:8.4f}  {record.get('texture') or 'no'}"
+        for record in records
+    ]
+    return "\n".join([head, *rows])

@@ -73,8 +73,7 @@ def export_folder(
             mend="write to a folder and copy it",
             code="folder-is-url",
         )
-    place = Path(os.path.abspath(folder))
-    with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
+    with published_folder(Path(os.path.abspath(folder)), overwrite=overwrite, foreign=_foreign) as build:
         for name in inside:
             (build / name).mkdir(parents=True)
         yield build
@@ -218,55 +217,6 @@ def write_dirsig(
     ...     print(made.emissivity_file.item(), *sorted(path.name for path in Path(folder).iterdir()))
     emissivity/Tuerkis_matt.ems README.txt emissivity materials.mat paints.glist paints.json reflectance
     """
-    kind = _checked(library, curves, wavelength_range, gaps, surface, rad_solver, thermal, specular)
-    if max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1):
-        raise SchemaError(
-            f"max_curves={max_curves!r}",
-            expected="a whole number above 0, or None",
-            code="value-out-of-range",
-        )
-    coat = coat_of(library, specular)
-    axis = Axis(library)
-    choices = Choices(kind, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
-    records = paint_records(library, () if scene_materials is None else read_materials(scene_materials))
-    with export_folder(folder, overwrite=overwrite) as build:
-        write_spectra(library, build, axis, choices, coat, records, progress)
-        entries = (
-            material_section(
-                record, surface=surface, rad_solver=rad_solver, thermal=thermal, double_sided=double_sided
-            )
-            for record in records
-        )
-        attrs = {**coat.attrs, "surface": surface, "curves_of": kind}
-        for name in ("title", "source", "provenance", "references", "license"):
-            if name in library.attrs:
-                attrs[f"library_{name}"] = str(library.attrs[name])
-        # identifies the folder as an export
-        marker = {"format": FORMAT, "version": 1, **attrs, "paints": records}
-        written = {
-            "materials.mat": materials_text(entries),
-            "paints.glist": glist_text(records),
-            "README.txt": readme_text(records, attrs),
-            MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
-        }
-        for name, text in written.items():
-            # a name may hold halves of surrogate pairs, which no encoding has
-            (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
-    _warn(records, gaps_chosen=gaps is not None)
-    return _summary(records, {**attrs, "folder": os.fspath(folder)})
-
-
-def _checked(
-    library: xr.Dataset,
-    curves: str | None,
-    wavelength_range: Any,
-    gaps: str | None,
-    surface: str,
-    rad_solver: str,
-    thermal: Mapping[str, float] | None,
-    specular: float | str,
-) -> str:
-    """Return the kind of curves; refuse invalid arguments."""
     problems = Problems("no DIRSIG materials can be written", SchemaError)
     kind = curves or ("members" if CURVES["members"] in library.variables else "centre")
     # dims and units are judged without reading values: an empty library has them, too
@@ -314,7 +264,41 @@ def _checked(
             code="value-out-of-range",
         )
     problems.raise_if_any()
-    return kind
+    if max_curves is not None and not (isinstance(max_curves, int) and max_curves >= 1):
+        raise SchemaError(
+            f"max_curves={max_curves!r}",
+            expected="a whole number above 0, or None",
+            code="value-out-of-range",
+        )
+    coat = coat_of(library, specular)
+    axis = Axis(library)
+    choices = Choices(kind, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
+    records = paint_records(library, () if scene_materials is None else read_materials(scene_materials))
+    with export_folder(folder, overwrite=overwrite) as build:
+        write_spectra(library, build, axis, choices, coat, records, progress)
+        entries = (
+            material_section(
+                record, surface=surface, rad_solver=rad_solver, thermal=thermal, double_sided=double_sided
+            )
+            for record in records
+        )
+        attrs = {**coat.attrs, "surface": surface, "curves_of": kind}
+        for name in ("title", "source", "provenance", "references", "license"):
+            if name in library.attrs:
+                attrs[f"library_{name}"] = str(library.attrs[name])
+        # identifies the folder as an export
+        marker = {"format": FORMAT, "version": 1, **attrs, "paints": records}
+        written = {
+            "materials.mat": materials_text(entries),
+            "paints.glist": glist_text(records),
+            "README.txt": readme_text(records, attrs),
+            MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
+        }
+        for name, text in written.items():
+            # a name may hold halves of surrogate pairs, which no encoding has
+            (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
+    _warn(records, gaps_chosen=gaps is not None)
+    return _summary(records, {**attrs, "folder": os.fspath(folder)})
 
 
 def _is_range(value: Any) -> bool:
@@ -409,7 +393,6 @@ def _write_paint(
     curve_text: ColumnText,
     plain_text: ColumnText,
 ) -> dict[str, Any]:
-    """Write the files of one paint; return the rest of its record."""
     clipped = 0
     with open(build / record["emissivity_file"], "wb") as file:
         file.write(emissivity_head(len(spectra.curves)))
@@ -441,14 +424,13 @@ def _write_paint(
 
 
 def _colour(wavelength: Array, reflectance: Array) -> list[float]:
-    """Return red, green and blue for DIRSIG's editor, brightened; white where unknown."""
+    # Red, green and blue for DIRSIG's editor, brightened; white where unknown.
     if wavelength[0] > _RGB[2] or wavelength[-1] < _RGB[0]:
         return [1.0, 1.0, 1.0]
     return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
 
 
 def _warn(records: list[dict[str, Any]], *, gaps_chosen: bool) -> None:
-    """Warn of changes to the spectra."""
     messages = []
     for key, change in (
         ("clipped", "samples outside 0 to 1 were clipped"),

@@ -159,8 +159,7 @@ def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
         emissivity outside 0 to 1, other text in between; all are listed.
     """
     place = Path(path)
-    data = read_limited_text(place, MAX_BYTES, "a DIRSIG emissivity file")
-    return _parse(data, str(place))
+    return _parse(read_limited_text(place, MAX_BYTES, "a DIRSIG emissivity file"), str(place))
 
 
 def _parse(data: bytes, name: str) -> Emissivity:
@@ -212,9 +211,7 @@ def _weights(lines: list[bytes], problems: Problems) -> Floats:
 
 
 def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curve]]:
-    """Return the layout and the curves that follow the weights."""
-    blank = len(body) - len(body.lstrip(b" \t\n"))
-    start = body.rfind(b"\n", 0, blank) + 1
+    start = body.rfind(b"\n", 0, len(body) - len(body.lstrip(b" \t\n"))) + 1
     new = _NEW_MARK.match(body, start) is not None
     if not new and not _OLD_MARK.match(body, start):
         line = _ANGLES + 2 + body.count(b"\n", 0, start)
@@ -282,7 +279,7 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
 
 
 def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
-    """Return rows of two numbers (row, 2), None for any other text."""
+    # Rows of two numbers (row, 2), None for any other text.
     if _ROWS.fullmatch(rows):
         return np.array(rows.split(), np.float64).reshape(-1, 2)
     if not rows.strip():
@@ -331,7 +328,6 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     about_centre = {"units": "1", "long_name": "Reflectance, mean of the curves"}
     about_members = {"units": "1", "long_name": "Reflectance of a curve"}
     # nm at the grid that is written, so that a file's text survives
-    nm = np.round(wavelength * 1e3, 10)
     return xr.Dataset(
         {
             "reflectance": ((SIGNATURE, BAND), centre, about_centre),
@@ -343,7 +339,7 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
         },
         {
             SIGNATURE: np.array([place.stem], object),
-            "wavelength": (BAND, nm, LIBRARY_VARIABLES["wavelength"].attrs),
+            "wavelength": (BAND, np.round(wavelength * 1e3, 10), LIBRARY_VARIABLES["wavelength"].attrs),
         },
         {"source": place.name, "layout": f"DIRSIG emissivity, {file.layout}"},
     )

@@ -166,7 +166,7 @@ held constant, only where the table says so: of the curves + of the centre (refl
 
 
 def _thinned(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return the sentence on curves left out by ``max_curves``."""
+    # The sentence on curves left out by ``max_curves``.
     rows = [f"{record['id']} {record['thinned']}" for record in records if record["thinned"]]
     text = "\nLeft out since there were more than asked for, at even ranks of brightness: "
     return text + ", ".join(rows) + "." if rows else ""
@@ -176,7 +176,6 @@ _MAX_GAPS = 12
 
 
 def _gaps(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return the gaps of the curves, paint by paint."""
     rows = []
     for record in records:
         gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MAX_GAPS]] + ["..."] * (

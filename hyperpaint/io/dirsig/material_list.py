@@ -247,7 +247,6 @@ def _material(entry: Section, number: int, problems: Problems) -> Material:
 
 
 def _section_problems(section: Section) -> Iterator[tuple[str, str]]:
-    """Yield message and code of each duplicate key, and of each solver or property without its section."""
     keys = Counter(item[0] if isinstance(item, tuple) else item.name for item in section.items)
     for key, count in keys.items():
         if count > 1:

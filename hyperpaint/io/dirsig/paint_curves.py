@@ -208,8 +208,7 @@ def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, di
     step = chunk * max(1, step // chunk) if chunk * size <= 8 * _BLOCK_BYTES else step
     for start in range(0, count, step):
         paints = slice(start, min(start + step, count))
-        part = library[names].isel({SIGNATURE: paints}).load()
-        arrays = require(part, names, "DIRSIG materials", _ROWS)
+        arrays = require(library[names].isel({SIGNATURE: paints}).load(), names, "DIRSIG materials", _ROWS)
         blocks = {key: array.values for key, array in arrays.items()}
         curves = blocks[name] if blocks[name].ndim == 3 else blocks[name][:, np.newaxis]
         yield paints, {**blocks, "centre": blocks["reflectance"], "curves": curves}
@@ -301,8 +300,7 @@ def thinned_rows(curves: Array, is_filled: Array, most: int | None) -> Array:
     rows = np.flatnonzero(~is_filled) if np.count_nonzero(~is_filled) >= most else np.arange(len(curves))
     ranked = rows[np.argsort(curves[rows].mean(axis=1), kind="stable")]
     # the middles of equal parts: the ends of a distribution are not worth more than its inside
-    places = np.floor((np.arange(most) + 0.5) * len(ranked) / most).astype(np.int64)
-    chosen = ranked[places]
+    chosen = ranked[np.floor((np.arange(most) + 0.5) * len(ranked) / most).astype(np.int64)]
     return chosen[np.argsort(is_filled[chosen], kind="stable")]
 
 
@@ -327,17 +325,15 @@ def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool
 
 
 def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None) -> slice:
-    """Return the bands of a range and the next ones outside, so that the range is covered."""
+    # The bands of a range and the next ones outside, so that the range is covered.
     first, last = int(usable[0]), int(usable[-1])
     if wanted is not None:
         low = int(np.searchsorted(wavelength, wanted[0], "right")) - 1
-        high = int(np.searchsorted(wavelength, wanted[1], "left"))
-        first, last = max(first, low), min(last, high)
+        first, last = max(first, low), min(last, int(np.searchsorted(wavelength, wanted[1], "left")))
     return slice(first, last + 1)
 
 
 def _hole_error(subject: str, at: Array) -> PaintProblemError:
-    """Return the error about bands [nm] without values inside the range."""
     shown = ", ".join(f"{nm:.1f}" for nm in at[:6]) + (", ..." if at.size > 6 else "")
     return PaintProblemError(
         f"{subject} no value at {shown} nm, inside the range",

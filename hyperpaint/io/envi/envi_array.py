@@ -85,7 +85,7 @@ class EnviArray(BackendArray):
         )
 
     def _outer(self, key: tuple[Any, ...]) -> Array:
-        """Return the samples at the crossings of one index, slice or sorted index array for each dim."""
+        # The samples at the crossings of one index, slice or sorted index array for each dim.
         positions = [_positions(index, size) for index, size in zip(key, self.shape, strict=True)]
         values = self._read(positions)
         if self.scaling is not None:
@@ -96,8 +96,7 @@ class EnviArray(BackendArray):
         return values.reshape(shape)
 
     def _read(self, positions: list[Ints]) -> Array:
-        shape = tuple(len(wanted) for wanted in positions)
-        samples = np.empty(shape, self.stored.newbyteorder("="))
+        samples = np.empty(tuple(len(wanted) for wanted in positions), self.stored.newbyteorder("="))
         if samples.size == 0:
             return samples
         # a view of the same memory, axes in the order of the file
@@ -111,8 +110,7 @@ class EnviArray(BackendArray):
             is_slab = self.axes == (0, 1, 2) and bool((np.diff(planes) == 1).all())
             is_slab = is_slab and np.array_equal(rows, np.arange(height))
             if is_slab and np.array_equal(columns, np.arange(width)):
-                first = int(planes[0]) * height * width
-                self._fill(file, first, samples.reshape(-1))
+                self._fill(file, int(planes[0]) * height * width, samples.reshape(-1))
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
             else:
@@ -120,7 +118,7 @@ class EnviArray(BackendArray):
         return samples
 
     def _refuse_changed(self, file: io.FileIO) -> None:
-        """Raise FormatError if the file has changed since it was opened: layout and meaning may differ."""
+        # Raise FormatError if the file has changed since it was opened: layout and meaning may differ.
         status = os.fstat(file.fileno())
         if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
             raise FormatError(
@@ -132,7 +130,7 @@ class EnviArray(BackendArray):
             )
 
     def _gather(self, file: io.FileIO, along: list[Ints], into: Array) -> None:
-        """Read boxes of file lines around the wanted samples, and keep those."""
+        # Read boxes of file lines around the wanted samples, and keep those.
         planes, rows, samples = along
         columns = self.file_shape[2]
         # lines of the file, counted through all planes
@@ -154,7 +152,7 @@ class EnviArray(BackendArray):
             into[places[0][start:stop], places[1][start:stop]] = rows[:, picked]
 
     def _fill(self, file: io.FileIO, first: int, into: Array) -> None:
-        """Read samples from number `first` on into contiguous memory, without conversion."""
+        # Read samples from number `first` on into contiguous memory, without conversion.
         view = into.view(np.uint8).data
         file.seek(self.offset + first * self.stored.itemsize)
         done = 0
@@ -183,7 +181,7 @@ def _positions(index: Any, size: int) -> Ints:
 
 
 def _selector(positions: Ints) -> slice | Ints:
-    """Return a slice for evenly spaced positions, which avoids a copy."""
+    # A slice for evenly spaced positions, which avoids a copy.
     steps = np.diff(positions)
     if len(steps) == 0:
         return slice(int(positions[0]), int(positions[0]) + 1)

@@ -120,8 +120,7 @@ def write_envi(
         raise SchemaError(
             f"interleave {chosen!r:.40}", expected="'bil', 'bip' or 'bsq'", code="choice-unknown"
         )
-    order = [dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]]
-    stored = cube.transpose(*order)
+    stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]])
     header = _header(dataset, cube, chosen, grid)
     # names of data file and header
     data = head = Path(path)
@@ -141,7 +140,7 @@ def write_envi(
 
 
 def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.DataArray:
-    """Return the array (line, sample, band) in the type that is stored, still lazy."""
+    # The array (line, sample, band) in the type that is stored, still lazy.
     cube = product_of(dataset, variable)
     name = str(cube.name)
     if BAND not in cube.dims:
@@ -227,7 +226,7 @@ def _spectral(dataset: xr.Dataset) -> list[str]:
 
 
 def _printable(text: str) -> str:
-    """Return text without braces and line ends."""
+    # Text without braces and line ends.
     return "".join(mark if mark.isprintable() and mark not in "{}" else " " for mark in text)[:500]
 
 
@@ -236,11 +235,8 @@ def _printable(text: str) -> str:
 
 @dataclass(eq=False)
 class _Target:
-    """A file that takes blocks of an array at their positions; any thread, any order.
-
-    Blocks go through `os.pwrite`: a memory map would hold written pages in memory.
-    """
-
+    # A file that takes blocks of an array at their positions; any thread, any order.
+    # Blocks go through `os.pwrite`: a memory map would hold written pages in memory.
     path: str
     shape: tuple[int, int, int]
     dtype: np.dtype[Any]
@@ -264,8 +260,7 @@ class _Target:
         try:
             for plane in range(block.shape[0]):
                 first = ((starts[0] + plane) * rows + starts[1]) * columns + starts[2]
-                pieces = [block[plane]] if whole_rows else block[plane]
-                for row, piece in enumerate(pieces):
+                for row, piece in enumerate([block[plane]] if whole_rows else block[plane]):
                     self._write(descriptor, piece, first + row * columns)
             if block.shape[1:] == self.shape[1:] and hasattr(os, "posix_fadvise"):
                 # Linux starts to write these pages, so that little is left to flush at the end
@@ -287,7 +282,7 @@ class _Target:
 
 
 def _fill(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None] | None) -> None:
-    """Write an array in the order of its dims."""
+    # Write an array in the order of its dims.
     shape = (stored.shape[0], stored.shape[1], stored.shape[2])
     with open(path, "wb") as file:
         size = stored.size * stored.dtype.itemsize

@@ -86,7 +86,7 @@ def _data_of(header: Path) -> Path:
 
 
 def _existing(candidates: list[Path]) -> list[Path]:
-    """Return the files among the candidates; two spellings of one file count once."""
+    # The files among the candidates; two spellings of one file count once.
     files: list[Path] = []
     for path in candidates:
         if is_plain_file(path) and not any(path.samefile(other) for other in files):
@@ -176,7 +176,27 @@ def open_envi(
     """
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
-    _refuse_contradictions(header, header_path)
+    problems = Problems(f"ENVI header {str(header_path)!r} cannot be used", FormatError)
+    if header.is_spectral_library:
+        problems.add(
+            f"file type is {header.fields['file type']!r}: a spectral library",
+            expected="a cube",
+            code="file-type-wrong",
+        )
+    scale = header.reflectance_scale_factor not in (None, 1.0)
+    if scale and _has_gain(header):
+        problems.add(
+            "both 'reflectance scale factor' and band gains or offsets are given",
+            mend="delete those that do not belong to the stored samples",
+            code="scale-conflict",
+        )
+    if scale and _level(header) == "radiance":
+        problems.add(
+            "the description says RADIANCE but a 'reflectance scale factor' is given",
+            mend="delete one",
+            code="scale-conflict",
+        )
+    problems.raise_if_any()
     status = os.stat(data_path)
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
     # anything that may make values wrong
@@ -215,33 +235,32 @@ def open_envi(
     variable = xr.Variable(
         dims, indexing.LazilyIndexedArray(array), attrs, encoding={"preferred_chunks": chunks}
     )
-    return xr.Dataset(
-        {name: variable}, coords=_coordinates(header, lines), attrs=_attributes(header, data_path, lines)
-    )
-
-
-def _refuse_contradictions(header: EnviHeader, path: Path) -> None:
-    problems = Problems(f"ENVI header {str(path)!r} cannot be used", FormatError)
-    if header.is_spectral_library:
-        problems.add(
-            f"file type is {header.fields['file type']!r}: a spectral library",
-            expected="a cube",
-            code="file-type-wrong",
+    # fastpath: else xarray imports dask, which takes longer than the rest, to check the type of the values
+    coords: dict[str, Any] = {
+        name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
+        for name, values in (
+            ("wavelength", header.wavelength),
+            ("fwhm", header.fwhm),
+            ("good", header.good),
         )
-    scale = header.reflectance_scale_factor not in (None, 1.0)
-    if scale and _has_gain(header):
-        problems.add(
-            "both 'reflectance scale factor' and band gains or offsets are given",
-            mend="delete those that do not belong to the stored samples",
-            code="scale-conflict",
-        )
-    if scale and _level(header) == "radiance":
-        problems.add(
-            "the description says RADIANCE but a 'reflectance scale factor' is given",
-            mend="delete one",
-            code="scale-conflict",
-        )
-    problems.raise_if_any()
+        if values is not None
+    }
+    if header.map_info is not None and header.map_info.rotation == 0:
+        # pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner
+        info = header.map_info
+        column, row = info.reference_pixel
+        x = info.reference[0] + (np.arange(header.samples) + 1.5 - column) * info.pixel_size[0]
+        y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
+        if info.projection.lower().startswith("geographic"):
+            x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
+            y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
+        else:
+            unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
+            x_attrs, y_attrs = ({"standard_name": f"projection_{axis}_coordinate"} for axis in "xy")
+            for axis_attrs in (x_attrs, y_attrs):
+                axis_attrs.update({"units": unit} if unit else {})
+        coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
+    return xr.Dataset({name: variable}, coords=coords, attrs=_attributes(header, data_path, lines))
 
 
 def _has_gain(header: EnviHeader) -> bool:
@@ -250,7 +269,7 @@ def _has_gain(header: EnviHeader) -> bool:
 
 
 def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: bool) -> int:
-    """Return the number of lines; FormatError where the file's size contradicts the header."""
+    # The number of lines; FormatError where the file's size contradicts the header.
     expected = header.header_offset + header.lines * header.line_bytes
     if size == expected:
         return header.lines
@@ -267,9 +286,11 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
     )
     if by_lines:
         found += f"\nit holds {whole} whole lines and {remainder} bytes more"
-    mend = "check samples, bands, lines and data type, or copy the file again"
-    if possible:
-        mend = f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
+    mend = (
+        f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
+        if possible
+        else "check samples, bands, lines and data type, or copy the file again"
+    )
     raise FormatError(
         f"ENVI data file {str(path)!r} does not fit its header",
         problems=[Problem(found, mend=mend, code="file-size")],
@@ -277,13 +298,12 @@ def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: 
 
 
 def _level(header: EnviHeader) -> str | None:
-    """Return the processing level in the description; None without one."""
     levels = _LEVEL.findall(header.description[:10_000])
     return str(levels[-1]).lower() if levels else None
 
 
 def _is_unscaled(header: EnviHeader) -> bool:
-    """Return whether integers are called reflectance without a scale to fractions."""
+    # Whether integers are called reflectance without a scale to fractions.
     unscaled = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
     return _level(header) == "reflectance" and header.dtype.kind in "iu" and unscaled
 
@@ -294,7 +314,7 @@ _CUBE_TYPES = ("", "envi", "envi standard")
 def _quantity(
     header: EnviHeader, quantity: str | None, unsaid: str, path: Path
 ) -> tuple[str, dict[str, Any]]:
-    """Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``."""
+    # The quantity of the samples, and its attributes; refuse a contradicting ``quantity``.
     declared, radiance_units = _declared_quantity(header)
     is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
     if quantity not in (None, *_QUANTITIES):
@@ -324,7 +344,7 @@ def _quantity(
 
 
 def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
-    """Return the quantity that the header declares, and its units of radiance; None where it does not."""
+    # The quantity that the header declares, and its units of radiance; None where it does not.
     if _is_unscaled(header):
         return "values", None
     # Headwall's comment on units, if it can be read as units
@@ -363,35 +383,6 @@ def _scaling(header: EnviHeader, name: str) -> Scaling | None:
         gain=header.data_gain_values if gained else None,
         offset=header.data_offset_values if gained else None,
     )
-
-
-def _coordinates(header: EnviHeader, lines: int) -> dict[str, Any]:
-    # fastpath: else xarray imports dask, which takes longer than the rest, to check the type of the values
-    coords: dict[str, Any] = {
-        name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
-        for name, values in (
-            ("wavelength", header.wavelength),
-            ("fwhm", header.fwhm),
-            ("good", header.good),
-        )
-        if values is not None
-    }
-    if header.map_info is not None and header.map_info.rotation == 0:
-        # pixel centres of an unrotated grid; the reference pixel (1, 1) is an outer corner
-        info = header.map_info
-        column, row = info.reference_pixel
-        x = info.reference[0] + (np.arange(header.samples) + 1.5 - column) * info.pixel_size[0]
-        y = info.reference[1] - (np.arange(lines) + 1.5 - row) * info.pixel_size[1]
-        if info.projection.lower().startswith("geographic"):
-            x_attrs = {"standard_name": "longitude", "units": "degrees_east"}
-            y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
-        else:
-            unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
-            x_attrs, y_attrs = ({"standard_name": f"projection_{axis}_coordinate"} for axis in "xy")
-            for axis_attrs in (x_attrs, y_attrs):
-                axis_attrs.update({"units": unit} if unit else {})
-        coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
-    return coords
 
 
 def _attributes(header: EnviHeader, path: Path, lines: int) -> dict[str, Any]:

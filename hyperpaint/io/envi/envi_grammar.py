@@ -88,7 +88,7 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
 def _closed(
     value: str, number: int, key: str, lines: Iterator[tuple[int, str]], findings: HeaderFindings
 ) -> str:
-    """Return a braced value, reading more lines until its brace closes."""
+    # A braced value, reading more lines until its brace closes.
     parts: list[str] = []
     part = value
     while "}" not in part:
@@ -118,7 +118,7 @@ def _store(into: dict[str, str], key: str, value: str, where: str, findings: Hea
 
 
 def _store_comment(into: dict[str, str], key: str, value: str, findings: HeaderFindings) -> None:
-    """Keep the first of two: processing steps repeat comments, and the cube must stay readable."""
+    # Keep the first of two: processing steps repeat comments, and the cube must stay readable.
     if into.setdefault(key, value) != value:
         findings.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
 

@@ -182,8 +182,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
 
 
 class _Reader:
-    """Converts and checks raw values; notes a problem and returns None for a wrong one."""
-
+    # Converts and checks raw values; notes a problem and returns None for a wrong one.
     def __init__(self, fields: Mapping[str, str], findings: HeaderFindings) -> None:
         self.fields = fields
         self.findings = findings
@@ -221,7 +220,7 @@ class _Reader:
             return None
 
     def numbers(self, key: str, count: int, per: str) -> Floats | None:
-        """Return a list with one finite number for each band."""
+        # A list with one finite number for each band.
         text = self.fields.get(key)
         if text is None or not bare(text):
             return None
@@ -252,7 +251,7 @@ class _Reader:
 
 
 def _to_float(text: str) -> float:
-    """Return a number; unlike float(), refuse underscores and other scripts' digits."""
+    # A number; unlike float(), refuse underscores and other scripts' digits.
     if len(text) <= 64 and text.isascii() and "_" not in text:
         try:
             return float(text)
@@ -356,7 +355,7 @@ def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
 def _spectral_axis(
     reader: _Reader, count: int, per: str, names: tuple[str, ...]
 ) -> tuple[Floats | None, Floats | None]:
-    """Return wavelength and FWHM in nm."""
+    # Wavelength and FWHM in nm.
     wavelength, fwhm = reader.numbers("wavelength", count, per), reader.numbers("fwhm", count, per)
     text = bare(reader.fields.get("wavelength units", ""))
     unit = text.lower()
@@ -421,7 +420,7 @@ def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: HeaderF
 
 
 def _wavelength_of_names(names: tuple[str, ...], findings: HeaderFindings) -> Floats | None:
-    """Return the wavelengths that GDAL writes into band names, such as ``399.356 nm``."""
+    # The wavelengths that GDAL writes into band names, such as ``399.356 nm``.
     centres = []
     for name in names:
         match = _NAMED_WAVELENGTH.search(name[:200])

@@ -46,8 +46,7 @@ def slab_lines(ends: Sequence[int]) -> int:
     """
 
     def badness(lines: int) -> tuple[int, float]:
-        broken = {end // lines for end in ends if end % lines}
-        return len(broken), abs(math.log(lines / CHUNK_LINES))
+        return len({end // lines for end in ends if end % lines}), abs(math.log(lines / CHUNK_LINES))
 
     return min(range(MIN_SLAB_LINES, MAX_SLAB_LINES + 1), key=badness)
 

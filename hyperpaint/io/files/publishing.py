@@ -178,7 +178,6 @@ def _errors_of(place: Path) -> Iterator[None]:
 
 
 def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, overwrite: bool) -> None:
-    """Refuse places that hold something else, or a product that may not be replaced."""
     existing = [target for target in targets if os.path.lexists(target)]
     for target in existing[:]:
         if foreign is None or target != targets[-1]:
@@ -223,7 +222,7 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
 
 
 def _anchors(targets: Sequence[Path]) -> list[Path]:
-    """Return the target that names the staging folder of each folder, the key last."""
+    # The target that names the staging folder of each folder, the key last.
     key = targets[-1]
     return [*{each.parent: each for each in targets if each.parent != key.parent}.values(), key]
 
@@ -276,7 +275,7 @@ def _new(build: Path, number: int, target: Path) -> Path:
 
 
 def _settle(targets: Sequence[Path]) -> None:
-    """Undo a swap whose key is not in its place yet, and remove its remains; the places are locked."""
+    # Undo a swap whose key is not in its place yet, and remove its remains; the places are locked.
     swaps = {anchor.parent: Staging(anchor).folder / _SWAP for anchor in _anchors(targets)}
     *companions, (last, key) = enumerate(targets)
     folder = swaps[key.parent]
@@ -300,7 +299,7 @@ def _settle(targets: Sequence[Path]) -> None:
 
 
 def _recover(target: Path) -> None:
-    """Undo or finish a swap that a killed writer left at a place."""
+    # Undo or finish a swap that a killed writer left at a place.
     if not os.path.lexists(Staging(target).folder):
         return
     with staging(target):  # removes unfinished builds
@@ -314,7 +313,7 @@ def _recover(target: Path) -> None:
 
 
 def _journal(target: Path) -> list[Path]:
-    """Return the places of the files of an interrupted swap; StoreError for a journal that no writer left."""
+    # The places of the files of an interrupted swap; StoreError for a journal that no writer left.
     path = Staging(target).folder / _SWAP / _JOURNAL
     if not os.path.lexists(path.parent):
         return []

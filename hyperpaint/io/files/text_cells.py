@@ -18,8 +18,7 @@ def safe_cell(text: str) -> str:
     >>> safe_cell("=cmd()"), safe_cell("-5.2"), safe_cell("- matt"), safe_cell("red")
     ("'=cmd()", '-5.2', "'- matt", 'red')
     """
-    is_plain = _FORMULA.match(text) is None or number(text) is not None
-    return text if is_plain else f"'{text}"
+    return text if (_FORMULA.match(text) is None or number(text) is not None) else f"'{text}"
 
 
 def text_of_cell(cell: str) -> str:

@@ -72,8 +72,7 @@ def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
     # an older program separates the two columns of a frame index with blanks
     separator = "\t" if "\t" in first else None
     names = [cell.strip().lower() for cell in first.rstrip("\t").split(separator)]
-    missing = [name for name in needs if name not in names]
-    if missing or len(set(names)) != len(names):
+    if not set(needs) <= set(names) or len(set(names)) != len(names):
         raise FormatError(
             f"{path}: first line {first[:120]!r}",
             expected=f"the header of a {kind}, which names {list(needs)} once",
@@ -97,10 +96,8 @@ def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
 
 
 def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
-    """Return a table whose lines all have as many tabs as its header; None for blank lines or other counts.
-
-    Takes a third of the time of reading line by line.
-    """
+    # A table whose lines all have as many tabs as its header; None for blank lines or other counts.
+    # Takes a third of the time of reading line by line.
     start, end = text.find("\n") + 1, len(text) - text.endswith("\n")
     columns, rows = PackedColumns(names), 0
     if not 0 < start < end:

@@ -18,8 +18,8 @@ from hyperpaint.base.input_files import read_limited
 
 from .reading import is_pattern, matching_files
 
+#: Stands where a value is still to be filled in.
 UNKNOWN = "?"
-"""Stands where a value is still to be filled in."""
 
 _MAX_BYTES = 1 << 20
 #: A key of 64 parts or more: tomllib's time for it grows with the square of their number.
@@ -201,14 +201,14 @@ def values(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _anchored(pattern: str) -> tuple[str, str]:
-    """Split a pattern after its plain folders, such as ``../asd``, in which a user may leave the folder."""
+    # Split a pattern after its plain folders, such as ``../asd``, in which a user may leave the folder.
     parts = Path(pattern).parts
     plain = list(itertools.takewhile(lambda part: not is_pattern(part), parts))
     return str(Path(*plain)), "/".join(parts[len(plain) :])
 
 
 def _is_special(path: Path) -> bool:
-    """Return whether a path names a pipe or device: reading one would block or never end."""
+    # Whether a path names a pipe or device: reading one would block or never end.
     try:
         mode = path.stat().st_mode
     except OSError:

@@ -27,6 +27,8 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.base.units import convert
 from hyperpaint.io.files.reading import load_netcdf
+from hyperpaint.io.store import list_groups, load_group, open_unverified
+from hyperpaint.io.store.reader import is_zarr
 
 _ELEMENT = (BAND, CROSS_TRACK)
 #: Variables of the table that a calibration may hold, those it must hold first.
@@ -124,7 +126,6 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     """
     if isinstance(source, xr.Dataset):
         return check_calibration(source)
-    from hyperpaint.io.store import list_groups, load_group
 
     def load(source: Any, group: str | None) -> xr.Dataset:
         groups = {} if group is not None else {"", "calibration"}.intersection(list_groups(source))
@@ -136,9 +137,7 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
 def _read(
     source: Any, group: str | None, kind: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
 ) -> xr.Dataset:
-    """Open any Zarr, or load a netCDF file."""
-    from hyperpaint.io.store.reader import is_zarr
-
+    # Open any Zarr, or load a netCDF file.
     zarr = is_zarr(source)
     is_path = isinstance(source, str | os.PathLike) and "://" not in os.fspath(source)
     if is_path and not input_path(Path(source), f"a {kind} in a Zarr store or netCDF file").exists():
@@ -177,7 +176,47 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         except (SchemaError, UnitsError) as error:
             problems.add_error("", error)
     for name, array in arrays.items():
-        _check_values(name, array.values, problems)
+        finite = bool(np.isfinite(array.values).all())
+        if name == "radiance_gain":
+            gains = array.values[~np.isnan(array.values)]
+            bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
+            if not gains.size:
+                problems.add(
+                    "'radiance_gain' is NaN everywhere",
+                    expected="a gain for the elements that are not bad",
+                    code="not-finite",
+                )
+            elif bad:
+                problems.add(
+                    f"'radiance_gain' is zero, negative or infinite in {bad} elements",
+                    expected="positive gains, and NaN for bad elements",
+                    code="value-out-of-range",
+                )
+        elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
+            if not (finite and (array.values > 0).all()):
+                problems.add(f"{name!r} is not finite and positive everywhere", code="value-out-of-range")
+        elif name in _MAX_MAGNITUDES:
+            largest, unit = _MAX_MAGNITUDES[name]
+            if not (finite and (np.abs(array.values) < largest).all()):
+                problems.add(
+                    f"{name!r} is not finite and below {largest:g} {unit} everywhere",
+                    code="value-out-of-range",
+                )
+        elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
+            if (array.values < 0).any():
+                problems.add(
+                    f"{name!r} is negative in places",
+                    expected="a standard uncertainty",
+                    code="value-out-of-range",
+                )
+        elif name in ("read_noise", "srf"):
+            levels = array.values[~np.isnan(array.values)] if name == "read_noise" else array.values
+            if not (np.isfinite(levels).all() and (levels >= 0).all()):
+                problems.add(
+                    f"{name!r} is not finite and at least zero everywhere", code="value-out-of-range"
+                )
+        elif name == "srf_offset" and not (finite and (np.diff(array.values) > 0).all()):
+            problems.add("'srf_offset' does not increase strictly", code="axis-unordered")
     if shape is not None and shape not in SRF_SHAPES:
         problems.add(
             f"attribute srf_shape {shape!r}",
@@ -208,7 +247,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 
 
 def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a variable in the units, dims and dtype of the table, without coordinates."""
+    # A variable in the units, dims and dtype of the table, without coordinates.
     spec = VARIABLES[name]
     if name not in dataset.variables:
         raise SchemaError(
@@ -233,47 +272,6 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
         # float64 until the factor is in, rounded once
         array = convert(array.astype(np.float64), spec.units, name)
     return label(array.astype(dtype_of(name)), name)
-
-
-def _check_values(name: str, values: np.ndarray[Any, Any], problems: Problems) -> None:
-    finite = bool(np.isfinite(values).all())
-    if name == "radiance_gain":
-        gains = values[~np.isnan(values)]
-        bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
-        if not gains.size:
-            problems.add(
-                "'radiance_gain' is NaN everywhere",
-                expected="a gain for the elements that are not bad",
-                code="not-finite",
-            )
-        elif bad:
-            problems.add(
-                f"'radiance_gain' is zero, negative or infinite in {bad} elements",
-                expected="positive gains, and NaN for bad elements",
-                code="value-out-of-range",
-            )
-    elif name in ("wavelength", "fwhm", "band_spacing", "saturation_count", "electrons_per_count"):
-        if not (finite and (values > 0).all()):
-            problems.add(f"{name!r} is not finite and positive everywhere", code="value-out-of-range")
-    elif name in _MAX_MAGNITUDES:
-        largest, unit = _MAX_MAGNITUDES[name]
-        if not (finite and (np.abs(values) < largest).all()):
-            problems.add(
-                f"{name!r} is not finite and below {largest:g} {unit} everywhere", code="value-out-of-range"
-            )
-    elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
-        if (values < 0).any():
-            problems.add(
-                f"{name!r} is negative in places",
-                expected="a standard uncertainty",
-                code="value-out-of-range",
-            )
-    elif name in ("read_noise", "srf"):
-        levels = values[~np.isnan(values)] if name == "read_noise" else values
-        if not (np.isfinite(levels).all() and (levels >= 0).all()):
-            problems.add(f"{name!r} is not finite and at least zero everywhere", code="value-out-of-range")
-    elif name == "srf_offset" and not (finite and (np.diff(values) > 0).all()):
-        problems.add("'srf_offset' does not increase strictly", code="axis-unordered")
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
@@ -337,8 +335,6 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
     FormatError
         It cannot be read, or holds no counts of steps.
     """
-    from hyperpaint.io.store import open_unverified
-
     # counts change from step to step only along one dim: a chunk of steps is all that is in memory
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:

@@ -125,10 +125,9 @@ def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dar
     counts = label(counts.reset_coords(drop=True), "dark_counts")
     if times is not None:
         counts = counts.assign_coords(dark_time=times.astype("datetime64[ns]"))
-    seconds: tuple[float | None, ...] = (None,)
-    if exposure is not None:
-        seconds = tuple(float(value) for value in np.atleast_1d(arrays["dark_exposure_time"].values))
-    return Dark(counts, seconds, None, name)
+    if exposure is None:
+        return Dark(counts, (None,), None, name)
+    return Dark(counts, tuple(map(float, np.atleast_1d(arrays["dark_exposure_time"].values))), None, name)
 
 
 def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: str) -> None:
@@ -170,7 +169,7 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
 
 
 def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
-    """Return UTC at the middle of a dark cube, None where unknown."""
+    # UTC at the middle of a dark cube, None where unknown.
     if "time" in opened.coords:
         stamps = opened["time"].values.astype("datetime64[ns]")
         stamps = stamps[~np.isnat(stamps)]
@@ -208,7 +207,7 @@ def _middle(times: NDArray[np.datetime64]) -> np.datetime64:
 
 
 def _combine(references: list[_Reference]) -> Dark:
-    """Stack references along time where all times are known, else average them."""
+    # Stack references along time where all times are known, else average them.
     noisy = [ref.frames for ref in references if ref.frames.lines >= _NOISE_LINES]
     noise = variance = None
     if noisy:
@@ -247,10 +246,8 @@ def _combine(references: list[_Reference]) -> Dark:
 
 
 def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None:
-    """Return the variance of a dark count (band, cross_track) from few lines; None from one line each.
-
-    The variance of an element is shrunk to the mean of all with the weight of `_NOISE_LINES` lines.
-    """
+    # The variance of a dark count (band, cross_track) from few lines; None from one line each.
+    # The variance of an element is shrunk to the mean of all with the weight of `_NOISE_LINES` lines.
     several = [frames for frames in references if frames.lines > 1]
     if not several:
         return None

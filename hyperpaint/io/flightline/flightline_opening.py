@@ -331,7 +331,7 @@ def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
 
 
 def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
-    """Return ``counts`` or ``radiance`` in sensor geometry, with units."""
+    # ``counts`` or ``radiance`` in sensor geometry, with units.
     path = inputs.path
     name = next((name for name in ("counts", "radiance") if name in opened), None)
     if name is None:
@@ -380,7 +380,7 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
 
 
 def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
-    """Chunk the cube, convert it, and blank its dropped lines, without reading samples."""
+    # Chunk the cube, convert it, and blank its dropped lines, without reading samples.
     name = str(cube.name)
     cube = cube.drop_vars(list(cube.coords)).drop_encoding()
     dropped = np.flatnonzero(~times.recorded)
@@ -405,7 +405,7 @@ def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -
 def _blank(
     block: NDArray[Any], dropped: NDArray[np.intp], block_info: Mapping[Any, Any] | None = None
 ) -> NDArray[Any]:
-    """Return a block of lines with its dropped lines blanked."""
+    # A block of lines with its dropped lines blanked.
     start, stop = (block_info or {})[0]["array-location"][0]
     inside = dropped[(dropped >= start) & (dropped < stop)] - start
     if inside.size:
@@ -451,10 +451,6 @@ def _shape(sizes: Mapping[Any, int]) -> str:
 
 
 def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
-    """Return the convention of the poses as attributes, and the names of its assumed fields.
-
-    Raises `SchemaError`: A declaration that does not exist.
-    """
     declarable = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
     if not set(declared) <= declarable:
         wrong, right = (", ".join(sorted(names)) for names in (set(declared) - declarable, declarable))

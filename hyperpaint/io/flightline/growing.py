@@ -54,7 +54,6 @@ def growing_cubes(folder: Path, text: str) -> list[Path]:
 
 
 def _data_of(path: Path) -> Path | None:
-    """Return the data file of a pair, None where it is missing."""
     if path.suffix.lower() != ".hdr":
         is_data = not path.suffix or path.suffix.lower() in DATA_SUFFIXES
         return path if is_data and path.is_file() else None
@@ -125,7 +124,9 @@ class GrowingLine:
     def header(self) -> EnviHeader:
         """Layout of the samples of the cubes."""
         if self._header is None:
-            source = self._own_header() or self._header_of_dark()
+            # that of a dark cube of this camera until the line has its own
+            dark = None if self._inputs is None else self._inputs.dark
+            source = self._own_header() or (find_pair(dark[0])[0] if isinstance(dark, tuple) else None)
             if source is None:
                 raise FormatError(
                     f"{self._cubes[0]}: no header yet, and no dark cube with one", code="header-missing"
@@ -151,11 +152,6 @@ class GrowingLine:
         names = (Path(f"{first}.hdr"), first.with_suffix(".hdr"))
         return next((path for path in names if path.is_file()), None)
 
-    def _header_of_dark(self) -> Path | None:
-        """Return the header of a dark cube of this camera, used until the line has its own."""
-        dark = None if self._inputs is None else self._inputs.dark
-        return find_pair(dark[0])[0] if isinstance(dark, tuple) else None
-
     def look(self, cubes: Sequence[Path], inputs: FlightlineInputs) -> int:
         """Return the number of lines that are complete in ``cubes``, and in the frame index if there is one.
 
@@ -172,31 +168,22 @@ class GrowingLine:
             self._navigation = GrowingTable(self._timing.nav)
         if self._navigation is not None:
             self._navigation.grow()
-        if self._timing.frame_index is None:
+        common = self._timing.frame_index
+        if common is None:
             return self._starts[-1]
-        for path in self._index_files():
+        # the frame index of each cube, or the common one
+        by_cube = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
+        of_cubes = common in by_cube and all(path.is_file() for path in by_cube)
+        for path in by_cube if of_cubes else [common]:
             self._indexes.setdefault(path, GrowingTable(path)).grow()
         return min(self._starts[-1], len(list(self._rows())))
 
-    def _index_files(self) -> list[Path]:
-        """Return the frame index of each cube, or the common one."""
-        by_cube = [path.with_name(f"frameIndex_{cube_number(path)}.txt") for path in self._cubes]
-        common = self._timing.frame_index
-        return (
-            by_cube
-            if common in by_cube and all(path.is_file() for path in by_cube)
-            else [common]
-            if common
-            else []
-        )
-
     def _rows(self) -> Iterator[bytes]:
-        """Yield the rows of all frame indexes from the first frame of the first cube on."""
+        # The rows of all frame indexes from the first frame of the first cube on.
         first = cube_number(self._cubes[0]) or 0
         for table in self._indexes.values():
-            skipped = 0
-            if len(self._indexes) == 1 and first:
-                skipped = bisect.bisect_left(table.rows, first, key=_frame)
+            common = len(self._indexes) == 1 and first
+            skipped = bisect.bisect_left(table.rows, first, key=_frame) if common else 0
             yield from table.rows[skipped if skipped < len(table.rows) else 0 :]
 
     def counts(self, first: int, stop: int) -> NDArray[Any]:
@@ -245,7 +232,6 @@ class GrowingLine:
 
 
 def _counts_lines(header: Path) -> bool:
-    """Return whether a header has a positive number of lines."""
     with open_input(header, "an ENVI header") as file:
         match = _LINES.search(file.read(4 * 2**20).decode("utf-8", "replace"))
     digits = "" if match is None else match[0].partition("=")[2].strip()

@@ -193,9 +193,8 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     Stamps that repeat or run backwards, or whole seconds that no steady rate explains.
     """
     table = read_table(path, "frame index", needs=["frame#"])
-    name = next((name for name in ("timestamp", "time") if name in table.columns), None)
-    if name is None:
-        name = next((column for column in table.columns if column != "frame#"), "")
+    other = next((column for column in table.columns if column != "frame#"), "")
+    name = next((name for name in ("timestamp", "time") if name in table.columns), other)
     if not name:
         raise FormatError(
             f"{path}: one column only", expected="'Frame#' and 'Timestamp' or 'Time'", code="column-missing"

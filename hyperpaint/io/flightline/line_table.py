@@ -63,22 +63,6 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     >>> scratch.cleanup()
     """
     path = Path(path)
-    columns = _columns(line)
-    convention = Convention.from_attrs(line.attrs)
-    declared = {} if convention is None else convention.to_attrs()
-    with (
-        published_files([path], overwrite=overwrite) as (target,),
-        open(target, "w", encoding="utf-8", newline="\n") as file,
-    ):
-        file.writelines(f"# {key}: {value}\n" for key, value in declared.items())
-        file.write(",".join(["line", *columns]) + "\n")
-        cells = (map(str, range(line.sizes[ALONG_TRACK])), *map(_texts, columns.values()))
-        file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
-    return path
-
-
-def _columns(line: xr.Dataset) -> dict[str, Any]:
-    """Return the columns by their headings."""
     lines = line.sizes.get(ALONG_TRACK)
     names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
     if lines is None or not names:
@@ -97,7 +81,17 @@ def _columns(line: xr.Dataset) -> dict[str, Any]:
         units = line[name].attrs.get("units")
         plain = units in (None, "", "1") or values.dtype.kind in "Mb" or "," in str(units)
         columns[name if plain else f"{name} [{units}]"] = np.broadcast_to(values, (lines,))
-    return columns
+    convention = Convention.from_attrs(line.attrs)
+    declared = {} if convention is None else convention.to_attrs()
+    with (
+        published_files([path], overwrite=overwrite) as (target,),
+        open(target, "w", encoding="utf-8", newline="\n") as file,
+    ):
+        file.writelines(f"# {key}: {value}\n" for key, value in declared.items())
+        file.write(",".join(["line", *columns]) + "\n")
+        cells = (map(str, range(line.sizes[ALONG_TRACK])), *map(_texts, columns.values()))
+        file.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
+    return path
 
 
 def _texts(values: Any) -> list[str]:

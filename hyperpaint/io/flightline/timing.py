@@ -98,8 +98,7 @@ def utc_of(value: Any, name: str) -> np.datetime64:
             expected="a year from 1980 to 2200",
             code="value-out-of-range",
         )
-    utc = value.astimezone(datetime.UTC).replace(tzinfo=None)
-    return np.datetime64(utc, "ns")
+    return np.datetime64(value.astimezone(datetime.UTC).replace(tzinfo=None), "ns")
 
 
 def line_times(
@@ -128,9 +127,7 @@ def line_times(
     """
     _check(timing, float(np.max(exposure_time, initial=0.0)))
     index = read_frame_index(timing.frame_index) if timing.frame_index is not None else None
-    nav = timing.nav
-    if isinstance(nav, Path):
-        nav = read_imu_gps(nav, timing.correction)
+    nav = read_imu_gps(timing.nav, timing.correction) if isinstance(timing.nav, Path) else timing.nav
     if index is None:
         frame = np.arange(lines, dtype=np.int64) + (cube_number(cube) or 0)
         row = np.arange(lines)
@@ -193,7 +190,6 @@ def _check(timing: Timing, exposure_s: float) -> None:
 def _clock(
     timing: Timing, index: FrameIndex | None, nav: Navigation | None, rows: NDArray[np.intp], cube: Path
 ) -> Clock:
-    """Return the clock of the one source of UTC."""
     if timing.start_time is not None:
         if index is not None and nav is not None and nav.utc is not None:
             raise TimeError(
@@ -249,7 +245,7 @@ def _clock(
 
 
 def _steady(stamp: int, utc: int, source: str) -> Clock:
-    """Return a clock that runs true from one instant."""
+    # A clock that runs true from one instant.
     span = np.array([-10 * _DAY_US, 10 * _DAY_US], np.int64)
     return Clock(stamp + span, utc + span * 1000, source)
 
@@ -261,8 +257,7 @@ def _check_rate(
     exposure_time: float | NDArray[np.float64],
     cube: Path,
 ) -> None:
-    """Warn where stated period, exposure and stamps contradict each other."""
-
+    # Warn where stated period, exposure and stamps contradict each other.
     def warn(text: str, code: str) -> None:
         warnings.warn(PaintWarning(f"{cube.name}: {text}", code=code), stacklevel=4)
 

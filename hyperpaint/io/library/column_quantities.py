@@ -77,8 +77,7 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
             code="quantity-wrong",
         )
     preamble_text = " ".join(preamble)
-    heading = preamble[-1] if preamble else ""
-    word = _foreign(heading)
+    word = _foreign(preamble[-1] if preamble else "")
     if (
         not word
         and "reflect" not in preamble_text.lower()
@@ -95,7 +94,7 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
 
 
 def _foreign(text: str) -> str:
-    """Return the word or unit of another quantity than reflectance; empty without one."""
+    # The word or unit of another quantity than reflectance; empty without one.
     if word := other_quantity(text):
         return word
     if "reflect" in text.lower():
@@ -146,9 +145,7 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_r
 
 
 def _bare(heading: str) -> str:
-    """Return a heading in lower case without words for mean and spread."""
-    text = _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower()))
-    return "".join(sign for sign in text if sign.isalnum())
+    return "".join(sign for sign in _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower())) if sign.isalnum())
 
 
 def _looks_like_spread(mean: Floats, spread: Floats) -> bool:
@@ -203,8 +200,7 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
     nm, values = wavelength[order], reflectance[:, order].astype(np.float64)
     below, inside, above = ((nm >= lo) & (nm <= hi) for lo, hi in ((745, 755), (757, 767), (771, 781)))
     near = nm[(nm >= 745) & (nm <= 781)]
-    sampled = below.any() and inside.any() and above.any()
-    if not sampled or np.diff(near).max() > RULES.oxygen_step_nm:
+    if not (below.any() and inside.any() and above.any()) or np.diff(near).max() > RULES.oxygen_step_nm:
         return
     # the lower shoulder, since paint that is black in the visible only rises across the band
     shoulder = np.minimum(values[:, below].mean(axis=1), values[:, above].mean(axis=1))

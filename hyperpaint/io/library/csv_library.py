@@ -150,8 +150,7 @@ def read_csv_library(path: Path) -> xr.Dataset:
 
 
 class _Owner:
-    """Finds the paint of a row by name and order, since several paints may share a name."""
-
+    # Finds the paint of a row by name and order, since several paints may share a name.
     def __init__(self) -> None:
         self._paints: dict[str, list[int]] = {}
         self._count = 0
@@ -185,7 +184,7 @@ def _cells(path: Path) -> Iterator[list[str]]:
 
 
 def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
-    """Yield rows without the unnamed index column of pandas."""
+    # Rows without the unnamed index column of pandas.
     for at, row in enumerate(rows):
         if row[0] != str(at):
             raise FormatError(
@@ -198,7 +197,6 @@ def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]
 
 
 def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
-    """Return the headings before the wavelengths, and the wavelengths."""
     first = len(row)
     while first and number(row[first - 1]) is not None:
         first -= 1
@@ -216,7 +214,7 @@ def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
 
 
 def _values(cells: list[str], bands: int) -> Floats32 | None:
-    """Return the numbers of a row, None where a cell is no number or the count is wrong."""
+    # The numbers of a row, None where a cell is no number or the count is wrong.
     plain = None
     if len(cells) != bands:
         return None

@@ -149,7 +149,6 @@ def _header(lines: list[str], source: str) -> tuple[dict[str, str], int, bool]:
 
 
 def _columns(fields: dict[str, str], source: str) -> dict[str, Any]:
-    """Return the header's fields on the sample, each as a column of one paint."""
     columns: dict[str, Any] = {
         re.sub(r"[^a-z]+", "_", key.lower()).strip("_"): text_column([fields[key]])
         for key in _KEYS[1:]

@@ -58,25 +58,7 @@ def read_envi_library(
     """
     header_path, data_path = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
-    _refuse_contradictions(header, header_path, data_path)
-    if _MARK not in header.fields:
-        return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
-    if scale is not None or wavelength is not None or fwhm is not None:
-        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
-    source = data_path.name
-    if header.wavelength is None or header.dtype != np.dtype("<f4"):
-        raise FormatError(
-            f"{source}: the header is not a hyperpaint header",
-            mend="write the library again",
-            code="header-unreadable",
-        )
-    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
-    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
-    return restored(data_path, names, keys, axes, _records(header, data_path), {})
-
-
-def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
-    problems = Problems(f"{path.name} cannot be used", FormatError)
+    problems = Problems(f"{header_path.name} cannot be used", FormatError)
     if not header.is_spectral_library:
         problems.add(
             f"file type is {header.fields.get('file type', 'none')!r}",
@@ -96,10 +78,10 @@ def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
             "'data gain values' or 'data offset values' are set, which libraries do not have",
             code="key-unknown",
         )
-    stored_bytes, expected = data.stat().st_size, header.header_offset + header.lines * header.line_bytes
+    stored_bytes, expected = data_path.stat().st_size, header.header_offset + header.lines * header.line_bytes
     if stored_bytes != expected:
         problems.add(
-            f"{data.name} has {stored_bytes} bytes",
+            f"{data_path.name} has {stored_bytes} bytes",
             expected=(
                 f"{expected} ({header.lines} spectra of {header.samples} values of "
                 f"{header.dtype.itemsize} bytes after {header.header_offset})"
@@ -108,10 +90,24 @@ def _refuse_contradictions(header: EnviHeader, path: Path, data: Path) -> None:
             code="file-size",
         )
     problems.raise_if_any()
+    if _MARK not in header.fields:
+        return library_of(_foreign(header, data_path, scale, wavelength, fwhm))
+    if scale is not None or wavelength is not None or fwhm is not None:
+        raise FormatError(OWN_AXES.format(data_path.name), code="option-conflict")
+    source = data_path.name
+    if header.wavelength is None or header.dtype != np.dtype("<f4"):
+        raise FormatError(
+            f"{source}: the header is not a hyperpaint header",
+            mend="write the library again",
+            code="header-unreadable",
+        )
+    names, keys = _keys_of(bare(header.fields.get("spectra names", "")), header.lines, source)
+    axes = {"wavelength": header.wavelength, "fwhm": header.fwhm, "good": header.good}
+    return restored(data_path, names, keys, axes, _records(header, data_path), {})
 
 
 def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
-    """Yield blocks of records with the index of their first record."""
+    # Blocks of records with the index of their first record.
     step = max(1, _BLOCK_BYTES // header.line_bytes)
     with open_input(path, "the data of a spectral library") as file:
         file.seek(header.header_offset)
@@ -200,7 +196,7 @@ def _names(header: EnviHeader, warned: list[str]) -> list[str]:
 
 
 def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int:
-    """Return the number of leading records that are wavelengths and bandwidths (USGS libraries)."""
+    # The number of leading records that are wavelengths and bandwidths (USGS libraries).
     if len(names) < 3 or not _WAVELENGTHS.match(names[0]):
         return 0
     axis = stored[0].astype(np.float64)
@@ -214,7 +210,7 @@ def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int
 def _with_error_bars(
     names: Sequence[str], values: npt.NDArray[np.float32]
 ) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float32]]]:
-    """Return the indices of the spectra, and the error bars from the records after them."""
+    # The indices of the spectra, and the error bars from the records after them.
     bars = np.array([_ERROR_BARS.match(name) is not None for name in names], np.bool_)
     if bars.size:
         bars[0] = False
@@ -229,11 +225,10 @@ def _with_error_bars(
 
 
 def _scale(header: EnviHeader, source: str) -> float | None:
-    """Return the stored value of a reflectance of one, from the header."""
+    # The stored value of a reflectance of one, from the header.
     factor = header.reflectance_scale_factor
-    titles = bare(header.fields.get("z plot titles", ""))
     # the first names the wavelengths, and may itself hold commas
-    title = titles.rpartition(",")[2]
+    title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
     if other_quantity(title):
         raise FormatError(
             f"{source}: the z plot title is {title.strip()[:60]!r}",
@@ -258,10 +253,8 @@ def _scale(header: EnviHeader, source: str) -> float | None:
 
 
 def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    """Return the columns of a table of classes beside the library; empty without such a table.
-
-    EnMAP-Box keeps one: its first column, "spectra names", repeats the names.
-    """
+    # The columns of a table of classes beside the library; empty without such a table.
+    # EnMAP-Box keeps one: its first column, "spectra names", repeats the names.
     table = path.with_suffix(".csv")
     try:
         text = read_limited(table, _MAX_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")

@@ -194,7 +194,7 @@ def reflectances(
 
 
 def _judge_fractions(values: Floats, source: str, max_bright_share: float) -> None:
-    """Refuse values without a scale that are no fractions; warn where single spectra are not."""
+    # Refuse values without a scale that are no fractions; warn where single spectra are not.
     finite = np.isfinite(values)
     magnitudes = np.abs(values[finite])
     advice = (

@@ -242,8 +242,7 @@ def _refuse_constant(text: str) -> None:
 
 
 def _with_new_names(document: dict[str, Any]) -> dict[str, Any]:
-    """Return metadata of version 1 as version 2; damage is left for `_read_document` to refuse."""
-
+    # Metadata of version 1 as version 2; damage is left for `_read_document` to refuse.
     def renamed(entry: Any) -> Any:
         dims = entry.get("dims") if isinstance(entry, dict) else None
         if not isinstance(dims, list):
@@ -375,7 +374,7 @@ def _each(values: list[Any], kind: type | tuple[type, ...]) -> None:
 
 
 def _times(flat: list[str]) -> Array:
-    """Return times written by `metadata_text`; years beyond datetime64[ns] are refused, since they wrap."""
+    # Times written by `metadata_text`; years beyond datetime64[ns] are refused, since they wrap.
     for text in filter(None, flat):
         if _TIME.fullmatch(text) is None or not 1700 <= int(text[:4]) <= 2261:
             raise ValueError(f"{text[:40]!r} is no time like 2024-05-21T11:33:07.000000000 from 1700 to 2261")

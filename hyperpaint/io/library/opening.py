@@ -19,6 +19,8 @@ from hyperpaint.base.input_files import head_of
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
+from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.io.store.reader import is_zarr
 
 from .column_quantities import warn_of_light
 from .csv_library import is_csv_library, read_csv_library
@@ -26,8 +28,7 @@ from .ecostress import is_ecostress, read_ecostress
 from .envi_library import read_envi_library
 from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
 from .parquet_library import is_parquet, read_parquet_library
-from .plain_table import read_plain_table
-from .usgs import is_usgs, is_usgs_axis, read_usgs, read_usgs_axis
+from .plain_table import is_usgs, is_usgs_axis, read_plain_table, read_usgs, read_usgs_axis
 
 Path_ = str | os.PathLike[str]
 
@@ -41,18 +42,14 @@ _DIGITS = re.compile(r"(\d+)")
 
 @dataclass(frozen=True, eq=False)
 class _Options:
-    """Axes, scale and quantity given by the caller."""
-
+    # Axes, scale and quantity given by the caller.
     wavelength: Floats | None
     fwhm: Floats | None
     scale: float | None
     is_reflectance: bool  # that values are reflectance
 
     def refuse_for(self, path: Path_) -> None:
-        """Refuse them for a library of hyperpaint, which has its own.
-
-        Raises FormatError: One is given.
-        """
+        # A library of hyperpaint has its own axes, scale and quantity.
         if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
             raise FormatError(OWN_AXES.format(path), code="option-conflict")
 
@@ -139,10 +136,7 @@ def open_library(
             mend="leave quantity= out",
             code="choice-unknown",
         )
-    is_reflectance = quantity is not None
-    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, is_reflectance)
-    from hyperpaint.io.store.reader import is_zarr
-
+    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, quantity is not None)
     if is_zarr(path):
         options.refuse_for(str(path))
         return _read_store(path)
@@ -168,7 +162,7 @@ def open_library(
 
 
 def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
-    """Return wavelengths or bandwidths given as numbers or as a file."""
+    # Wavelengths or bandwidths given as numbers or as a file.
     if argument is None:
         return None
     if isinstance(argument, str | os.PathLike):
@@ -190,11 +184,9 @@ def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
 
 
 def _spectra_among(paths: Sequence[Path]) -> list[Path]:
-    """Return the files that hold spectra, sorted by name with numbers in numeric order.
-
-    Left out are companion files: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
-    tables of classes.
-    """
+    # The files that hold spectra, sorted by name with numbers in numeric order.
+    # Left out are companion files: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
+    # tables of classes.
     candidates = []
     for path in paths:
         if not path.is_dir() and not path.name.startswith(".") and not path.name.endswith(_ANCILLARY):
@@ -258,7 +250,7 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
 
 
 def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Dataset:
-    """Open a library of another program, or one of ours in ENVI format."""
+    # Open a library of another program, or one of ours in ENVI format.
     nm, scale = options.wavelength, options.scale
     if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
         return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
@@ -276,11 +268,7 @@ _OF_BANDS = ("wavelength", "fwhm", "good")
 
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
-    """Return one library of several, in order; the coordinate `file` names the file of each paint.
-
-    Raises FormatError: Their wavelengths differ, or one has more than a spectrum for each paint; all are
-        listed.
-    """
+    # One library of several, in order; the coordinate `file` names the file of each paint.
     opened = [
         (
             path,
@@ -350,7 +338,7 @@ def _grid(library: xr.Dataset) -> str:
 
 
 def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
-    """Return a coordinate of the paints, empty or NaN where a file lacks it."""
+    # A coordinate of the paints, empty or NaN where a file lacks it.
     having = [library[name] for library in libraries if name in library.coords]
     kinds = {array.dtype.kind for array in having}
     attrs = having[0].attrs
@@ -368,13 +356,7 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
 
 
 def _read_store(path: Any) -> xr.Dataset:
-    """Open a library of a Zarr store lazily.
-
-    Raises FormatError: The store is whole but holds no paint library; groups that do are named.
-    Raises StoreError: It is not whole, or no store.
-    """
-    from hyperpaint.io.store import list_groups, open_store
-
+    # Open a library of a Zarr store lazily.
     groups = list_groups(path)
     if "" not in groups:
         named = ", ".join(f"{path}/{group}" for group in groups) or "none"

@@ -93,7 +93,27 @@ def write_parquet_library(
     names = names_of(library)
     columns = paint_columns(library)
     schema = _schema().with_metadata({b"openspeclib_version": b"0", b"source": _OURS})
-    common = _common(library)
+    wavelength = np.asarray(library["wavelength"].values, np.float64)
+    attrs = {**library.attrs, **library[CENTRE].attrs}
+    fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
+    common = {
+        "source.library": "hyperpaint",
+        "source.library_version": str(attrs.get("paint_library_version", "unknown")),
+        "source.url": "",
+        "source.license": str(attrs.get("licence", "unknown")),
+        "source.citation": str(attrs.get("title", "unknown")),
+        "material.category": "man_made",
+        "material.subcategory": "car paint",
+        "measurement.technique": "reflectance",
+        "measurement.geometry": str(attrs.get("measurement_geometry", "unknown")),
+        "spectral_data.type": "reflectance",
+        "spectral_data.wavelength_unit": "nm",
+        "spectral_data.wavelength_min": wavelength.min(),
+        "spectral_data.wavelength_max": wavelength.max(),
+        "spectral_data.num_points": wavelength.size,
+        "spectral_data.wavelengths": wavelength,
+        "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
+    }
     with published_files([metadata_path(path), path], overwrite=overwrite) as (metadata_file, table):
         metadata_file.write_bytes(metadata.encode())
         with pq.ParquetWriter(table, schema, compression="zstd") as writer:
@@ -131,35 +151,10 @@ def _schema() -> pa.Schema:
     )
 
 
-def _common(library: xr.Dataset) -> dict[str, Any]:
-    """Return the cells that all rows share."""
-    wavelength = np.asarray(library["wavelength"].values, np.float64)
-    attrs = {**library.attrs, **library[CENTRE].attrs}
-    fwhm = library["fwhm"].values if "fwhm" in library.variables and library["fwhm"].dims == (BAND,) else None
-    return {
-        "source.library": "hyperpaint",
-        "source.library_version": str(attrs.get("paint_library_version", "unknown")),
-        "source.url": "",
-        "source.license": str(attrs.get("licence", "unknown")),
-        "source.citation": str(attrs.get("title", "unknown")),
-        "material.category": "man_made",
-        "material.subcategory": "car paint",
-        "measurement.technique": "reflectance",
-        "measurement.geometry": str(attrs.get("measurement_geometry", "unknown")),
-        "spectral_data.type": "reflectance",
-        "spectral_data.wavelength_unit": "nm",
-        "spectral_data.wavelength_min": wavelength.min(),
-        "spectral_data.wavelength_max": wavelength.max(),
-        "spectral_data.num_points": wavelength.size,
-        "spectral_data.wavelengths": wavelength,
-        "spectral_data.bandpass": None if fwhm is None else np.asarray(fwhm, np.float64),
-    }
-
-
 def _row(
     common: dict[str, Any], name: str, properties: dict[str, Any], key: Key, values: Floats32
 ) -> dict[str, Any]:
-    """Return the cells of one spectrum; ``key`` holds its variable, paint and place."""
+    # The cells of one spectrum; ``key`` holds its variable, paint and place.
     variable, paint, place = key
     missing = int((~np.isfinite(values)).sum())
     identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{place}"
@@ -222,7 +217,7 @@ _WANTED = (
 
 
 def _rows(file: Any, source: str) -> list[dict[str, Any]]:
-    """Return the rows with the columns in use; refuse files that would fill the memory."""
+    # The rows with the columns in use; refuse files that would fill the memory.
     missing = [name for name in _WANTED if name not in file.schema_arrow.names]
     if missing:
         raise FormatError(
@@ -286,7 +281,7 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
 
 
 def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
-    """Return the common wavelengths (band,) and the values (row, band) of all rows."""
+    # The common wavelengths (band,) and the values (row, band) of all rows.
     first = rows[0]["spectral_data.wavelengths"]
     for at, row in enumerate(rows):
         if not np.array_equal(row["spectral_data.wavelengths"], first):

@@ -99,7 +99,7 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
 
 
 def _is_plain_number(library: xr.Dataset, name: str) -> bool:
-    """Return whether a variable is a count or a share without units, which only spectra must have."""
+    # Whether a variable is a count or a share without units, which only spectra must have.
     units = LIBRARY_VARIABLES[name].units
     plain = name in library.variables and BAND not in library[name].dims
     return plain and units == "1" and "units" not in library[name].attrs
@@ -150,7 +150,13 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
         array = library[name]
         inner = [dim for dim in array.dims if dim not in (SIGNATURE, BAND)]
         array = array.transpose(SIGNATURE, *inner, BAND)
-        for start, stop in _pieces(array):
+        # ranges of paints: the chunks of dask, else as many as fit a block
+        if array.chunks is not None:
+            edges = [0, *itertools.accumulate(array.chunks[0])]
+        else:
+            step = max(1, _BLOCK_BYTES // max(1, array.nbytes // array.shape[0]))
+            edges = [*range(0, array.shape[0], step), array.shape[0]]
+        for start, stop in itertools.pairwise(dict.fromkeys(edges)):
             values: Floats32 = np.asarray(array[start:stop].values, np.float32)
             if inner:
                 is_stored = np.ones(values.shape[:2], np.bool_)
@@ -165,16 +171,6 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
                 yield Block(name, places, np.full(stop - start, -1), np.ascontiguousarray(values))
             if progress is not None:
                 progress(number * paints + stop, len(names) * paints)
-
-
-def _pieces(array: xr.DataArray) -> Iterator[tuple[int, int]]:
-    """Return ranges of paints: the chunks of dask, else as many as fit a block."""
-    if array.chunks is not None:
-        edges = [0, *itertools.accumulate(array.chunks[0])]
-    else:
-        step = max(1, _BLOCK_BYTES // max(1, array.nbytes // array.shape[0]))
-        edges = [*range(0, array.shape[0], step), array.shape[0]]
-    return itertools.pairwise(dict.fromkeys(edges))
 
 
 # --- and back ----------------------------------------------------------------------------------------------

@@ -199,20 +199,18 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
 def library_terms(library: xr.Dataset) -> dict[str, Any]:
     """Return the declaration of each term: a list with one word a paint, one word for all, or None."""
     attrs = {**library.attrs, **library[CENTRE].attrs}
-    declared: dict[str, Any] = {}
-    for term in TERMS:
-        if term.name in library.variables and library[term.name].dims == (SIGNATURE,):
-            declared[term.name] = [str(word) for word in library[term.name].values.tolist()]
-        else:
-            declared[term.name] = attrs.get(term.name)
-    return declared
+    return {
+        term.name: list(map(str, library[term.name].values.tolist()))
+        if term.name in library.variables and library[term.name].dims == (SIGNATURE,)
+        else attrs.get(term.name)
+        for term in TERMS
+    }
 
 
 # --- the rules ---------------------------------------------------------------------------------------------
 
 
 def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Check that the required variables exist, on their dims."""
     for name in (CENTRE, "wavelength", SIGNATURE):
         row = LIBRARY_VARIABLES[name]
         expected = f"a variable {name} ({', '.join(row.dims)})"
@@ -222,12 +220,15 @@ def _structure(library: xr.Dataset) -> Iterator[LibraryFinding]:
             yield LibraryFinding("structure", problem.found, expected)
     for key, array in library.variables.items():
         row_of = LIBRARY_VARIABLES.get(str(key))
-        if row_of is not None and key not in (CENTRE, "wavelength", SIGNATURE):
-            wrong = row_of.dim_problem(library[key])
-            if wrong and array.dims != (SIGNATURE, *row_of.dims):
-                yield LibraryFinding(
-                    "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
-                )
+        if (
+            row_of is not None
+            and key not in (CENTRE, "wavelength", SIGNATURE)
+            and row_of.dim_problem(library[key])
+            and array.dims != (SIGNATURE, *row_of.dims)
+        ):
+            yield LibraryFinding(
+                "dims", f"{key} has dims {array.dims}", " or ".join(map(str, row_of.allowed_dims))
+            )
 
 
 def _names(library: xr.Dataset) -> Iterator[LibraryFinding]:
@@ -299,7 +300,6 @@ def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Check spread and uncertainty: present or declared unknown, never negative."""
     stated = False
     for name in _SPREADS:
         if name in library.variables:
@@ -343,7 +343,6 @@ def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Check angles and times."""
     for name, (low, high) in _ANGLES_DEG.items():
         if name in library.variables:
             values = np.asarray(library[name].values, np.float64)
@@ -360,7 +359,6 @@ def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
 
 
 def _declarations(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    """Check version, title, and every term."""
     version = library.attrs.get(VERSION_NAME)
     if version != VERSION or isinstance(version, bool):
         yield LibraryFinding(

@@ -13,6 +13,7 @@ from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.io.store import to_store
 
 from .csv_library import write_csv_library
 from .ecostress import write_ecostress_library
@@ -22,12 +23,6 @@ from .records import CENTRE, checked_library, spectral_variables
 
 
 def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
-    """Write a checked library with `hyperpaint.to_store`.
-
-    Raises StoreError: As `hyperpaint.to_store`.
-    """
-    from hyperpaint.io.store import to_store
-
     total = library.sizes[SIGNATURE]
     if progress is not None:
         progress(0, total)
@@ -165,10 +160,8 @@ def write_library(
 
 
 def _named(path: Path, format: str) -> Path:
-    """Return the path of the written file, with a suffix that `open_library` recognises."""
+    # The path of the written file, with a suffix that `open_library` recognises.
     if format == "envi":
         own = path.suffix.lower() in (".sli", ".hdr")
         return path.with_suffix(".sli") if own else path.with_name(f"{path.name}.sli")
-    if format == "csv" and not path.suffix and not path.is_dir():
-        return path.with_suffix(".csv")
-    return path
+    return path.with_suffix(".csv") if format == "csv" and not path.suffix and not path.is_dir() else path

@@ -21,6 +21,7 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
+from hyperpaint.io.store.stages import in_stages
 
 from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, stored_float
 from .rasters import TIFF, open_raster
@@ -193,7 +194,6 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
 
 
 def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
-    """Return the indices of the bands to be written."""
     count = array.sizes[BAND]
     if isinstance(bands, str):
         if bands == "all":
@@ -235,7 +235,7 @@ def _plain(array: xr.DataArray) -> xr.DataArray:
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
-    """Return 8-bit sRGB (y, x, band); 0 where a band is unknown."""
+    # 8-bit sRGB (y, x, band); 0 where a band is unknown.
     if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
         raise SchemaError(
             f"stretch {stretch}",
@@ -270,7 +270,6 @@ def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
 
 
 def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[str], list[dict[str, str]]]:
-    """Return the description of each band, and its tags."""
     axis = map.variables.get("wavelength")
     if axis is None or axis.dims != (BAND,) or BAND not in map[name].dims:
         return ([name] if len(chosen) == 1 else [f"band {band + 1}" for band in chosen]), [{} for _ in chosen]
@@ -283,8 +282,7 @@ def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[s
 
 
 class _Target:
-    """A raster that takes blocks (y, x, band) at their positions, one at a time."""
-
+    # A raster that takes blocks (y, x, band) at their positions, one at a time.
     def __init__(self, raster: Any, total: int, progress: Callable[[int, int], None] | None) -> None:
         self.raster, self.total, self.progress, self.done = raster, total, progress, 0
 
@@ -348,10 +346,8 @@ def _write(
 
 
 def _write_in_stages(array: da.Array, target: _Target) -> None:
-    """Write the blocks of a lazy map (y, x, band), one row of tiles after another, in this process."""
+    # Write the blocks of a lazy map (y, x, band), one row of tiles after another, in this process.
     import dask.threaded
-
-    from hyperpaint.io.store.stages import in_stages
 
     lock = threading.Lock()  # rasterio datasets are not thread-safe
 

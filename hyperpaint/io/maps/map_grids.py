@@ -157,10 +157,8 @@ def required_grid(dataset: xr.Dataset) -> Grid:
 
 
 def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
-    """Return the grid through ``east`` and ``north`` of the first row and column.
-
-    A single row or column has the step of ``transform``.
-    """
+    # The grid through ``east`` and ``north`` of the first row and column.
+    # A single row or column has the step of ``transform``.
     _, b, c, _, e, f = transform
     size = max(math.hypot(b, e), math.hypot(c, f))
     numbers: list[float] = []
@@ -184,7 +182,7 @@ def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
 
 
 def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
-    """Return the grid whose cells lie at the distances ``x`` and ``y`` from the corner of ``transform``."""
+    # The grid whose cells lie at the distances ``x`` and ``y`` from the corner of ``transform``.
     a, b, c, d, e, f = transform
     sizes = math.hypot(b, e), math.hypot(c, f)
     (x, width), (y, height) = _windows(dataset, sizes)
@@ -193,7 +191,7 @@ def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
 
 
 def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:
-    """Return the outer edge of the first pixel, and the step, of x and y; ``steps`` for single pixels."""
+    # The outer edge of the first pixel, and the step, of x and y; ``steps`` for single pixels.
     problems = Problems("the place of this map is unknown", SchemaError)
     edges_and_steps = []
     for name, single in zip("xy", steps, strict=True):
@@ -210,7 +208,7 @@ def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[floa
 
 
 def _same(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
-    """Return whether two grids agree over a whole map, but for rounding."""
+    # Whether two grids agree over a whole map, but for rounding.
     (a, b, c), (d, e, f) = (
         [one - other for one, other in zip(grid[k : k + 3], reference[k : k + 3], strict=True)]
         for k in (0, 3)
@@ -274,7 +272,7 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
 
 
 def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, str]]:
-    """Return projection, entries after the pixel size, map units, and the reference system as text."""
+    # Projection, entries after the pixel size, map units, and the reference system as text.
     if wkt is None:
         return "Arbitrary", [], "Meters", {}
     with needs_extra("pyproj", "geo", "a map with its reference system"):

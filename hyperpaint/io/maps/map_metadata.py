@@ -132,7 +132,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
 
 
 def _reference_system(grid: Grid) -> dict[str, Any]:
-    """Return code or WKT of the reference system, under the names that STAC and GeoZarr share."""
+    # Code or WKT of the reference system, under the names that STAC and GeoZarr share.
     if grid.wkt is None:
         return {}
     with needs_extra("pyproj", "geo", "the reference system of a map"):
@@ -143,13 +143,13 @@ def _reference_system(grid: Grid) -> dict[str, Any]:
 
 
 def _affine(grid: Grid) -> list[float]:
-    """Return x by column, row and offset, then y: the order of the package affine, not of GDAL."""
+    # Order: x by column, row and offset, then y: the order of the package affine, not of GDAL.
     a, b, c, d, e, f = map(float, grid.transform)
     return [b, c, a, e, f, d]
 
 
 def _corners(grid: Grid, shape: list[int]) -> tuple[list[float], list[float]]:
-    """Return x and y of the outer corners, counterclockwise from the first cell."""
+    # (x, y) of the outer corners, counterclockwise from the first cell.
     a, b, c, d, e, f = map(float, grid.transform)
     rows, cols = shape
     places = ((0, 0), (rows, 0), (rows, cols), (0, cols))
@@ -157,7 +157,7 @@ def _corners(grid: Grid, shape: list[int]) -> tuple[list[float], list[float]]:
 
 
 def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
-    """Return name, wavelength and width [um] of the bands."""
+    # Name, wavelength and width [um] of the bands.
     axis = dataset.variables.get("wavelength")
     if axis is None or axis.dims != (BAND,):
         return []

@@ -151,7 +151,14 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
             rows, columns = _window(raster, path, around)
         values = _cells(raster, rows, columns)
         crs = None if raster.crs is None else raster.crs.to_wkt()
-        declared = _declared(raster)
+        # the declared unit of the heights, and their reference surface
+        tags = raster.tags()
+        declared: dict[str, Any] = {"units": raster.units[0]} if raster.units[0] else {}
+        if "height_reference" in tags:
+            declared["height_reference"] = tags["height_reference"]
+        undulation = number(tags.get("geoid_undulation", ""))
+        if undulation is not None and np.isfinite(undulation):
+            declared["geoid_undulation"] = undulation
     attrs = {"GeoTransform": f"{c} {a} {b} {f} {d} {e}"} | ({} if crs is None else {"crs_wkt": crs})
     coords = {
         # half a cell is added to the corner first, like in rioxarray: the same bits
@@ -167,7 +174,7 @@ _POSITION_ELEMENTS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transfor
 
 
 def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
-    """Refuse a raster without a position, or with metadata in files beside it, which are not read."""
+    # Refuse a raster without a position, or with metadata in files beside it, which are not read.
     from rasterio.enums import MaskFlags
 
     place = os.path.abspath(path)
@@ -216,20 +223,7 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
         )
 
 
-def _declared(raster: Any) -> dict[str, Any]:
-    """Return the declared unit of the heights, and their reference surface from tags."""
-    tags = raster.tags()
-    declared: dict[str, Any] = {"units": raster.units[0]} if raster.units[0] else {}
-    if "height_reference" in tags:
-        declared["height_reference"] = tags["height_reference"]
-    undulation = number(tags.get("geoid_undulation", ""))
-    if undulation is not None and np.isfinite(undulation):
-        declared["geoid_undulation"] = undulation
-    return declared
-
-
 def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
-    """Return heights of a window as floats, NaN at nodata values or masked cells."""
     from rasterio.enums import MaskFlags
     from rasterio.windows import Window
 
@@ -265,7 +259,7 @@ _TRACK_POINTS = 257
 def _window(
     raster: Any, path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the rows and columns of a raster around a flight."""
+    # The rows and columns of a raster around a flight.
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import CRSError, RasterioError
     from rasterio.warp import transform
@@ -285,8 +279,7 @@ def _window(
             mend="declare it with gdal_edit -a_srs",
             code="crs-missing",
         )
-    step = max(1, points.shape[1] // _TRACK_POINTS)
-    longitude, latitude, _ = points[:, ::step]
+    longitude, latitude, _ = points[:, :: max(1, points.shape[1] // _TRACK_POINTS)]
     try:
         x, y = (np.asarray(each) for each in transform("EPSG:4326", raster.crs, longitude, latitude))
     except (CPLE_BaseError, CRSError, RasterioError) as error:

@@ -66,8 +66,7 @@ def gps_to_utc(gps: NDArray[np.int64], leap_seconds: int | None = None) -> NDArr
             mend="check that this clock counts GPS time",
             code="time-before-gps",
         )
-    expiry = np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)
-    if np.any(gps > expiry):
+    if np.any(gps > np.datetime64(LEAP_SECONDS_EXPIRY, "ns").astype(np.int64)):
         warnings.warn(
             PaintWarning(
                 (
@@ -170,11 +169,9 @@ class Clock:
     def at(self, stamp: NDArray[np.int64]) -> NDArray[np.datetime64]:
         """Return UTC [datetime64[ns]] at stamps, NaT before the first and after the last knot."""
         if self.daily:
-            fits = (d for d in (0, _DAY, -_DAY) if overlap(stamp + d, self.stamp))
-            stamp = stamp + next(fits, 0)
+            stamp = stamp + next((d for d in (0, _DAY, -_DAY) if overlap(stamp + d, self.stamp)), 0)
         place, weight, inside = bracket(self.stamp, stamp)
-        after = np.minimum(place + 1, len(self.utc) - 1)
-        step = (self.utc[after] - self.utc[place]).astype(np.float64)
+        step = (self.utc[np.minimum(place + 1, len(self.utc) - 1)] - self.utc[place]).astype(np.float64)
         utc = self.utc[place] + np.round(weight * step).astype(np.int64)
         return np.where(inside, utc, NAT).astype("datetime64[ns]")
 
@@ -190,11 +187,9 @@ def bracket(
     """Return the knot before, the weight of the knot after, and whether a time lies inside the knots."""
     inside = (at >= knots[0]) & (at <= knots[-1])
     place = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, max(len(knots) - 2, 0))
-    after = np.minimum(place + 1, len(knots) - 1)
     # differences of int64 first: an absolute time in float64 would lose 100 ns
-    width = np.maximum(knots[after] - knots[place], 1)
-    weight = np.where(inside, at - knots[place], 0) / width
-    return place, weight, inside
+    width = np.maximum(knots[np.minimum(place + 1, len(knots) - 1)] - knots[place], 1)
+    return place, np.where(inside, at - knots[place], 0) / width, inside
 
 
 def tie_clock(

@@ -168,7 +168,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
 
 
 def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
-    """Return the unit of the axes of a CRS, and its size in metres or radians."""
+    # The unit of the axes of a CRS, and its size in metres or radians.
     with needs_extra("pyproj", "geo", "the unit of a map of control points"):
         import pyproj
     try:
@@ -237,7 +237,7 @@ def _is_unit(text: str) -> bool:
 
 
 def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:
-    """Return the size of a column's unit in metres, pixels, or units of the CRS axis; 1 without a unit."""
+    # The size of a column's unit in metres, pixels, or units of the CRS axis; 1 without a unit.
     if name.endswith("_track"):
         if unit.lower() not in _PIXELS:
             problems.add(

@@ -53,8 +53,7 @@ _STAMP = re.compile(
 
 @dataclass(frozen=True)
 class _Column:
-    """One column of the header: its name and unit."""
-
+    # One column of the header: its name and unit.
     key: str
     shown: str
     unit: str | None
@@ -91,7 +90,15 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     convention, assumed, clock_settings = _declared(comments, problems)
     columns = _columns(header, problems)
     problems.raise_if_any()
-    unit = _angle_unit(columns, convention, "angle_unit" not in assumed, problems)
+    declared = "angle_unit" not in assumed
+    radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
+    unit: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
+    if declared and convention.angle_unit != unit:
+        problems.add(
+            f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
+            mend="drop one",
+            code="units-conflict",
+        )
     values: dict[str, NDArray[np.float64]] = {}
     for name in POSE:
         wanted = unit if name in _ANGLES else "m" if name == "altitude" else "degree"
@@ -102,9 +109,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     problems.raise_if_any()
     if not has_time.any():
         raise FormatError(f"{path}: no row with a time", code="time-missing")
-    timed_stamps = stamp[has_time]
-    if clock == "week":
-        timed_stamps = unwrap_weeks(timed_stamps)
+    timed_stamps = unwrap_weeks(stamp[has_time]) if clock == "week" else stamp[has_time]
     refuse_backwards(path.name, timed_stamps, row="row")
     left_out = int((~has_time).sum())
     return PoseRecord(
@@ -126,7 +131,7 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
 
 
 def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
-    """Return comments, header and cells; unused columns are dropped."""
+    # Comments, header and cells; unused columns are dropped.
     text = read_text(path, _MAX_BYTES, MAX_TABLE_ROWS)
     comments: dict[str, str] = {}
     start, head = 0, ""
@@ -184,7 +189,7 @@ def _column(cell: str) -> _Column:
 def _declared(
     comments: Mapping[str, str], problems: Problems
 ) -> tuple[Convention, list[str], dict[str, Any]]:
-    """Return the convention, its assumed fields, and the clock settings in the comments."""
+    # The convention, its assumed fields, and the clock settings in the comments.
     names = {field.name for field in fields(Convention)}
     declared: dict[str, Any] = {}
     for key, value in comments.items():
@@ -231,7 +236,6 @@ def _declared(
 
 
 def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
-    """Return the columns of pose and time; missing and duplicate ones are noted."""
     columns_by_name: dict[str, list[_Column]] = {}
     for column in header:
         name = _ALIASES.get(column.key) or ("time" if column.key in _CLOCKS else None)
@@ -263,20 +267,6 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
     return {name: columns[0] for name, columns in columns_by_name.items()}
 
 
-def _angle_unit(
-    columns: Mapping[str, _Column], convention: Convention, declared: bool, problems: Problems
-) -> Literal["degree", "radian"]:
-    radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
-    unit: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
-    if declared and convention.angle_unit != unit:
-        problems.add(
-            f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
-            mend="drop one",
-            code="units-conflict",
-        )
-    return unit
-
-
 def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> NDArray[np.float64]:
     numbers = limited_numbers(table, column.shown, 1e6, problems, empty="nan")
     if wanted == "degree" and conversion_factor(str(column.unit), "radian") == 1.0:
@@ -291,7 +281,7 @@ def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> N
 def _stamps(
     table: Table, column: _Column, clock_settings: Mapping[str, Any], problems: Problems
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
-    """Return nanoseconds, which rows have a time, and the origin of the stamps."""
+    # Nanoseconds, which rows have a time, and the origin of the stamps.
     clock = _CLOCKS[column.key]
     cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
     has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
@@ -359,7 +349,7 @@ def _counted(
 def _iso(
     cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, zoned: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return nanoseconds since 1970, and the lines with an unreadable stamp."""
+    # Nanoseconds since 1970, and the lines with an unreadable stamp.
     texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
     bad = np.zeros(len(cells), np.bool_)
     for place in np.flatnonzero(has_time).tolist():

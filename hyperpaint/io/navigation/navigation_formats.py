@@ -241,7 +241,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
 
 
 def _week_of_name(name: str, first: int) -> int | None:
-    """Return the GPS week of the date and time in a file name, if it agrees with the first stamp."""
+    # The GPS week of the date and time in a file name, if it agrees with the first stamp.
     match = _EPH_ATT_START.search(name)
     if match is None:
         return None

@@ -19,6 +19,8 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.io.store import load_group
+from hyperpaint.io.store.reader import is_zarr
 
 from .clocks import GPS_EPOCH, NS_PER_S, WEEK_S, ClockCorrection, refuse_backwards
 from .navigation_csv import read_navigation_csv
@@ -144,8 +146,6 @@ def open_navigation(
     'left_to_right'
     >>> scratch.cleanup()
     """  # noqa: E501
-    from hyperpaint.io.store.reader import is_zarr
-
     if is_zarr(paths):
         return _stored(paths, convention)
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
@@ -232,9 +232,6 @@ def navigation_format(path: str | Path) -> NavigationFormat:
 
 
 def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
-    """Return a stored result of `open_navigation`."""
-    from hyperpaint.io.store import load_group
-
     record = load_group(path)
     problems = Problems(f"{path} holds no navigation record", FormatError)
     for name in (NAVIGATION_TIME, *POSE):
@@ -259,8 +256,7 @@ def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.
         raise TimeError(
             f"{path}: {NAVIGATION_TIME} is {time.dtype}", expected="UTC, datetime64[ns]", code="type-wrong"
         )
-    utc = time.astype("datetime64[ns]").astype(np.int64)
-    refuse_backwards(str(path), utc, row="sample")
+    refuse_backwards(str(path), time.astype("datetime64[ns]").astype(np.int64), row="sample")
     declared = Convention.from_attrs(record.attrs) or Convention()
     if convention is not None:
         declared = convention if isinstance(convention, Convention) else declared.replace(**convention)
@@ -291,7 +287,7 @@ def read_record(
 
 
 def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
-    """Read ``imu_gps.txt`` with uncorrected stamps."""
+    # Read ``imu_gps.txt`` with uncorrected stamps.
     record: Navigation = read_imu_gps(path)
     own_clock = record.utc is None
     if own_clock and gps_time is not None:
@@ -415,7 +411,7 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
 
 
 def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
-    """Return the GPS week of the stamps, and its source."""
+    # The GPS week of the stamps, and its source.
     if source.week is not None:
         return int(source.week), "given"
     if source.midnight is not None:

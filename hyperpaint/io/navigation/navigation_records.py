@@ -250,10 +250,20 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
         values[name][unaligned] = np.nan
     for name in ("latitude", "longitude", "altitude"):
         values[name][nowhere] = np.nan
-    utc = None
-    if _UTC_COLUMN in table.columns:
-        utc = _dates(table, _UTC_COLUMN, unaligned)
-    record = Navigation(table.name, table.rows, _stamps(table), utc=None, values=values)
+    utc = _dates(table, _UTC_COLUMN, unaligned) if _UTC_COLUMN in table.columns else None
+    stamps: dict[str, NDArray[np.int64]] = {}
+    for column in _CLOCK_COLUMNS:
+        if column not in table.columns:
+            continue
+        try:
+            stamps[column] = to_integers(table, column)
+        except FormatError:
+            if column == "timestamp":
+                raise
+            # of SystemTime and GPS_UTC either may be no count of microseconds
+    if "time" in table.columns:
+        stamps["time of day"] = time_of_day(table, "time")[0]
+    record = Navigation(table.name, table.rows, stamps, utc=None, values=values)
     if unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
         warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
@@ -298,7 +308,7 @@ def _number(cell: str) -> float:
 
 
 def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return nanoseconds since 1970-01-01; NaT where an unaligned row has no date."""
+    # Nanoseconds since 1970-01-01; NaT where an unaligned row has no date.
     dates = instants([_iso(cell) for cell in table.columns[column]])
     wrong = table.rows[np.isnat(dates) & ~unaligned]
     if wrong.size:
@@ -325,33 +335,16 @@ def _iso(cell: str) -> str:
     return f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
 
 
-def _stamps(table: Table) -> dict[str, NDArray[np.int64]]:
-    stamps: dict[str, NDArray[np.int64]] = {}
-    for column in _CLOCK_COLUMNS:
-        if column not in table.columns:
-            continue
-        try:
-            stamps[column] = to_integers(table, column)
-        except FormatError:
-            if column == "timestamp":
-                raise
-            # of SystemTime and GPS_UTC either may be no count of microseconds
-    if "time" in table.columns:
-        stamps["time of day"] = time_of_day(table, "time")[0]
-    return stamps
-
-
 def _dated(
     utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, unaligned: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which rows have a date; an unaligned row needs one that agrees with the aligned rows."""
+    # Which rows have a date; an unaligned row needs one that agrees with the aligned rows.
     dated: NDArray[np.bool_] = np.not_equal(utc, NAT)
     aligned = dated & ~unaligned
     if stamp is None or not aligned.any():
         return dated
     offset = utc / 1e9 - stamp / 1e6
-    agrees = np.abs(offset - np.median(offset[aligned])) < 1.0
-    has_date: NDArray[np.bool_] = dated & (agrees | ~unaligned)
+    has_date: NDArray[np.bool_] = dated & ((np.abs(offset - np.median(offset[aligned])) < 1.0) | ~unaligned)
     return has_date
 
 

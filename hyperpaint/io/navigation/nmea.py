@@ -82,8 +82,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
             mend="give date='YYYY-MM-DD' of its first row",
             code="date-missing",
         )
-    seconds = np.array(list(log.rows))
-    stamp = np.rint(seconds * NS_PER_S).astype(np.int64) + day
+    stamp = np.rint(np.array(list(log.rows)) * NS_PER_S).astype(np.int64) + day
     names = (*POSE, "separation")
     values = {name: np.array([row.get(name, np.nan) for row in log.rows.values()]) for name in names}
     separation = values.pop("separation")
@@ -109,7 +108,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
 
 
 def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
-    """Yield the fields of sentences with a correct checksum."""
+    # The fields of sentences with a correct checksum.
     damaged = total = 0
     for match in _SENTENCE.finditer(text):
         total += 1
@@ -129,8 +128,7 @@ def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
 
 
 class _Log:
-    """Rows of a log, built from its sentences."""
-
+    # Rows of a log, built from its sentences.
     def __init__(self, path: Path) -> None:
         self.rows: dict[float, dict[str, float]] = {}  # seconds from 0 h of the first day to a position
         self.first_day: int | None = None  # [ns since 1970-01-01]
@@ -210,7 +208,7 @@ class _Log:
             self._take_hdt(fields)
 
     def _seconds(self, clock: str) -> float:
-        """Return seconds from 0 h of the first row's day."""
+        # Seconds from 0 h of the first row's day.
         match = _CLOCK.fullmatch(clock)
         if match is None:
             raise ValueError(clock)
@@ -229,7 +227,7 @@ class _Log:
 
 
 def _angle(text: str) -> float:
-    """Return degrees of ``dddmm.mmmm``."""
+    # ``dddmm.mmmm`` to degrees.
     match = _ANGLE.fullmatch(text)
     if match is None:
         raise ValueError(text)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import csv
 import math
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.base.units import conversion_factor
-from hyperpaint.io.files.reading import read_limited_text
+from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.units import conversion_factor, takes_quantities
+from hyperpaint.io.files.reading import number, numbers, read_limited_text
 
 # Largest file of a sky model [byte].
 MAX_SKY_BYTES = 64 << 20
@@ -194,3 +196,305 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     return sky_dataset(
         str(path), wavelength, *light, (zenith, azimuth, columns["radiance"][order].reshape(shape))
     )
+
+
+# ----------------------------------------------------------------------------------------------------------
+# Irradiance from MODTRAN's ``tape7``, by the radiance of a grey ground of known reflectance.
+
+
+_NEEDED = ("FREQ", "TOT_TRANS", "GRND_RFLT", "DRCT_RFLT")
+#: Column names of two words in MODTRAN 4 and 5, of one word in 6.
+_TWO_WORDS = (
+    "TOT TRANS", "PTH THRML", "THRML SCT", "THRML EM", "SURF EMIS", "SOL SCAT", "SING SCAT", "SNGL SCAT",
+    "MULT SCAT", "GRND RFLT", "DRCT RFLT", "TOTAL RAD", "REF SOL", "DIR EM", "TOA SUN",
+)  # fmt: skip
+
+# Mark below the last row.
+_END = -9999.0
+
+
+@takes_quantities(sun_zenith="degree")
+def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Dataset:
+    r"""Return light at the ground from a ``tape7`` in radiance mode (IEMSCT 2) over wavenumbers.
+
+    Parameters
+    ----------
+    path
+        With a line of names FREQ [cm-1], TOT_TRANS, GRND_RFLT and DRCT_RFLT [W cm-2 sr-1 / cm-1].
+    sun_zenith
+        At the ground [degree].
+    ground
+        Reflectance of the ground in the run, the same at all wavelengths, above 0 (``SURREF``).
+
+    Returns
+    -------
+    Dataset
+        See `sky_dataset`.
+
+    Raises
+    ------
+    FormatError
+        There is no such line of names, as in ``.7sc`` and in runs over wavelengths, whose columns and units
+        are others: they are refused, not guessed.
+    SchemaError
+        The sun is not above the horizon, or the ground reflects nothing.
+
+    Notes
+    -----
+    .. math:: E = \pi L_{GRND} / (\rho T), \quad E_{dir} = \pi L_{DRCT} / (\rho T), \quad
+              L_\lambda = 10^{-3} \nu^2 L_\nu
+
+    with L per nm of m2 (L. Guanter et al., Int. J. Remote Sens. 30, 1407 (2009), has the same sums).
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp(), "tape7")
+    >>> _ = path.write_text('''  1 5 0 6
+    ... FREQ TOT_TRANS THRML_EM THRML_SCT SURF_EMIS MULT_SCAT SING_SCAT GRND_RFLT DRCT_RFLT
+    ... 22222.0 0.8 1e-9 9e-9 8e-9 2e-9 1e-9 1.70e-7 1.23e-7
+    ... 11765.0 0.8 1e-9 9e-9 8e-9 2e-9 1e-9 2.76e-7 2.54e-7
+    ... -9999.
+    ... ''')
+    >>> light = read_tape7(path, sun_zenith=60.0, ground=0.3)
+    >>> light.wavelength.values.round(), light.direct_normal.values.round(2), light.diffuse.values.round(2)
+    (array([450., 850.]), array([1.59, 0.92]), array([0.3 , 0.04]))
+    """
+    if not 0.0 <= sun_zenith < 90.0 or not 0.0 < ground <= 1.0:
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r} and ground {ground!r}",
+            expected="0 to below 90 degrees and 0 to 1",
+            code="value-out-of-range",
+        )
+    lines = sky_lines(path)
+    place, names = next(((n, _names(line)) for n, line in enumerate(lines) if "FREQ" in line), (0, []))
+    if not set(_NEEDED) <= set(names):
+        raise FormatError(
+            f"{path}: no line of names with {', '.join(_NEEDED)}",
+            expected="a tape7 over wavenumbers",
+            mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; give direct and "
+            "diffuse light as CSV instead of a .7sc",
+            code="model-output-wrong",
+        )
+    rows = []
+    for count, line in enumerate(lines[place + 1 :], place + 2):
+        row = numbers(line.split())
+        if row is not None and row[:1] == [_END]:
+            break
+        if row is None or len(row) < len(names):
+            raise FormatError(
+                f"{path}: line {count}: {line[:60]!r}",
+                expected=f"{len(names)} numbers or {_END:g}",
+                code="number-unreadable",
+            )
+        rows.append(row[: len(names)])
+    else:
+        raise FormatError(
+            f"{path} ends without the mark {_END:g}: it was cut short",
+            mend="copy it again",
+            code="file-truncated",
+        )
+    table = dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T, strict=True))
+    lit = (table["FREQ"] > 0.0) & (table["TOT_TRANS"] > 1e-6)
+    wavenumber, transmitted = table["FREQ"][lit], table["TOT_TRANS"][lit]
+    with np.errstate(over="ignore", invalid="ignore"):  # checked by sky_dataset
+        scale = np.pi * 1e-3 * wavenumber**2 / (ground * transmitted)
+        whole, direct = scale * table["GRND_RFLT"][lit], scale * table["DRCT_RFLT"][lit]
+        diffuse = np.where(
+            np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct
+        )  # rounding of the file
+        normal, wavelength = direct / np.cos(np.radians(sun_zenith)), 1e7 / wavenumber
+    return sky_dataset(str(path), wavelength, normal, diffuse)
+
+
+def _names(line: str) -> list[str]:
+    for name in _TWO_WORDS:
+        line = line.replace(name, name.replace(" ", "_"))
+    return line.split()
+
+
+# ----------------------------------------------------------------------------------------------------------
+# Output of libRadtran's ``uvspec`` with the solver disort and its default columns.
+
+
+_UVSPEC_COLUMNS = 7  # lambda edir edn eup uavgdir uavgdn uavgup
+
+
+@takes_quantities(sun_zenith="degree", sun_azimuth="degree")
+def read_uvspec(
+    path: str | Path, *, sun_zenith: float, units: str, sun_azimuth: float = 0.0, directions: int = 0
+) -> xr.Dataset:
+    """Return light at the ground from an output of ``uvspec``.
+
+    Parameters
+    ----------
+    path
+        Lines ``lambda edir edn eup uavgdir uavgdn uavgup``, the default of disort, at one output level. With
+        ``umu`` and ``phi`` in its input, each is followed by a line of the azimuths and by lines ``umu u0u
+        uu(phi)``.
+    sun_zenith, sun_azimuth
+        ``sza`` and ``phi0`` of its input [degree].
+    units
+        Units of its irradiance, which are those of the source, such as "mW m-2 nm-1"; not stated in the file.
+    directions
+        Number of ``umu`` in its input, 0 for none. Of these those with umu < 0 look up, at the sky; a ``phi``
+        of ``phi0`` looks towards the sun.
+
+    Returns
+    -------
+    Dataset
+        See `sky_dataset`.
+
+    Raises
+    ------
+    FormatError
+        Lines are others than these (``output_user``, another solver): they are refused, not guessed.
+    SchemaError
+        The sun is not above the horizon, or ``units`` are no irradiance of a wavelength.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp(), "uvspec.out")
+    >>> _ = path.write_text('''450.0 500.0 180.0 61. 79. 45. 12.
+    ... 850.0 420.0 40.0 61. 79. 45. 12.
+    ... ''')
+    >>> light = read_uvspec(path, sun_zenith=60.0, units="mW m-2 nm-1")
+    >>> light.direct_normal.values.round(2), light.diffuse.values.round(2)
+    (array([1.  , 0.84]), array([0.18, 0.04]))
+    """
+    if not 0.0 <= sun_zenith < 90.0:
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
+        )
+    factor = conversion_factor(units, "W m-2 nm-1")
+    rows = [numbers(line.split()) for line in sky_lines(path) if line.strip() and not line.startswith("#")]
+    step = 1 if directions == 0 else 2 + directions
+    if not rows or len(rows) % step or any(row is None for row in rows):
+        raise FormatError(
+            f"{path}: {len(rows)} lines",
+            expected=f"{step} lines of numbers for each wavelength",
+            mend="pass the number of umu in the input of uvspec as directions=; write one output level "
+            "(zout)",
+            code="length-mismatch",
+        )
+    flux = [row or [] for row in rows[::step]]
+    if any(len(row) != _UVSPEC_COLUMNS for row in flux):
+        raise FormatError(
+            f"{path}: a line of {next(len(row) for row in flux if len(row) != _UVSPEC_COLUMNS)} numbers",
+            expected=f"{_UVSPEC_COLUMNS}: lambda edir edn eup uavgdir uavgdn uavgup",
+            mend="run uvspec with rte_solver disort and without output_user",
+            code="model-output-wrong",
+        )
+    table = np.array(flux, np.float64)
+    light = table[:, 0], factor * table[:, 1] / np.cos(np.radians(sun_zenith)), factor * table[:, 2]
+    if not directions:
+        return sky_dataset(str(path), *light)
+    blocks = [[row or [] for row in rows[start + 1 : start + step]] for start in range(0, len(rows), step)]
+    azimuths = blocks[0][0]
+    if any(
+        block[0] != azimuths or {len(row) for row in block[1:]} != {len(azimuths) + 2} for block in blocks
+    ):
+        raise FormatError(
+            f"{path}: blocks of radiance differ",
+            expected=f"a line of phi and {directions} of umu u0u uu",
+            code="grid-mismatch",
+        )
+    radiance = np.array([block[1:] for block in blocks], np.float64)
+    cosine = radiance[0, :, 0]
+    if (radiance[:, :, 0] != cosine).any() or not (-1.0 <= cosine.min() < 0.0):
+        raise FormatError(
+            f"{path}: umu {cosine.tolist()}",
+            expected="the same at all wavelengths, some from -1 to 0",
+            code="grid-mismatch",
+        )
+    up = np.flatnonzero(cosine < 0.0)[::-1]  # from the zenith downwards
+    up = up[np.argsort(-cosine[up])[::-1]]
+    zenith = np.degrees(np.arccos(-cosine[up]))
+    from_sun = (np.array(azimuths) - sun_azimuth) % 360.0
+    return sky_dataset(str(path), *light, (zenith, from_sun, factor * radiance[:, up, 2:]))
+
+
+# ----------------------------------------------------------------------------------------------------------
+# Output of 6S: one monochromatic run a wavelength.
+
+
+_WAVELENGTH = re.compile(r"monochromatic calculation at wl\s*[:=]\s*([0-9.]+)\s*micron")
+
+
+@takes_quantities(sun_zenith="degree")
+def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
+    """Return light at the ground from the outputs of 6S, one monochromatic run a file.
+
+    Parameters
+    ----------
+    paths
+        Each with "monochromatic calculation at wl" [micron] and, under "irr. at ground level
+        (w/m2/mic)", "direct solar irr.", "atm. diffuse irr." and "environment irr" on level ground.
+    sun_zenith
+        Of the runs [degree].
+
+    Returns
+    -------
+    Dataset
+        See `sky_dataset`; ``diffuse`` is of atmosphere and environment.
+
+    Raises
+    ------
+    FormatError
+        A file lacks these lines: runs over a filter are refused, because they print sums.
+    SchemaError
+        The sun is not above the horizon.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> run = '''* monochromatic calculation at wl : {} micron *
+    ... *        irr. at ground level (w/m2/mic)            *
+    ... * direct solar irr. atm. diffuse irr. environment irr *
+    ... *         {}           {}           4.000 *
+    ... '''
+    >>> paths = [Path(tempfile.mkdtemp(), name) for name in ("450.txt", "650.txt")]
+    >>> _ = paths[0].write_text(run.format("0.450", 500.0, 180.0))
+    >>> _ = paths[1].write_text(run.format("0.650", 700.0, 100.0))
+    >>> light = read_sixs(paths, sun_zenith=60.0)
+    >>> light.direct_normal.values.round(3), light.diffuse.values.round(3)
+    (array([1. , 1.4]), array([0.184, 0.104]))
+    """
+    if not 0.0 <= sun_zenith < 90.0:
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
+        )
+    rows = np.array([_run(path) for path in paths], np.float64).reshape(-1, 4)
+    micron, direct, diffuse, environment = rows.T
+    per_nm = 1e-3
+    level = per_nm * direct / np.cos(np.radians(sun_zenith))
+    return sky_dataset("6S", 1000.0 * micron, level, per_nm * (diffuse + environment))
+
+
+def _run(path: str | Path) -> tuple[float, ...]:
+    # Wavelength [micron] and the three irradiances [W m-2 micron-1].
+    lines = sky_lines(path)
+    wavelength = next((match[1] for line in lines if (match := _WAVELENGTH.search(line))), None)
+    place = next((n for n, line in enumerate(lines[:-1]) if "direct solar irr." in line), None)
+    if wavelength is None or place is None:
+        raise FormatError(
+            f"{path}: no monochromatic run of 6S with its irradiance at ground level",
+            mend="run 6S with a single wavelength (IWAVE -1), a file each",
+            code="model-output-wrong",
+        )
+    micron = number(wavelength)
+    if micron is None:
+        raise FormatError(
+            f"{path}: a wavelength of {wavelength[:60]!r}",
+            expected="a number [micron]",
+            code="number-unreadable",
+        )
+    values = numbers(lines[place + 1].replace("*", " ").split())
+    if values is None or len(values) != 3:
+        raise FormatError(
+            f"{path}: line {place + 2}: {lines[place + 1][:60]!r}",
+            expected="three irradiances",
+            code="number-unreadable",
+        )
+    return micron, *values

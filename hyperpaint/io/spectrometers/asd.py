@@ -187,7 +187,7 @@ def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> d
 
 
 def _name_of(spectrum: Spectrum) -> str:
-    """Return the name of a file without its suffixes, or of a column in it."""
+    # The name of a file without its suffixes, or of a column in it.
     name = spectrum.source.rpartition(":")[2]
     while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):  # ViewSpec adds its ending: paint.asd.txt
         name = name[:-4]
@@ -290,7 +290,6 @@ def sniff(path: Path) -> Kind:
 
 
 def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
-    """Return the common quantity of all files, declared or guessed."""
     quantity = common_quantity(
         (
             _QUANTITY_OF_DATA_TYPE.get(content.data_type)
@@ -422,7 +421,7 @@ def _zoneless(silent: Sequence[Spectrum]) -> str:
 
 
 def _offset_hint(spectrum: Spectrum) -> str:
-    """Return a UTC offset suggested by the GPS, or by the dark current, which is stamped in UTC."""
+    # A UTC offset suggested by the GPS, or by the dark current, which is stamped in UTC.
     if spectrum.gps is not None and spectrum.local_time is not None:
         fix = dt.datetime.combine(spectrum.local_time.date(), spectrum.gps.utc)
         hours = round((spectrum.local_time - fix) / dt.timedelta(hours=1))
@@ -490,7 +489,7 @@ def _derived(
 def _needed_blocks(
     file: AsdFile, kinds: tuple[str, ...], purpose: str, external: Mapping[str, AsdFile]
 ) -> dict[str, tuple[Floats, float]]:
-    """Return values and integration time [ms] of the calibration blocks of the given kinds."""
+    # Values and integration time [ms] of the calibration blocks of the given kinds.
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
     for kind, other in external.items():
         if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):

@@ -194,7 +194,7 @@ def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
 
 
 def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:
-    """Return local time minus UTC [h] from the white reference, which is stamped in both."""
+    # Local time minus UTC [h] from the white reference, which is stamped in both.
     if epoch_s <= 0 or not 0 < ole_days < 1e5:
         return None
     seconds = (ole_days - _OLE_EPOCH_DAYS) * 86400.0 - epoch_s
@@ -308,7 +308,7 @@ class Cursor:
 
 
 def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str, AsdCalibration]:
-    """Read the blocks of versions 6, 7 and 8, and return the calibration blocks by kind."""
+    # Read the blocks of versions 6, 7 and 8, and return the calibration blocks by kind.
     blocks: dict[str, AsdCalibration] = {}
     if version < 6 or (version == 6 and cursor.at_end):
         return blocks
@@ -357,7 +357,7 @@ def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str,
 
 
 def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
-    """Return the fix in the header's GPS block, None without one."""
+    # The fix in the header's GPS block, None without one.
     values = struct.unpack("<5dhbbbbbh5sbb", block)
     _, _, latitude, longitude, altitude, _, _, second, minute, hour = values[:10]
     if latitude == longitude == altitude == 0.0:
@@ -386,5 +386,4 @@ def _degrees(ddmm: float, limit: float) -> float:
 
 
 def _plain_text(raw: bytes) -> str:
-    """Return the text before the first NUL."""
     return raw.split(b"\0", 1)[0].decode("latin-1").strip()

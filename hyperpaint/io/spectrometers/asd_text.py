@@ -98,8 +98,6 @@ def _lines(data: bytes) -> list[str]:
 
 
 def _preamble(name: str, text: str) -> dict[str, Any]:
-    """Return the fields of `AsdText` from the sentences above the table."""
-
     def parsed(pattern: str, make: Callable[[re.Match[str]], Any]) -> Any:
         match = re.search(pattern, text, re.IGNORECASE)
         return None if match is None else make(match)
@@ -184,10 +182,8 @@ def _table(name: str, lines: list[str]) -> _Table:
 def _rows(
     name: str, lines: list[str], separator: str, width: int, *, words: bool
 ) -> tuple[list[str], npt.NDArray[np.float64]]:
-    """Return the first cells of the rows of a table, and the numbers of the others.
-
-    Other lines, such as ``x2bar``, occur above and below a table of columns, never inside it.
-    """
+    # The first cells of the rows of a table, and the numbers of the others.
+    # Other lines, such as ``x2bar``, occur above and below a table of columns, never inside it.
     labels: list[str] = []
     values: list[list[float]] = []
     ended_at: int | None = None

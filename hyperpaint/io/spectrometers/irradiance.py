@@ -37,8 +37,7 @@ _MAX_SHOWN = 20
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    """Samples as logged, before correction of clocks and units."""
-
+    # Samples as logged, before correction of clocks and units.
     sources: Sequence[str]
     stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
     utc_offset_h: Sequence[float]
@@ -164,7 +163,19 @@ def open_irradiance(
     times = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
-    values = _in_float32_range(series, order, conversion_factor(series.units, VARIABLES["irradiance"].units))
+    factor = conversion_factor(series.units, VARIABLES["irradiance"].units)
+    # in the units of the table, within float32
+    raw = series.values[order]
+    with np.errstate(over="ignore"):
+        values: Floats = raw * factor
+    lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
+    if lost.any():
+        where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
+        raise FormatError(
+            f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}: {where}",
+            mend="check whether the file is damaged",
+            code="value-out-of-range",
+        )
     _check_magnitude(series.wavelength, values)
     dataset = _dataset(series, times[order], values, fwhm_nm, max_gap_s)
     uncertainty_s = series.clock_uncertainty_s if clock_uncertainty_s is None else clock_uncertainty_s
@@ -338,7 +349,26 @@ def _from_xarray(
             code="variable-missing",
         )
     array = data["irradiance"]
-    time, wavelength = _axes(array, origin)
+    axes = []
+    for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
+        name = next((name for name in names if name in array.dims and name in array.coords), None)
+        if name is None or array.ndim != 2:
+            raise SchemaError(
+                f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}",
+                expected=(
+                    f"a time and a wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
+                    f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
+                ),
+                code="dims-wrong",
+            )
+        axes.append(array[name])
+    time, wavelength = axes
+    if time.dtype.kind != "M" or time.isnull().any():
+        raise TimeError(
+            f"{origin}: {time.name!r} has dtype {time.dtype}",
+            expected="datetime64 without NaT",
+            code="type-wrong",
+        )
     array = array.transpose(time.name, wavelength.name)
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
@@ -386,31 +416,6 @@ def _from_xarray(
     )
 
 
-def _axes(array: xr.DataArray, origin: str) -> tuple[xr.DataArray, xr.DataArray]:
-    """Return the time and the wavelength coordinate of a series."""
-    axes = []
-    for names in ((IRRADIANCE_TIME, "time"), (IRRADIANCE_WAVELENGTH, "wavelength")):
-        name = next((name for name in names if name in array.dims and name in array.coords), None)
-        if name is None or array.ndim != 2:
-            raise SchemaError(
-                f"{origin}: 'irradiance' has dims {tuple(map(str, array.dims))}",
-                expected=(
-                    f"a time and a wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
-                    f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
-                ),
-                code="dims-wrong",
-            )
-        axes.append(array[name])
-    time, wavelength = axes
-    if time.dtype.kind != "M" or time.isnull().any():
-        raise TimeError(
-            f"{origin}: {time.name!r} has dtype {time.dtype}",
-            expected="datetime64 without NaT",
-            code="type-wrong",
-        )
-    return time, wavelength
-
-
 def _refuse_duplicates(
     series: _Series, times: npt.NDArray[np.datetime64], order: npt.NDArray[np.intp]
 ) -> None:
@@ -430,22 +435,6 @@ def _refuse_duplicates(
     if len(twice) > len(shown):
         problems.add(f"... ({len(twice)} pairs in all)", code="time-duplicate")
     problems.raise_if_any()
-
-
-def _in_float32_range(series: _Series, order: npt.NDArray[np.intp], factor: float) -> Floats:
-    """Return the ordered values in the units of the table; refuse values beyond float32."""
-    raw = series.values[order]
-    with np.errstate(over="ignore"):
-        values: Floats = raw * factor
-    lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
-    if lost.any():
-        where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
-        raise FormatError(
-            f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}: {where}",
-            mend="check whether the file is damaged",
-            code="value-out-of-range",
-        )
-    return values
 
 
 def _dataset(

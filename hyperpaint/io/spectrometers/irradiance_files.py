@@ -19,6 +19,8 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, IncompleteStoreError, PaintWarning
 from hyperpaint.base.input_files import input_path
 from hyperpaint.io.files.reading import load_netcdf, number, numbered_lines, numbers, read_limited_text
+from hyperpaint.io.store import list_groups, load_group
+from hyperpaint.io.store.reader import is_zarr
 
 #: Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm].
 ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
@@ -151,7 +153,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
 
 
 def _beside_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
-    """Yield the numbered lines of a table, and collect its comments in a dict."""
+    # Its comments go into the dict ``comments``.
     for line_number, line in numbered_lines(text):
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
@@ -165,22 +167,16 @@ _SUFFIXES = (".nc", ".nc4", ".h5")
 
 def is_store(path: Any) -> bool:
     """Return whether a path or store object is Zarr or netCDF, by its name or content."""
-    from hyperpaint.io.store.reader import is_zarr
-
     is_name = isinstance(path, str | os.PathLike)
     return is_zarr(path) or (is_name and os.fspath(path).lower().endswith(_SUFFIXES))
 
 
 def stored_series(path: Any) -> xr.Dataset:
     """Return the dataset with the series: the root, or the group irradiance of a collect."""
-    from hyperpaint.io.store import list_groups, load_group
-    from hyperpaint.io.store.reader import is_zarr
-
     try:
         if not is_zarr(path):
             return _of_hypernets(load_netcdf(input_path(path, "an irradiance series")))
-        group = "irradiance" if "irradiance" in list_groups(path) else None
-        return _of_hypernets(load_group(path, group))
+        return _of_hypernets(load_group(path, "irradiance" if "irradiance" in list_groups(path) else None))
     except IncompleteStoreError:
         raise
     except Exception as error:  # h5py and xarray leak classes of their own on damaged files
@@ -191,12 +187,10 @@ def stored_series(path: Any) -> xr.Dataset:
 
 
 def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
-    """Return a product of HYPERNETS (L1A to L1C, irradiance) as a series; other data unchanged.
-
-    Its dims are ``wavelength`` and ``scan`` or ``series``; ``acquisition_time`` counts seconds of UTC from
-    1970, and ``bandwidth`` [nm] is the width at half maximum (hypernets_processor, variables of its data
-    format).
-    """
+    # A product of HYPERNETS (L1A to L1C, irradiance) as a series; other data unchanged.
+    # Its dims are ``wavelength`` and ``scan`` or ``series``; ``acquisition_time`` counts seconds of UTC from
+    # 1970, and ``bandwidth`` [nm] is the width at half maximum (hypernets_processor, variables of its data
+    # format).
     dim = next((name for name in ("series", "scan") if name in data.dims), None)
     if dim is None or not {"irradiance", "acquisition_time", "wavelength"} <= set(data.variables):
         return data

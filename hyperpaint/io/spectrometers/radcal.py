@@ -105,14 +105,13 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     lamp_nm, lamp_irradiance = lamp[:, 0], lamp[:, 2] * 1e-3
     reflectance = np.interp(lamp_nm, panel[:, 0], panel[:, 2], np.nan, np.nan)
     is_known = device[:, 2] > 0
-    coefficient = np.where(is_known, device[:, 2], np.nan)
     values = {
         "lamp_irradiance": ("lamp_wavelength", lamp_irradiance, "W m-2 nm-1"),
         "lamp_irradiance_u": ("lamp_wavelength", lamp[:, 3] * _HALF_OF_PERCENT, "1"),
         "panel_reflectance": ("panel_wavelength", panel[:, 2], "1"),
         "panel_reflectance_u": ("panel_wavelength", panel[:, 3] * _HALF_OF_PERCENT, "1"),
         "panel_radiance": ("lamp_wavelength", lamp_irradiance * reflectance / np.pi, "W m-2 sr-1 nm-1"),
-        "coefficient": ("wavelength", coefficient, ""),
+        "coefficient": ("wavelength", np.where(is_known, device[:, 2], np.nan), ""),
         "coefficient_u": ("wavelength", np.where(is_known, device[:, 3] * _HALF_OF_PERCENT, np.nan), "1"),
         "dark": ("wavelength", device[:, 4], "count"),
         "counts": (("series", "wavelength"), device[:, [6, 8]].T, "count"),
@@ -136,7 +135,6 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def _sections(lines: list[str]) -> dict[str, list[tuple[int, str]]]:
-    """Return the numbered lines of every section."""
     sections: dict[str, list[tuple[int, str]]] = {}
     current: list[tuple[int, str]] | None = None
     for place, line in enumerate(lines, 1):
@@ -153,7 +151,7 @@ def _sections(lines: list[str]) -> dict[str, list[tuple[int, str]]]:
 
 
 def _table(name: str, sections: dict[str, list[tuple[int, str]]], columns: int, problems: Problems) -> Floats:
-    """Return the numbers of a section (row, column); faults are noted."""
+    # The numbers of a section (row, column); faults are noted.
     rows = sections.get(name, [])
     if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
         problems.add(

@@ -14,6 +14,8 @@ import xarray as xr
 from hyperpaint.base.errors import FormatError, PaintError, Problems
 from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.library import open_library
+from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.io.store.reader import is_zarr
 
 from .asd import open_asd, sniff
 from .spectrum_files import find_paths
@@ -32,8 +34,6 @@ def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
     Raises FormatError: Files are missing, damaged or of no kind known; all are named.
     Raises StoreError: A store was never finished, or is damaged.
     """
-    from hyperpaint.io.store.reader import is_zarr
-
     datasets = [dataset for path in paths if is_zarr(path) for dataset in _of_store(path)]
     others = [path for path in paths if not is_zarr(path)]
     if others:
@@ -43,8 +43,6 @@ def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
 
 
 def _of_store(path: Any) -> list[xr.Dataset]:
-    from hyperpaint.io.store import list_groups, open_store
-
     groups = list_groups(path)
     wanted = [g for g in groups if g.startswith(_GROUP)] or [g for g in groups if not g]
     if not wanted:
@@ -57,7 +55,7 @@ def _of_store(path: Any) -> list[xr.Dataset]:
 
 
 def _spectra_in(inside: list[Path]) -> list[Path]:
-    """Return the spectra of a folder; text exports only without others."""
+    # The spectra of a folder; text exports only without others.
     spectra = [path for path in inside if path.suffix.lower() in (".sig", ".asd")]
     return spectra or [path for path in inside if path.suffix.lower() in (".txt", ".tsv", ".csv")]
 
@@ -73,7 +71,7 @@ def open_spectra(files: Sequence[Path], quantity: str | None = None) -> list[xr.
 
 
 def _opened(files: Sequence[Path], quantity: str | None, *, references: bool) -> list[xr.Dataset]:
-    """Open spectra as `open_spectra`; references may differ in wavelengths, or be libraries."""
+    # Open spectra as `open_spectra`; references may differ in wavelengths, or be libraries.
     problems = Problems("references cannot be opened", FormatError)
     files_by_opener: dict[Any, list[Path]] = {}
     libraries: list[Path] = []

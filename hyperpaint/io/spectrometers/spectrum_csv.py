@@ -40,10 +40,8 @@ def read_spectrum_csv(
 def _table(
     path: Path, headings: int, *, in_units: bool = False
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], list[str]]:
-    """Return the columns of `read_spectrum_csv`, the first in nanometres, and the headings above them.
-
-    in_units: Whether headings, then with the comments above the numbers, name units.
-    """
+    # The columns of `read_spectrum_csv`, the first in nanometres, and the headings above them.
+    # in_units: Whether headings, then with the comments above the numbers, name units.
     problems = Problems(f"{path} is no spectrum", FormatError)
     rows: list[list[float]] = []
     above: list[str] = []
@@ -110,7 +108,7 @@ _ASIDE = re.compile(r"uncert|error|deviation|\bstd\b|\bsd\b")
 
 
 def _factor(headings: Sequence[str], column: int, path: Path) -> float:
-    """Return the factor of a column to nm or to a fraction, by its headings; 1 without units."""
+    # The factor of a column to nm or to a fraction, by its headings; 1 without units.
     wanted, exact = _UNITS[column]
     units: dict[str, str] = {}
     for heading in headings:
@@ -146,7 +144,6 @@ def _factor(headings: Sequence[str], column: int, path: Path) -> float:
 
 
 def _names(heading: str, column: int, last: bool) -> list[str]:
-    """Return the candidate units of a column; empty where the heading names no columns."""
     comment, text = heading.startswith("#"), heading.lstrip("# \t").replace('"', " ")
     # the content of brackets is put aside, so that it separates no cells
     aside = _BRACKETS.findall(text)
@@ -160,8 +157,7 @@ def _names(heading: str, column: int, last: bool) -> list[str]:
     names: list[list[str]] = []
     for cell in cells:
         inside = [aside.pop(0).strip() for _ in range(cell.count("\x00"))]
-        bare = " ".join(cell.replace("\x00", " ").split())
-        end = _AT_END.search(bare)
+        end = _AT_END.search(" ".join(cell.replace("\x00", " ").split()))
         names.append([*inside, *([] if end is None else [end[1] or end[2] or end[3]])])
     plain = [" ".join(_AT_END.sub("", cell.replace("\x00", " ").strip()).split()).lower() for cell in cells]
     of_columns = bool(_WAVELENGTH.fullmatch(plain[0])) and (plain[0] != "" or bool(names[0]))

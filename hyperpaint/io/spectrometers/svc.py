@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import json
 import math
-from collections.abc import Sequence
+import re
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.errors import FormatError, Problems, SchemaError
-from hyperpaint.base.schema import label
+from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.schema import VARIABLES, label
 
 from .spectrum_files import (
     QUANTITIES,
@@ -21,20 +27,24 @@ from .spectrum_files import (
     common_quantity,
     find_paths,
     for_all,
+    listed,
+    name_spectra,
     ratio,
     require_one_grid,
     same_grids,
 )
-from .svc_coords import (
-    SCANS,
-    SvcMeasurement,
-    coords_of_channels,
-    coords_of_files,
-    coords_of_places,
-    coords_of_times,
-    warn_of,
+from .svc_layout import (
+    DETECTORS,
+    SvcFile,
+    SvcOverlap,
+    detectors_of,
+    error_bits,
+    items,
+    overlap_of,
+    pair,
+    position_of,
+    read_svc,
 )
-from .svc_layout import SvcFile, detectors_of, items, overlap_of, read_svc
 
 Scan = Literal["reference", "target"]
 Overlap = Literal["keep", "trim"]
@@ -129,7 +139,28 @@ def open_svc(
     >>> opened["spectrum"].values.tolist(), opened["time"].values
     (['red'], array(['2025-05-27T07:42:59.000000000'], dtype='datetime64[ns]'))
     """
-    _check_arguments(quantity, scan, overlap, joins, utc_offset_h)
+    problems = Problems("SVC files cannot be opened as asked", SchemaError)
+    if quantity is not None and quantity not in QUANTITIES:
+        problems.add(
+            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
+        )
+    if scan not in SCANS:
+        problems.add(f"scan={scan!r}", expected="'target' or 'reference'", code="choice-unknown")
+    if scan == "reference" and quantity == "reflectance":
+        problems.add(
+            "scan='reference' with quantity='reflectance', which is a ratio of both scans",
+            mend="leave scan out, or pass quantity='radiance'",
+            code="option-conflict",
+        )
+    if overlap not in ("keep", "trim"):
+        problems.add(f"overlap={overlap!r}", expected="'keep' or 'trim'", code="choice-unknown")
+    if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
+        problems.add(
+            f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
+        )
+    problems.raise_if_any()
+    if utc_offset_h is not None:
+        check_utc_offset(utc_offset_h)
     files = find_paths(paths, lambda inside: [p for p in inside if p.suffix.lower() == ".sig"], ".sig files")
     contents = for_all(files, read_svc)
     side = SCANS.index(scan)
@@ -172,37 +203,6 @@ def open_svc(
     data = xr.DataArray(values, dims=("spectrum", "wavelength"))
     extra = {"reflectance_scale": "relative"} if wanted == "reflectance" else {}
     return xr.Dataset({wanted: label(data, wanted, **extra)}, coords=coords, attrs=attrs)
-
-
-def _check_arguments(
-    quantity: str | None,
-    scan: str,
-    overlap: str,
-    joins: tuple[float, float] | None,
-    utc_offset_h: float | None,
-) -> None:
-    problems = Problems("SVC files cannot be opened as asked", SchemaError)
-    if quantity is not None and quantity not in QUANTITIES:
-        problems.add(
-            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
-        )
-    if scan not in SCANS:
-        problems.add(f"scan={scan!r}", expected="'target' or 'reference'", code="choice-unknown")
-    if scan == "reference" and quantity == "reflectance":
-        problems.add(
-            "scan='reference' with quantity='reflectance', which is a ratio of both scans",
-            mend="leave scan out, or pass quantity='radiance'",
-            code="option-conflict",
-        )
-    if overlap not in ("keep", "trim"):
-        problems.add(f"overlap={overlap!r}", expected="'keep' or 'trim'", code="choice-unknown")
-    if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
-        problems.add(
-            f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
-        )
-    problems.raise_if_any()
-    if utc_offset_h is not None:
-        check_utc_offset(utc_offset_h)
 
 
 def _measurement(
@@ -265,7 +265,7 @@ def _measurement(
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
-    """Return the wavelength of the change of detectors, for each step back of the wavelengths [nm]."""
+    # The wavelength of the change of detectors, for each step back of the wavelengths [nm].
     handovers = []
     for start, join in zip(file.starts[1:], joins or SVC_JOINS, strict=False):
         first, last = float(file.wavelength[start]), float(file.wavelength[start - 1])
@@ -284,7 +284,7 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
 
 
 def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
-    """Return which channels remain with one detector on each side of a join."""
+    # Which channels remain with one detector on each side of a join.
     used = np.ones(len(file.wavelength), bool)
     for start, join in zip(file.starts[1:], handovers, strict=False):
         used[:start] &= file.wavelength[:start] <= join
@@ -293,7 +293,7 @@ def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]
 
 
 def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
-    """Return the advice to trim, where trimming gives all files one set of wavelengths."""
+    # The advice to trim, where trimming gives all files one set of wavelengths.
     for joins in sorted({item.overlap.joins for item in measured if item.overlap.joins is not None}):
         try:
             grids = [
@@ -305,3 +305,370 @@ def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
         if len(same_grids(grids)) == 1:
             return f", or pass overlap='trim', joins=({joins[0]:g}, {joins[1]:g}), which makes them one"
     return ""
+
+
+# ----------------------------------------------------------------------------------------------------------
+# Coordinates of SVC spectra: channels, times, places, and header fields of their files.
+
+
+#: The two scans of a file, in its order.
+SCANS = ("reference", "target")
+
+_HALF_DIGIT = 0.005  # half of the last of two decimals
+_NAT = np.datetime64("NaT", "ns")
+_NOWHERE = (math.nan, math.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class SvcMeasurement:
+    """One file in one quantity, on the channels in use."""
+
+    file: SvcFile
+    path: Path
+    overlap: SvcOverlap
+    wavelength: Floats
+    values: Floats
+    detector: npt.NDArray[np.int64] | None
+    trimmed_at: tuple[float, ...]
+
+    @property
+    def overlap_text(self) -> str:
+        """Treatment of the channels where detectors overlap."""
+        if self.trimmed_at:
+            return f"trimmed @ {', '.join(f'{join:g}' for join in self.trimmed_at)} nm"
+        return self.overlap.text
+
+
+def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:
+    """Return the wavelengths, and the detectors where all files agree."""
+    first = measured[0]
+    attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
+    coords: dict[str, Any] = {"wavelength": ("wavelength", first.wavelength, attrs)}
+    if first.detector is not None and all(
+        item.detector is not None and np.array_equal(item.detector, first.detector) for item in measured
+    ):
+        names = np.array(DETECTORS, object)[first.detector]
+        coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
+    return coords
+
+
+def coords_of_times(
+    contents: Sequence[SvcFile], side: int, quantity: str, dayfirst: bool | None, utc_offset_h: float | None
+) -> dict[str, Any]:
+    """Return UTC of the scans; for reflectance, of target and reference."""
+    stamps = [[read_stamp(text) for text in pair(file.header, "time")] for file in contents]
+    orders = orders_of(
+        (file.header.get("instrument", ""), stamp)
+        for file, stamps_of_file in zip(contents, stamps, strict=True)
+        for stamp in stamps_of_file
+        if stamp is not None
+    )
+    clock = _Clock(orders, dayfirst, utc_offset_h)
+    names = {side: "time"} if quantity != "reflectance" else {0: "reference_time", 1: "time"}
+    coords: dict[str, Any] = {}
+    for scan, name in sorted(names.items(), reverse=True):
+        times = [
+            clock.utc(file, stamps_of_file[scan], scan)
+            for file, stamps_of_file in zip(contents, stamps, strict=True)
+        ]
+        target_name = "white reference" if scan == 0 else "target"
+        coords[name] = _of_spectra(np.array(times, "datetime64[ns]"), f"UTC of the scan of the {target_name}")
+    clock.warn()
+    return coords
+
+
+class _Clock:
+    # Converts stamps to UTC, and collects the reasons of failures.
+    def __init__(self, orders: Mapping[str, bool], dayfirst: bool | None, utc_offset_h: float | None) -> None:
+        self._orders = orders
+        self._dayfirst = dayfirst
+        self._utc_offset_h = utc_offset_h
+        self._files_by_reason: dict[tuple[str, str], dict[str, None]] = {}
+
+    def _note(self, reason: str, code: str, file: SvcFile) -> np.datetime64:
+        self._files_by_reason.setdefault((reason, code), {})[file.name] = None
+        return _NAT
+
+    def utc(self, file: SvcFile, stamp: LocalStamp | None, scan: int) -> np.datetime64:
+        if stamp is None:
+            return self._note("missing or unreadable times are NaT", "time-unreadable", file)
+        order = self._orders.get(file.header.get("instrument", ""))
+        local = stamp.read(order if self._dayfirst is None and stamp.slashes else self._dayfirst)
+        if local is None:
+            return self._note("dates of unknown order are NaT; pass dayfirst=", "date-ambiguous", file)
+        gps = None
+        try:
+            gps = read_gps_time(pair(file.header, "gpstime")[scan])
+        except ValueError:
+            self._note("unreadable GPS times are left out", "gps-time-unreadable", file)
+        utc = utc_of(local, gps, (position_of(file.header, scan) or _NOWHERE)[1], self._utc_offset_h)
+        if utc is None:
+            return self._note(
+                "local times without GPS time are NaT; pass utc_offset_h=", "zone-missing", file
+            )
+        if (
+            self._utc_offset_h is not None
+            and gps is not None
+            and abs((local - utc).total_seconds() / 3600.0 - self._utc_offset_h) > 0.25
+        ):
+            reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
+            self._note(reason, "utc-offset-conflict", file)
+        return np.datetime64(utc, "ns")
+
+    def warn(self) -> None:
+        for (reason, code), names in self._files_by_reason.items():
+            warn_of(reason, list(names), code)
+
+
+def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
+    """Return the GPS positions of the scans; ``side`` is 0 for references, 1 for targets."""
+    places = [position_of(file.header, side) for file in contents]
+    unreadable = [file.name for file, place in zip(contents, places, strict=True) if place is None]
+    warn_of("unreadable positions are NaN", unreadable, "position-unreadable")
+    columns = np.array([place or _NOWHERE for place in places], np.float64).T
+    coords: dict[str, Any] = {}
+    for name, column in zip(("latitude", "longitude"), columns, strict=True):
+        attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
+        coords[name] = ("spectrum", column, attrs)
+    return coords
+
+
+def _of_spectra(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, dict[str, str]]:
+    # A coordinate of the spectra; lists hold texts.
+    array = np.array(values, object) if isinstance(values, list) else values
+    return "spectrum", array, {"long_name": meaning, **attrs}
+
+
+def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[str, Any]:
+    """Return names, instruments, overlap, matching and errors of the files."""
+    files = [item.file for item in measured]
+    names = name_spectra([(item.path, item.path.name.removesuffix(item.path.suffix)) for item in measured])
+    errors = np.array([error_bits(file.header) for file in files], np.int64)
+    factors = np.array([item.overlap.factors for item in measured], np.float64)
+    overlaps = [item.overlap_text for item in measured]
+    matched = np.array([item.overlap.matched for item in measured], bool)
+    instruments = [file.header.get("instrument", "") for file in files]
+    lines = [file.header.get("factors", "") for file in files]
+    headers = [json.dumps(dict(file.header), ensure_ascii=False) for file in files]
+    coords: dict[str, Any] = {
+        "spectrum": _of_spectra(names, "Name of the spectrum"),
+        "source": _of_spectra([file.name for file in files], "File"),
+        "instrument": _of_spectra(instruments, "Instrument"),
+        "overlap": _of_spectra(overlaps, "What became of channels where detectors overlap"),
+        "overlap_matched": _of_spectra(matched, "Whether values were changed to make detectors meet"),
+        "factors": _of_spectra(lines, "Matching of the detectors as the file says it"),
+        "header": _of_spectra(headers, "Header of the file as JSON"),
+    }
+    for scan, name in enumerate(SCANS):
+        meaning = f"VNIR over SWIR 1 in their overlap, scan of the {name}"
+        coords[f"factor_{name}"] = _of_spectra(factors[:, scan], meaning, units="1")
+        meaning = f"Error bits of the instrument, scan of the {name}; -1 where unknown"
+        coords[f"error_{name}"] = _of_spectra(errors[:, scan], meaning)
+    if quantity == "reflectance":
+        meaning = "Largest distance of the file's own rounded reflectance from the recomputed"
+        coords["column_difference"] = _of_spectra(_column_differences(files), meaning, units="1")
+    return coords
+
+
+def _column_differences(files: Sequence[SvcFile]) -> Floats:
+    # The distance of each file's fourth column from the ratio; warn where it exceeds rounding.
+    differences = np.full(len(files), np.nan)
+    contradictory = []
+    for place, file in enumerate(files):
+        with np.errstate(all="ignore"):
+            share = file.target / file.reference
+            difference = np.abs(100.0 * share - file.percent)
+            # every number of the file is rounded, the two scans as well as the ratio
+            limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(share)) / np.abs(file.reference))
+            wrong = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
+                np.isfinite(share) & ~np.isfinite(file.percent)
+            )
+        if np.isfinite(difference).any():
+            differences[place] = np.nanmax(np.where(np.isfinite(difference), difference, np.nan)) / 100.0
+        if wrong.any():
+            contradictory.append(f"{file.name} ({np.count_nonzero(wrong)} channels)")
+    warn_of(
+        "the reflectance in the file contradicts its two scans (edited or resampled?); their ratio is used",
+        contradictory,
+        "reflectance-conflict",
+    )
+    return differences
+
+
+def warn_of(problem: str, names: Sequence[str], code: str) -> None:
+    """Warn of a problem of some files, if any."""
+    if names:
+        warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)
+
+
+_STAMP = re.compile(
+    r"(\d{1,4})([/.-])(\d{1,2}|[^\W\d_]{3,9})\.?\2(\d{1,4})"
+    r"(?:\s+|T)(\d{1,2})[:.](\d{2})(?:[:.](\d{2}))?(?:[.,]\d{1,9})?"
+    r"\s*(?:([AP])\.?\s?M\.?)?",
+    re.IGNORECASE,
+)
+# first letters of the months in English, German, Italian, French, Spanish and Portuguese
+_MONTHS = (
+    ("jan", "gen", "ene", "jän"),
+    ("feb", "fev", "fév"),
+    ("mar", "mär", "mrz"),
+    ("apr", "avr", "abr"),
+    ("may", "mai", "mag"),
+    ("jun", "giu", "juin"),
+    ("jul", "lug", "juil"),
+    ("aug", "ago", "aoû", "aou"),
+    ("sep", "set"),
+    ("oct", "okt", "ott", "out"),
+    ("nov",),
+    ("dec", "dez", "dic", "déc"),
+)
+_GPS_TIME = re.compile(r"(\d{1,2})(\d\d)(\d\d)(?:[.,](\d{1,6})\d{0,3})?", re.ASCII)
+_DAY = dt.timedelta(days=1)
+
+
+@dataclass(frozen=True)
+class LocalStamp:
+    """Date and time of a local clock, without a zone."""
+
+    day_first: dt.datetime | None  # the date in either order; None where it does not exist
+    month_first: dt.datetime | None
+    slashes: bool  # false where the way it is written settles the order: only between slashes do both occur
+
+    @property
+    def order(self) -> bool | None:
+        """True for day first, False for month first, None where both are possible."""
+        if self.day_first == self.month_first:
+            return None
+        if self.day_first is None or self.month_first is None:
+            return self.month_first is None
+        return None if self.slashes else True
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether the two orders give two dates."""
+        return self.order is None and self.day_first != self.month_first
+
+    def read(self, dayfirst: bool | None) -> dt.datetime | None:
+        """Return the date in the given order, in the only possible one, or None."""
+        if self.day_first is None or self.month_first is None:
+            return self.day_first or self.month_first
+        order = self.order if dayfirst is None else dayfirst
+        if order is None:
+            return None if self.ambiguous else self.day_first
+        return self.day_first if order else self.month_first
+
+
+def read_stamp(text: str) -> LocalStamp | None:
+    """Return a time stamp, None where it is unreadable.
+
+    Examples
+    --------
+    >>> read_stamp("02/08/2024 10:07:36AM").ambiguous
+    True
+    >>> read_stamp("16/10/2024 10:47:58").read(None), read_stamp("11-lug-15 13.08.32").read(None)
+    (datetime.datetime(2024, 10, 16, 10, 47, 58), datetime.datetime(2015, 7, 11, 13, 8, 32))
+    """
+    match = _STAMP.fullmatch(text.strip()) if len(text) <= 80 else None
+    if match is None:
+        return None
+    first, separator, second, third, hour, minute, seconds, half = match.groups()
+    year = first if len(first) == 4 else third
+    if len(year) not in (2, 4) or (half is not None and not 1 <= int(hour) <= 12):
+        return None
+    hours = int(hour) if half is None else int(hour) % 12 + 12 * (half.upper() == "P")
+    clock = (hours, int(minute), int(seconds or 0))
+    month = _month(second)
+    if len(first) == 4 or month is None or not second.isdecimal():
+        day = third if len(first) == 4 else first
+        only = None if month is None else _date(int(year), month, int(day), clock)
+        return None if only is None else LocalStamp(only, only, slashes=False)
+    day_first = _date(int(year), month, int(first), clock)
+    month_first = _date(int(year), int(first), month, clock)
+    if day_first is None and month_first is None:
+        return None
+    return LocalStamp(day_first, month_first, slashes=separator == "/")
+
+
+def _month(text: str) -> int | None:
+    # The number of a month; a number is returned unchanged, and may be a day.
+    if text.isdecimal():
+        return int(text)
+    word = text.lower()
+    return next((i for i, starts in enumerate(_MONTHS, 1) if word.startswith(starts)), None)
+
+
+def _date(year: int, month: int, day: int, clock: tuple[int, int, int]) -> dt.datetime | None:
+    try:
+        date = dt.datetime(year + 2000 if year < 100 else year, month, day, *clock)
+    except ValueError:
+        return None
+    return date if 1990 <= date.year < 2200 else None
+
+
+def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:
+    """Return the order of dates of each instrument, where its unambiguous dates agree.
+
+    stamps: Instrument and stamp of every scan.
+
+    Examples
+    --------
+    >>> dates = ("6/5/2024 9:00:00", "6/30/2024 9:00:00")
+    >>> orders_of(("HI: 1152050", read_stamp(text)) for text in dates)
+    {'HI: 1152050': False}
+    """
+    orders_by_instrument: dict[str, set[bool]] = {}
+    for instrument, stamp in stamps:
+        if stamp.slashes and stamp.order is not None:
+            orders_by_instrument.setdefault(instrument, set()).add(stamp.order)
+    return {
+        instrument: next(iter(orders))
+        for instrument, orders in orders_by_instrument.items()
+        if len(orders) == 1
+    }
+
+
+def read_gps_time(text: str) -> dt.timedelta | None:
+    """Return the time of day in UTC from ``HHMMSS.sss``; None without a fix.
+
+    Raises ValueError: It is no time of day.
+
+    Examples
+    --------
+    >>> read_gps_time("090724.786")
+    datetime.timedelta(seconds=32844, microseconds=786000)
+    """
+    if not text:
+        return None
+    match = _GPS_TIME.fullmatch(text)
+    if match is None or int(match[1]) > 23 or int(match[2]) > 59 or int(match[3]) > 60:
+        raise ValueError(f"{text[:20]!r}: expected a time of day, HHMMSS.sss")
+    return dt.timedelta(
+        hours=int(match[1]),
+        minutes=int(match[2]),
+        seconds=int(match[3]),
+        microseconds=int((match[4] or "0").ljust(6, "0")),
+    )
+
+
+def utc_of(
+    local: dt.datetime, gps: dt.timedelta | None, longitude: float, utc_offset_h: float | None
+) -> dt.datetime | None:
+    """Return UTC of a scan: the GPS time of day on the nearest date of the local clock.
+
+    local: What the local clock showed.
+    gps: Time of day in UTC, which wins over the local clock.
+    longitude: Degrees east, from which the zone is guessed to within hours: enough to find the date.
+    utc_offset_h: Local time minus UTC [h], needed where there is no GPS.
+
+    Examples
+    --------
+    >>> utc_of(dt.datetime(2024, 2, 8, 20, 30), dt.timedelta(hours=1, minutes=30, seconds=4), -75.0, None)
+    datetime.datetime(2024, 2, 9, 1, 30, 4)
+    """
+    if gps is None:
+        return None if utc_offset_h is None else local - dt.timedelta(hours=utc_offset_h)
+    if utc_offset_h is None:
+        utc_offset_h = longitude / 15.0 if math.isfinite(longitude) else 0.0
+    near = local - dt.timedelta(hours=utc_offset_h)
+    midnight = near.replace(hour=0, minute=0, second=0, microsecond=0)
+    return min((midnight + days * _DAY + gps for days in (-1, 0, 1)), key=lambda utc: abs(utc - near))

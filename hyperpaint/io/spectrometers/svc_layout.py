@@ -104,7 +104,18 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
             mend="copy the file again from the instrument",
             code="file-truncated",
         )
-    units = _units(path.name, header)
+    words = [word.strip().lower() for word in header.get("units", "").split(",")]
+    allowed = ("radiance", "counts", "irradiance")
+    if len(words) == 1:
+        words *= 2
+    if len(words) != 2 or any(word not in allowed for word in words):
+        line = repr(header["units"][:60]) if "units" in header else "no line 'units='"
+        raise FormatError(
+            f"{path.name}: {line}",
+            expected="units= Radiance, Radiance (or Counts, Irradiance)",
+            code="units-unknown",
+        )
+    units = words[0], words[1]
     if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
         raise FormatError(
             f"{path.name}: wavelengths are not all positive numbers of nanometres",
@@ -140,13 +151,11 @@ def _svc_number(text: str) -> float | None:
     >>> _svc_number("-5,1"), _svc_number("1.5E-02"), _svc_number("1,5,0")
     (-5.1, 0.015, None)
     """
-    if _NUMBER.fullmatch(text):
-        return float(text.replace(",", "."))
-    return _NO_NUMBERS.get(text.lower())
+    return float(text.replace(",", ".")) if _NUMBER.fullmatch(text) else _NO_NUMBERS.get(text.lower())
 
 
 def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
-    """Return the values by key, and the index of the first row of the table."""
+    # The values by key, and the index of the first row of the table.
     header: dict[str, str] = {}
     last = ""
     for number, line in enumerate(lines[1 : _MAX_HEADER_LINES + 1], start=1):
@@ -202,21 +211,6 @@ def _table(name: str, lines: list[str], first: int) -> list[Floats]:
     for column in columns:
         column.flags.writeable = False
     return columns
-
-
-def _units(name: str, header: Mapping[str, str]) -> tuple[str, str]:
-    words = [word.strip().lower() for word in header.get("units", "").split(",")]
-    allowed = ("radiance", "counts", "irradiance")
-    if len(words) == 1:
-        words *= 2
-    if len(words) != 2 or any(word not in allowed for word in words):
-        line = repr(header["units"][:60]) if "units" in header else "no line 'units='"
-        raise FormatError(
-            f"{name}: {line}",
-            expected="units= Radiance, Radiance (or Counts, Irradiance)",
-            code="units-unknown",
-        )
-    return words[0], words[1]
 
 
 DETECTORS = ("VNIR", "SWIR1", "SWIR2")

@@ -270,13 +270,12 @@ def available_memory(system: Path = Path("/")) -> int:
     """
     space, limit = _address_space(), _LIMIT.get()
     shared = _shared_memory(system)
-    if limit is not None:
-        shared = min(shared, limit - resident_memory())
-    return max(0, shared if space is None else min(shared, space))
+    own = shared if limit is None else limit - resident_memory()
+    return max(0, min(shared, own, shared if space is None else space))
 
 
 def _shared_memory(system: Path) -> int:
-    """Return the memory left by the machine and its container, which other programs share."""
+    # The memory left by the machine and its container, which other programs share.
     import psutil
 
     # includes the file cache, which is freed on demand
@@ -311,7 +310,7 @@ def _address_limit() -> int | None:
 
 
 def _address_space() -> int | None:
-    """Return the address space left for slabs; None without a limit."""
+    # The address space left for slabs; None without a limit.
     limit = _address_limit()
     if limit is None:
         return None
@@ -324,10 +323,8 @@ def _address_space() -> int | None:
 
 
 def _container_memory(system: Path) -> Iterator[int]:
-    """Yield the memory left by each control group (version 2 or 1) of this process, and by those above.
-
-    psutil knows no control groups, and distributed only the limit of the innermost one.
-    """
+    # The memory left by each control group (version 2 or 1) of this process, and by those above.
+    # psutil knows no control groups, and distributed only the limit of the innermost one.
     root = system / "sys/fs/cgroup"
     try:
         entries = (system / "proc/self/cgroup").read_text(encoding="ascii", errors="replace").splitlines()
@@ -441,14 +438,13 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     resident = resident_memory()
 
     def needed(threads: int) -> float:
-        peak = load.peak(lines=lines, threads=threads, fixed=resident + RUNNING)
-        return MARGIN * peak + threads * fixed
+        return MARGIN * load.peak(lines=lines, threads=threads, fixed=resident + RUNNING) + threads * fixed
 
     return _threads_within(process_limit(resident), needed)
 
 
 def _threads_within(limit: int, needed: Callable[[int], float]) -> int:
-    """Return the largest number of threads, at least one, within a memory limit."""
+    # The largest number of threads, at least one, within a memory limit.
     threads = thread_count()
     while threads > 1 and needed(threads) > limit:
         threads -= 1

@@ -164,7 +164,7 @@ def _write_block(
     block: np.ndarray[Any, Any],
     block_id: tuple[int, ...] = (),
 ) -> np.ndarray[Any, Any]:
-    """Write a block of dask; ``offsets`` are the first chunks of all blocks along each dim."""
+    # Write a block of dask; ``offsets`` are the first chunks of all blocks along each dim.
     return target.write(block, tuple(starts[i] for starts, i in zip(offsets, block_id, strict=True)))
 
 

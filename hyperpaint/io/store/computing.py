@@ -133,7 +133,7 @@ def errors_of_the_cluster(subject: str) -> Iterator[None]:
 def _on_threads(
     get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
 ) -> Found:
-    """Yield keys and checksums, a stage at a time; ``get`` is any scheduler of dask in this process."""
+    # Keys and checksums, a stage at a time; ``get`` is any scheduler of dask in this process.
     from dask.callbacks import Callback
     from dask.core import get_deps
     from dask.local import execute_task
@@ -189,7 +189,7 @@ def _on_cluster(
 
 
 def _cluster_failure(error: BaseException) -> str | None:
-    """Return a description of a failure of the cluster; None for any other error."""
+    # A description of a failure of the cluster; None for any other error.
     if type(error).__name__ == "KilledWorker":
         times = getattr(error, "allowed_failures", 0) + 1
         last = getattr(getattr(error, "last_worker", None), "address", "unknown")
@@ -204,7 +204,7 @@ def _cluster_failure(error: BaseException) -> str | None:
 
 
 def _raise_named(error: BaseException, group: str, blocks: Sequence[_Block], hint: str = "") -> NoReturn:
-    """Raise a task's error with the names of its blocks; of system, memory or cluster as StoreError."""
+    # Raise a task's error with the names of its blocks; of system, memory or cluster as StoreError.
     # one block an array; the group alone where many blocks need the task
     words = dict.fromkeys(block.words for block in blocks)
     few = 0 < len(words) == len({block.array for block in blocks})

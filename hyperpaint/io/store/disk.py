@@ -91,7 +91,7 @@ def check_disk(store: Path, needed: int, begun: Iterable[Path] = ()) -> None:
 
 
 def _free(store: Path) -> int | None:
-    """Return the free bytes of the disk of a store that may not exist yet; None where unknown."""
+    # The free bytes of the disk of a store that may not exist yet; None where unknown.
     for folder in store.absolute().parents:
         with contextlib.suppress(OSError):
             return shutil.disk_usage(folder).free

@@ -208,7 +208,6 @@ def is_named_by_content(variable: xr.Variable) -> bool:
 
 
 def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:
-    """Yield the Zarr arrays that a lazy variable reads."""
     import dask
     import zarr
     from dask.blockwise import Blockwise

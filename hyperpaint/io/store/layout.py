@@ -72,8 +72,7 @@ def storage_chunks(
     # largest size along some dims; other dims are not cut
     most: dict[Hashable, int] = {}
     if layout == "web" and ({ALONG_TRACK, CROSS_TRACK} <= sizes.keys() or {"y", "x"} <= sizes.keys()):
-        side = WEB_CUBE if BAND in sizes else WEB_PLANE
-        most = dict.fromkeys((ALONG_TRACK, CROSS_TRACK, "y", "x"), side)
+        most = dict.fromkeys((ALONG_TRACK, CROSS_TRACK, "y", "x"), WEB_CUBE if BAND in sizes else WEB_PLANE)
     elif ALONG_TRACK in sizes and len(dims) > 1:
         most = {ALONG_TRACK: CHUNK_LINES}
         if layout == "explore" and {BAND, CROSS_TRACK} <= sizes.keys():
@@ -300,11 +299,9 @@ def _is_plain(value: Any, depth: int = 0) -> bool:
 
 @functools.cache
 def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], bytes]:
-    """Return a function that makes a blosc frame of an array, by the package ``blosc`` or else numcodecs.
-
-    Both make the same bytes; the first uses wider instructions of newer processors. Many tasks encode at
-    once, one thread each.
-    """
+    # A function that makes a blosc frame of an array, by the package ``blosc`` or else numcodecs.
+    # Both make the same bytes; the first uses wider instructions of newer processors. Many tasks encode at
+    # once, one thread each.
     import numcodecs.blosc
 
     try:

@@ -130,9 +130,7 @@ class Location:
                 raise IncompleteStoreError(
                     f"{key} has {size} bytes", expected=f"metadata of at most {limit}", code="file-too-large"
                 )
-            if self.local is not None:
-                return Path(key).read_bytes()
-            return bytes(self.fs.cat_file(key))
+            return Path(key).read_bytes() if self.local is not None else bytes(self.fs.cat_file(key))
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
             return None
         except OSError as error:

@@ -242,8 +242,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         plain = _COMMAND.match(write.command) and write.command.isprintable()
         if plain and len(write.command) <= MAX_MESSAGE_CHARS // 2:
             with contextlib.suppress(ValueError):  # unbalanced quotes
-                words = split(write.command)
-                resume = join(location.url if word == "{store}" else word for word in words)
+                resume = join(location.url if word == "{store}" else word for word in split(write.command))
         there = f"{len(write.contents) - len(lacking)} of {counted(len(write.contents), 'group')} are there"
         named = ", ".join(f"/{name}" for name in lacking[:5]) + (" ..." if len(lacking) > 5 else "")
         mend = f"to finish it: {resume}" if resume else "write it again as it was begun"

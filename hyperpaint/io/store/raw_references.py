@@ -229,10 +229,8 @@ def check_url(url: str) -> None:
 
 
 def _own_config(urls: Sequence[str]) -> Any:
-    """Return a configuration of icechunk with the containers of raw files, and no others.
-
-    S3 is configured by the environment.
-    """
+    # A configuration of icechunk with the containers of raw files, and no others.
+    # S3 is configured by the environment.
     icechunk = _icechunk()
     config = icechunk.RepositoryConfig.default()
     config.clear_virtual_chunk_containers()
@@ -308,7 +306,7 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
 
 @contextlib.contextmanager
 def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn errors of icechunk and zarr about a damaged or forged repository into IncompleteStoreError."""
+    # Turn errors of icechunk and zarr about a damaged or forged repository into IncompleteStoreError.
     try:
         yield
     except PaintError:
@@ -324,7 +322,6 @@ def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[Any, Any]:
-    """Return a repository and a read-only session, with access to raw files in the folders of ``urls``."""
     refuse_kerchunk(path)
     if not is_virtual(path):
         raise StoreError(
@@ -427,10 +424,8 @@ def outside(
 
 
 async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence[str], place: str) -> None:
-    """Refuse a group with chunks outside the files of ``urls``; ``place`` names it in errors.
-
-    The first and the last two bytes of each chunk are read: icechunk fails beyond the end of a file.
-    """
+    # Refuse a group with chunks outside the files of ``urls``; ``place`` names it in errors.
+    # The first and the last two bytes of each chunk are read: icechunk fails beyond the end of a file.
     import zarr
     from zarr.abc.store import RangeByteRequest, SuffixByteRequest
     from zarr.core.buffer import default_buffer_prototype

@@ -417,15 +417,14 @@ def is_zarr(path: Any) -> bool:
 
 
 def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
-    """Return a store object for a group of ours that dask names by content, not by path and time."""
+    # A store object for a group of ours that dask names by content, not by path and time.
     content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
     added = seal.partition(" ")[0] != str(len(arrays))  # arrays of other programs may change unnoticed
     if content is None or added or not isinstance(source, str):
         return source
     from .named_stores import NamedFsspecStore, NamedLocalStore
 
-    remote = "://" in source
-    store: Any = (NamedFsspecStore.from_url if remote else NamedLocalStore)(source, read_only=True)
+    store: Any = (NamedFsspecStore.from_url if "://" in source else NamedLocalStore)(source, read_only=True)
     store.content = f"{source} {content} {seal}"
     return store
 
@@ -452,7 +451,6 @@ def check_metadata(location: Location | None, group: str) -> None:
 
 
 def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
-    """Yield key and size of the metadata documents of a group and of its members."""
     if location.local is not None:
         folder = location.key(group)
         names = itertools.chain([""], os.listdir(folder) if os.path.isdir(folder) else ())

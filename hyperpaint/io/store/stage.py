@@ -146,7 +146,7 @@ class Staging:
                     leftover.unlink(missing_ok=True)
 
     def _entries(self) -> list[_Entry]:
-        """Return the entries with names of writers, sorted; links and invalid group names are refused."""
+        # The entries with names of writers, sorted; links and invalid group names are refused.
         try:
             paths = [] if self.folder.is_symlink() else sorted(self.folder.iterdir())
         except (FileNotFoundError, NotADirectoryError):
@@ -180,7 +180,7 @@ class Staging:
         return [entry for entry in self._entries() if entry.kind == "build"]
 
     def _place(self, group: str) -> Path:
-        """Return the place of a group; links along the path are refused."""
+        # The place of a group; links along the path are refused.
         place = self.store
         for part in group.split("/") if group else ():
             place = place / part
@@ -271,11 +271,9 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
 
 
 def _check_folder(lock: Path, store: Path) -> None:
-    """Refuse a lock that no writer left, and a folder of another program.
-
-    The mark shows that a folder is ours. A power failure may leave an empty mark or an empty lock, nothing
-    else.
-    """
+    # Refuse a lock that no writer left, and a folder of another program.
+    # The mark shows that a folder is ours. A power failure may leave an empty mark or an empty lock, nothing
+    # else.
     folder = lock.parent
     if folder.is_symlink():
         raise StoreError(

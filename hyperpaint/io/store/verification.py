@@ -195,7 +195,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
 
 
 def _stamp(location: Location) -> bytes | None:
-    """Return the bytes of the manifest, which change whenever a writer begins or ends."""
+    # The bytes of the manifest, which change whenever a writer begins or ends.
     try:
         return location.read(MANIFEST_NODE, METADATA)
     except StoreError:
@@ -203,7 +203,7 @@ def _stamp(location: Location) -> bytes | None:
 
 
 def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Manifest) -> Iterator[str]:
-    """Yield differences between the root's list of all metadata and the manifest."""
+    # Differences between the root's list of all metadata and the manifest.
     try:
         root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
     except StoreError:
@@ -231,7 +231,7 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
 
 
 def _metadata_problems(location: Location, group: str, entry: GroupEntry | None) -> Iterator[str]:
-    """Yield the problems of a group's metadata: unreadable, missing, or different from the manifest."""
+    # The problems of a group's metadata: unreadable, missing, or different from the manifest.
     try:
         document = location.metadata(group)
         if entry is not None and document is None and not entry.content:  # others are reported by the state
@@ -245,14 +245,12 @@ def _metadata_problems(location: Location, group: str, entry: GroupEntry | None)
 
 
 def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> tuple[int, list[str]]:
-    """Return the number of chunks of an array, and how they differ from its manifest entry."""
+    # The number of chunks of an array, and how they differ from its manifest entry.
     where = joined(group, name)
     document = location.metadata(where)
     if document is None or document_checksum(document) != array.metadata:
-        state = "metadata differ from those written [metadata-changed]"
-        if document is None:
-            state = "the array is missing [array-missing]"
-        return 0, [f"/{where}: {state}"]
+        changed = "metadata differ from those written [metadata-changed]"
+        return 0, [f"/{where}: {'the array is missing [array-missing]' if document is None else changed}"]
     keys = chunk_keys(document, where)
     problems = [
         f"/{where}/{stray}: not a chunk of this array [chunk-foreign]"
@@ -274,7 +272,7 @@ def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> t
 
 
 def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, list[str]]:
-    """Return the number of chunks of an array without a manifest entry, and the unreadable ones."""
+    # The number of chunks of an array without a manifest entry, and the unreadable ones.
     import zarr
 
     try:

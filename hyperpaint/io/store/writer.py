@@ -170,8 +170,7 @@ def to_store(
         return path
     location = Location.of(path)
     contents = {job.group: job.content for job in jobs}
-    datasets = {job.group: job.dataset for job in jobs}
-    with errors_of_the_system(location, datasets):
+    with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
         # groups that are read must not be replaced
         problems = Problems(f"cannot write {location.url}", StoreError)
         for job, other in itertools.product(jobs, jobs):
@@ -222,8 +221,7 @@ class Job:
 
 
 class _StoreWriter:
-    """Publishes groups one by one, then writes the manifest; created by `_writer`."""
-
+    # Publishes groups one by one, then writes the manifest; created by `_writer`.
     def __init__(
         self,
         location: Location,
@@ -279,8 +277,7 @@ class _StoreWriter:
                 root = self._note(job, files, sums)
                 place = Location.of(closed)
                 if not job.group:  # published with its manifest in one step
-                    documents = {name: doc for name, doc in self._documents.items() if name}
-                    root = with_listed(root, documents)
+                    root = with_listed(root, {name: doc for name, doc in self._documents.items() if name})
                     writes = (self._write,) if len(self._write.contents) > 1 else ()
                     replace(self._manifest, groups={"": self._entries[""]}, writes=writes).write(place)
                 place.write_files({METADATA: json.dumps(root).encode()})
@@ -297,7 +294,6 @@ class _StoreWriter:
     def _note(
         self, job: Job, files: dict[str, bytes], sums: Mapping[str, Mapping[str, bytes]]
     ) -> dict[str, Any]:
-        """Record a group's metadata and its manifest entry; return the group's root metadata."""
         documents = {
             key.removesuffix(METADATA).rstrip("/"): json.loads(raw)
             for key, raw in files.items()
@@ -321,7 +317,7 @@ class _StoreWriter:
         return dict(root)
 
     def announce(self, group: str) -> None:
-        """Create the groups above; before the first group is published, record all that are to be written."""
+        # Create the groups above; before the first group is published, record all that are to be written.
         if not self._announced:
             replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
             self._announced = True
@@ -330,10 +326,7 @@ class _StoreWriter:
         self._ensured.update(missing)
 
     def finish(self) -> None:
-        """List all metadata in the root, and write the manifest.
-
-        Raises `IncompleteStoreError`: a group of this run, or of another unfinished one, is missing.
-        """
+        # List all metadata in the root, and write the manifest.
         location, manifest = self._location, self._manifest
         listed = listed_documents(location)
         there = [name for name in self._write.contents if location.has(name, METADATA)]
@@ -441,7 +434,7 @@ def _writer(
 
 
 def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str, Any]) -> bool:
-    """Return whether the manifest and the root list all these groups, with nothing left to do."""
+    # Whether the manifest and the root list all these groups, with nothing left to do.
     manifest = Manifest.read(location, ignore_damage=True)
     if manifest is None or any(set(write.contents) & set(contents) for write in manifest.writes):
         return False
@@ -456,7 +449,7 @@ def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str
 
 @contextlib.contextmanager
 def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
-    """Remove builds after an error that would recur in the same run."""
+    # Remove builds after an error that would recur in the same run.
     try:
         yield
     except BaseException as error:
@@ -632,10 +625,8 @@ def _write_arrays(
 
 
 def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, bytes]:
-    """Return the files of a group, as zarr makes them in memory: metadata, and values not streamed.
-
-    On a disk each of some hundred small files would wait for zarr's threads.
-    """
+    # The files of a group, as zarr makes them in memory: metadata, and values not streamed.
+    # On a disk each of some hundred small files would wait for zarr's threads.
     from zarr.storage import MemoryStore
 
     files: dict[str, Any] = {}
@@ -698,7 +689,6 @@ def real_folder(local: Path) -> Path:
 def _plan(
     data: xr.Dataset | xr.DataTree, group: str, source_token: str | None, form: tuple[layout.Codec, Layout]
 ) -> tuple[list[Job], dict[str, dict[str, Any]]]:
-    """Return the groups to write, and the attributes of groups without variables."""
     is_tree = not isinstance(data, xr.Dataset)
     if isinstance(data, xr.Dataset):
         nodes = {group: data}
@@ -746,7 +736,7 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 
 
 def _content(variable: xr.Variable) -> Any:
-    """Return a stand-in for a variable's values that changes with them."""
+    # A stand-in for a variable's values that changes with them.
     if layout.is_at_hand(variable) and is_named_by_content(variable):
         # dask's names of text arrays are ambiguous
         is_text = variable.dtype.kind in "OT" and variable._in_memory
@@ -840,7 +830,7 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:
-    """Refuse groups that exceed disk or memory; return the number of threads that fit, None for any."""
+    # Refuse groups that exceed disk or memory; return the number of threads that fit, None for any.
     _check_disk(jobs, location)
     if computing.client_in_force() is not None:
         return None  # the workers have their own memory

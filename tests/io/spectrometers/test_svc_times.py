@@ -10,8 +10,7 @@ from hypothesis import given, strategies as st
 from support.svc_texts import svc_text
 
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.io.spectrometers.svc import open_svc
-from hyperpaint.io.spectrometers.svc_coords import orders_of, read_gps_time, read_stamp, utc_of
+from hyperpaint.io.spectrometers.svc import open_svc, orders_of, read_gps_time, read_stamp, utc_of
 
 MARCH = dt.datetime(2024, 3, 5, 17, 8, 9)
 
