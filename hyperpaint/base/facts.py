@@ -449,7 +449,7 @@ PARAMETERS = {
     "store": "A finished store, as `hyperpaint.process` or `hyperpaint.render_scene` writes it, or of a map.",
     "sun_zenith": "Zenith angle of the sun [degree]; by default from time and position of each line.",
     "tile": "Rows and columns of a task.",
-    "variable": "Name of the variable; by default the first of ``reflectance``, ``radiance``, ``counts``, ``values``.",
+    "variable": "Name; by default the first of ``reflectance``, ``radiance``, ``counts``, ``values``.",
     "width": "Width of the figure [inch].",
     # meanings that decorators refer to by these names
     "group overwrite": "Replace groups that were made from other inputs or parameters.",
@@ -458,7 +458,7 @@ PARAMETERS = {
         "are always shown."
     ),
     "opaque library": "A paint library: ``reflectance`` (signature, band) [1], of opaque paints.",
-    "own overwrite": "Replace an earlier output of this function; never anything else.",
+    "own overwrite": "Replace an earlier output of the same kind; never anything else.",
     "progress bar": "Show a progress bar.",
     "stderr progress": "Show on stderr what is being done, and how far it is.",
     "survey progress": "See `hyperpaint.surroundings.survey`; used without ``model``.",
