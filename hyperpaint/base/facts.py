@@ -495,16 +495,18 @@ def documented(**own: str) -> Callable[[_Function], _Function]:
 
     def decorated(function: _Function) -> _Function:
         doc = inspect.cleandoc(function.__doc__ or "")
-        section = re.search(r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n-{3}|\Z)", doc, re.MULTILINE | re.DOTALL)
-        if section is not None:
+        before, heading, after = doc.partition("\nParameters\n----------\n")
+        if heading:
+            end = re.search(r"^\S.*\n---", after, re.MULTILINE)
+            section, others = (after[: end.start()], after[end.start() :]) if end else (after, "")
             # an entry without description is not followed by an indented line
             filled = re.sub(
                 r"^(\S.*)$(?!\n )",
                 lambda entry: f"{entry[1]}\n{_indented(texts[entry[1].lstrip('*')])}",
-                section[1],
+                section,
                 flags=re.MULTILINE,
             )
-            function.__doc__ = doc[: section.start(1)] + filled + doc[section.end(1) :]
+            function.__doc__ = f"{before}{heading}{filled}{others}"
         return function
 
     return decorated
