@@ -81,6 +81,11 @@ def parameters_of(place: str) -> dict[str, Parameter]:
             for field in node.body
             if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
         ]
+        for name, _, call in pairs:  # fields declared as fact(default, doc, ...)
+            if isinstance(call, ast.Call) and ast.unparse(call.func) == "fact":
+                doc = ast.literal_eval(call.args[1])
+                units = [ast.literal_eval(each.value) for each in call.keywords if each.arg == "unit"]
+                described[name] = f"{doc[:1].upper()}{doc[1:]}{''.join(f' [{unit}]' for unit in units)}."
     else:
         spec = node.args
         defaults = [None] * (len(spec.args) - len(spec.defaults)) + spec.defaults + spec.kw_defaults
