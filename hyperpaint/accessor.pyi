@@ -78,7 +78,7 @@ class PaintAccessor:
         wavelength: npt.ArrayLike | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Return reflectance of some pixels at once, as `reflectance` computes it: a pixel, a region, a band."""
+        """Return reflectance of a pixel, a region or a band, with the bits of `reflectance`."""
     def coarse(self, *, side: int | None = None, dims: Dims | None = None) -> PaintDataset:
         """Return a flight line at the size of a screen: means of blocks of ``side`` x ``side`` pixels."""
     def smooth(
@@ -88,7 +88,7 @@ class PaintAccessor:
     def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> PaintDataset:
         """Return the bands nearest to one or several wavelengths."""
     def to_nominal(self, *, dims: Dims | None = None) -> PaintDataset:
-        """Return spectra at the nominal wavelengths: the smile taken out."""
+        """Return spectra interpolated to the nominal wavelengths: the smile is removed."""
     def align_to_irradiance(
         self,
         *,
@@ -106,9 +106,9 @@ class PaintAccessor:
     def apply_alignment(
         self, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True, dims: Dims | None = None
     ) -> PaintDataset:
-        """Return the line with the wavelengths and widths that `hyperpaint.alignment.align_to_irradiance` found."""
+        """Return the line with wavelengths and widths from `hyperpaint.alignment.align_to_irradiance`."""
     def oxygen_residual(self, *, progress: Progress | None = None, dims: Dims | None = None) -> xr.DataArray:
-        """Return what is left of the oxygen A band in the reflectance of every column."""
+        """Return the residual depth of the oxygen A band in the reflectance of every column."""
     def survey(
         self,
         *,
@@ -120,7 +120,7 @@ class PaintAccessor:
         progress: Progress | bool | None = None,
         dims: Dims | None = None,
     ) -> SceneModel:
-        """Look at a whole line once, and return what flags need to know of it."""
+        """Survey a whole line, and return the scene model that flags use."""
     def flag(
         self,
         model: SceneModel | xr.Dataset | None = None,
@@ -133,7 +133,7 @@ class PaintAccessor:
         dims: Dims | None = None,
         **options: Any,
     ) -> PaintDataset:
-        """Set the bits of glint, shadow, adjacency and mixed edges, and add the layers they are set from."""
+        """Set the bits of glint, shadow, adjacency and mixed edges, and add their layers."""
     def remove_mirrored_sky(
         self,
         *,
@@ -157,7 +157,7 @@ class PaintAccessor:
         sky: str | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Divide by what a clear coat lets through, over what it lets through near the normal."""
+        """Divide by the transmission of a clear coat relative to its transmission near the normal."""
     def correct_light(
         self,
         *,
@@ -169,7 +169,7 @@ class PaintAccessor:
         sky: str | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Divide by the light that a tilted surface, or one with part of its sky hidden, gets."""
+        """Divide by the light on a tilted surface, or on one with partly hidden sky."""
     def locate(
         self,
         *,
@@ -186,7 +186,7 @@ class PaintAccessor:
         interpolation: Interpolation = "linear",
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Add the place on the ground that every pixel shows, and the direction it is seen from."""
+        """Add the ground position of every pixel, and the direction it is seen from."""
     def orthorectify(
         self,
         gsd: float | None = None,
@@ -221,7 +221,7 @@ class PaintAccessor:
         dims: Dims | None = None,
         **options: Any,
     ) -> Proposals:
-        """Propose regions of car paint, best first, each with its reasons; and say what is refused, and why."""
+        """Propose regions of car paint, best first, each with its reasons, and list the refused pieces."""
     def signatures(
         self,
         regions: Any,
@@ -273,7 +273,7 @@ class PaintAccessor:
         width: float = 11.0,
         dims: Dims | None = None,
     ) -> Any:
-        """Draw a flight line: true colour, quality, irradiance over time."""
+        """Draw a flight line: true colour, flags, irradiance over time, spread of reflectance."""
     def spectrum(
         self,
         regions: Any = None,
@@ -285,7 +285,7 @@ class PaintAccessor:
         axes: Any = None,
         dims: Dims | None = None,
     ) -> Any:
-        """Draw reflectance over wavelength: of regions or pixels of a flight line, or of the paints of a library."""
+        """Draw reflectance over wavelength: of regions or pixels of a flight line, or of paints of a library."""
     def triptych(
         self,
         region: Any = None,
@@ -296,7 +296,7 @@ class PaintAccessor:
         width: float = 13.0,
         dims: Dims | None = None,
     ) -> Any:
-        """Draw one region, or single pixels, as counts, as radiance and as reflectance, side by side."""
+        """Draw a region, or single pixels, as counts, as radiance and as reflectance, side by side."""
     def flag_overlay(
         self,
         flags: Quality | str | Iterable[str] | None = None,
@@ -318,7 +318,7 @@ class PaintAccessor:
         theme: Literal["light", "dark"] = "light",
         dims: Dims | None = None,
     ) -> Explorer:
-        """Look at a flight line with the mouse: pictures of bands, spectra, flags, regions, near paints."""
+        """Show a flight line in an interactive widget: bands, spectra, flags, regions, similar paints."""
     def relight(
         self,
         bands: Any = None,
@@ -349,7 +349,7 @@ class PaintArrayAccessor:
     def at(self, wavelength: npt.ArrayLike, *, dims: Dims | None = None) -> PaintDataArray:
         """Return the bands nearest to one or several wavelengths."""
     def to_nominal(self, *, dims: Dims | None = None) -> PaintDataArray:
-        """Return spectra at the nominal wavelengths: the smile taken out."""
+        """Return spectra interpolated to the nominal wavelengths: the smile is removed."""
     def rgb(
         self,
         *,
@@ -369,4 +369,4 @@ class PaintArrayAccessor:
         axes: Any = None,
         dims: Dims | None = None,
     ) -> Any:
-        """Draw reflectance over wavelength: of regions or pixels of a flight line, or of the paints of a library."""
+        """Draw reflectance over wavelength: of regions or pixels of a flight line, or of paints of a library."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import functools
 import importlib.util
@@ -9,6 +10,8 @@ import inspect
 import re
 import shlex
 import sys
+import textwrap
+from collections import Counter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -110,6 +113,41 @@ def test_every_public_name_has_an_example_that_runs():
     assert len(skips) > 170
     lacking = {name for name, each in skips.items() if all(each)} - set(WITH_EXTRAS)
     assert not lacking, f"no example that runs: {sorted(lacking)}"
+
+
+def public_functions() -> dict[str, Any]:
+    """Return public functions, and public methods of public classes, without their decorators."""
+    functions = {}
+    for name, value in public_values().items():
+        if name.startswith("Dataset.paint"):  # the same functions
+            continue
+        inner = vars(value).items() if inspect.isclass(value) else ()
+        methods = {f"{name}.{key}": getattr(value, key) for key, _ in inner if not key.startswith("_")}
+        functions |= {key: inspect.unwrap(each) for key, each in {name: value, **methods}.items()}
+    return {name: one for name, one in functions.items() if inspect.isfunction(inspect.unwrap(one))}
+
+
+def parameter_texts(doc: str) -> dict[str, str]:
+    """Return the descriptions of the parameters of a numpydoc text, by their headings."""
+    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n---|\Z)", doc, re.M | re.S)
+    entries = re.findall(r"^(\S.*)((?:\n(?!\S).*)*)", section[1] if section else "", re.M)
+    return {heading: " ".join(text.split()) for heading, text in entries}
+
+
+def test_every_parameter_of_a_public_function_has_a_description():
+    texts = {name: parameter_texts(inspect.getdoc(one) or "") for name, one in public_functions().items()}
+    assert sum(map(len, texts.values())) > 500
+    lacking = [(name, key) for name, each in texts.items() for key, text in each.items() if not text]
+    assert not lacking
+
+
+def test_descriptions_of_parameters_that_functions_share_stand_in_one_table():
+    counts: Counter[str] = Counter()
+    for one in {id(one): one for one in public_functions().values()}.values():
+        (node,) = ast.parse(textwrap.dedent(inspect.getsource(one))).body
+        counts.update(set(parameter_texts(ast.get_docstring(node) or "").values()))
+    repeated = [text for text, count in counts.items() if text and count > 2]
+    assert not repeated, "hyperpaint/base/facts.py has the table PARAMETERS for these"
 
 
 @pytest.mark.parametrize("name", [*WITH_EXTRAS, "Dataset.paint.verify"])

@@ -17,6 +17,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
 
@@ -57,6 +58,7 @@ _REPORTED = {
 
 
 @takes_quantities(window="nm", max_shift="nm", max_uncertainty="nm")
+@documented()
 def align_to_irradiance(
     line: xr.Dataset,
     *,
@@ -98,7 +100,6 @@ def align_to_irradiance(
     max_uncertainty
         Standard uncertainty of the shift above which a column is flagged [nm].
     progress
-        Called with lines done and lines to do.
 
     Returns
     -------

@@ -10,6 +10,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.constants import ALIGNMENTS, Alignment
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import CROSS_TRACK, IRRADIANCE_WAVELENGTH
 
 from .application import restated, without_products
@@ -21,6 +22,7 @@ _OXYGEN_NM, _BLUE_NM = 760.0, 450.0
 VNIR_END_NM = 1000.0
 
 
+@documented()
 def align(
     line: xr.Dataset,
     *,
@@ -40,7 +42,6 @@ def align(
         matter (``significance`` and ``least_effect`` of the rules). ``"never"``: report only. ``"always"``:
         correct any difference.
     rules
-        Thresholds of the comparison.
 
     Returns
     -------

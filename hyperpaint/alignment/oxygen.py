@@ -9,6 +9,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats, Progress
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
@@ -67,6 +68,7 @@ CENTRE, REACH = 760.0, 5.0
 MIN_SHOULDER_BANDS = 4
 
 
+@documented()
 def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) -> xr.DataArray:
     r"""Return the residual depth of the oxygen A band in the reflectance of every column.
 
@@ -78,7 +80,6 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
         A flight line with ``reflectance`` (along_track, band, cross_track) and ``wavelength`` (band), or with
         the variables that `hyperpaint.reflectance` needs.
     progress
-        Called with lines done and lines to do.
 
     Returns
     -------

@@ -387,14 +387,73 @@ def key_line(facts: Facts, key: str, value: Any = None, note: str = "") -> str:
     return f"{'# ' if value is None else ''}{key} = {text}  # {note or f'{one.doc}{unit}{words}'}"
 
 
-#: Descriptions of the parameters that many functions share.
+#: Descriptions of the parameters that many functions share, by parameter or by a name of the meaning.
 PARAMETERS = {
+    "axes": "matplotlib axes to draw on; new ones by default.",
+    "clock_offset_s": "Added to ``time`` to have the time of the navigation's clock [s].",
+    "codec": (
+        '``"compact"`` shuffles bits before lz4; ``"fast"`` shuffles bytes, which takes half the processor '
+        "time for a seventh (counts) to two fifths (rounded reflectance) more space. Values and content are "
+        "equal: a complete group is not rewritten for another codec."
+    ),
+    "columns": "Number of paints side by side.",
+    "crs": 'Map whose north ``"grid"`` headings count from, where the convention names none.',
+    "dataset": (
+        "A flight line with ``reflectance``, or with the variables that `hyperpaint.reflectance` needs."
+    ),
+    "diffuse, sun_zenith": "Direct/diffuse split, see `hyperpaint.surroundings.survey`.",
+    "effects": (
+        "Fields of `hyperpaint.simulation.SweepSettings`: ``monochromator_fwhm_nm``, ``stray_light`` ...; "
+        "and, of the camera, those of `hyperpaint.simulation.SimulationSettings`: ``smile_nm``, "
+        "``srf_shape``, ``noise`` ... ``quantise=False`` leaves counts that are not whole."
+    ),
+    "exclude": "Flags of pixels of regions to exclude; by default as in `hyperpaint.extract_signatures`.",
+    "flightlines": 'Names of the flight lines shown, such as ``["raw_0"]``; by default the first 64.',
+    "folder": "A folder, new or empty.",
+    "kwargs": 'Passed to `xarray.open_zarr`, such as ``chunks={"along_track": 256}``.',
+    "latitude, longitude": "Place, north and east positive [degree].",
+    "library": (
+        "A paint library: ``reflectance`` (signature, band) [1], ``wavelength`` (band) [nm], such as from "
+        "`hyperpaint.extract_signatures` or `hyperpaint.open_library`."
+    ),
+    "line": "A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.",
+    "lines": "Maximum picture height [lines]; longer flight lines are subsampled.",
+    "located": "Result of `hyperpaint.geometry.locate`.",
+    "location": "Options of `hyperpaint.geometry.locate`, for lines that are not located.",
+    "material": "Material of the surface, with its coat and flakes.",
     "overwrite": "Replace the output where it exists.",
-    "progress": "Called with the share done, from 0 to 1.",
-    "quiet": "Print no progress.",
-    "memory_limit": 'Memory that the computation may use, such as "4 GiB"; by default half of what is free.',
-    "chunks": "Chunks of the arrays, as in `xarray.open_zarr`.",
+    "path": "The file.",
+    "picture": "File for the picture (PNG, PDF, ...); none by default.",
+    "progress": "Called with the number of steps (lines, paints, slabs ...) done, and of all.",
+    "rules": "Thresholds of the comparison.",
+    "scheduler": (
+        "Address of a dask.distributed scheduler, whose workers see the same files. By default the client "
+        "that is active, else threads."
+    ),
+    "spectra": (
+        "Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``; a paint library too."
+    ),
+    "store": "A finished store, as `hyperpaint.process` or `hyperpaint.render_scene` writes it, or of a map.",
+    "sun_zenith": "Zenith angle of the sun [degree]; by default from time and position of each line.",
+    "tile": "Rows and columns of a task.",
+    "variable": "Name; by default the first of ``reflectance``, ``radiance``, ``counts``, ``values``.",
+    "width": "Width of the figure [inch].",
+    # meanings that decorators refer to by these names
+    "group overwrite": "Replace groups that were made from other inputs or parameters.",
+    "library page": (
+        "A paint library beside the store, as ``hyperpaint signatures`` writes it; libraries in the store "
+        "are always shown."
+    ),
+    "opaque library": "A paint library: ``reflectance`` (signature, band) [1], of opaque paints.",
+    "own overwrite": "Replace an earlier output of the same kind; never anything else.",
+    "progress bar": "Show a progress bar.",
+    "stderr progress": "Show on stderr what is being done, and how far it is.",
+    "survey progress": "See `hyperpaint.surroundings.survey`; used without ``model``.",
 }
+
+
+def _indented(text: str) -> str:
+    return textwrap.fill(text, 106, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
 
 
 def documented(**own: str) -> Callable[[_Function], _Function]:
@@ -403,7 +462,7 @@ def documented(**own: str) -> Callable[[_Function], _Function]:
     Parameters
     ----------
     **own
-        Descriptions by parameter, before those of `PARAMETERS`.
+        By parameter, before those of `PARAMETERS`: its description, or the name of one there.
 
     Examples
     --------
@@ -418,21 +477,22 @@ def documented(**own: str) -> Callable[[_Function], _Function]:
     >>> save.__doc__.splitlines()[-1].strip()
     'Replace the output where it exists.'
     """
-    texts = {**PARAMETERS, **own}
+    texts = PARAMETERS | {name: PARAMETERS.get(text, text) for name, text in own.items()}
 
     def decorated(function: _Function) -> _Function:
         doc = inspect.cleandoc(function.__doc__ or "")
-        section = re.search(r"^Parameters\n-+\n((?:.+\n?)*)", doc, re.MULTILINE)
-        if section is not None:
-            # an entry without description is followed by another entry or by the end of the section
+        before, heading, after = doc.partition("\nParameters\n----------\n")
+        if heading:
+            end = re.search(r"^\S.*\n---", after, re.MULTILINE)
+            section, others = (after[: end.start()], after[end.start() :]) if end else (after, "")
+            # an entry without description is not followed by an indented line
             filled = re.sub(
-                r"^(\w+)(?=\n\S|\n?\Z)",
-                lambda entry: f"{entry[1]}\n{textwrap.indent(texts[entry[1]], '    ')}",
-                section[1],
+                r"^(\S.*)$(?!\n )",
+                lambda entry: f"{entry[1]}\n{_indented(texts[entry[1].lstrip('*')])}",
+                section,
                 flags=re.MULTILINE,
             )
-            doc = doc[: section.start(1)] + filled + doc[section.end(1) :]
-            function.__doc__ = doc
+            function.__doc__ = f"{before}{heading}{filled}{others}"
         return function
 
     return decorated

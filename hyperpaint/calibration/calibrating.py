@@ -13,6 +13,7 @@ from numpy.polynomial import chebyshev
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import BAND, CROSS_TRACK, label
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, Linearity, linearity_of
@@ -42,6 +43,7 @@ MIN_WIDTH_BANDS = 1.2
 
 
 @takes_quantities(wavelength_uncertainty="nm")
+@documented()
 def calibrate(
     sweep: xr.Dataset,
     *,
@@ -98,7 +100,6 @@ def calibrate(
     smile_degree
         Degree over columns of the wavelength map; None for the lowest that the lamp lines need.
     progress
-        Called with steps done and to do.
 
     Returns
     -------

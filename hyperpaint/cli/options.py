@@ -3,7 +3,7 @@
 A function's source is parsed, not imported, so that ``--help`` stays quick. Annotations give the types:
 ``Literal`` a choice, ``bool`` a flag, ``tuple[float, float]`` two numbers, ``Collection[str]`` a repeatable
 option. Defaults are those of the signature; the help is the first sentence of the parameter in the numpydoc
-section. A command gives other spellings as keywords of `takes`.
+section, or in `hyperpaint.base.facts.PARAMETERS`. A command gives other spellings as keywords of `takes`.
 """
 
 from __future__ import annotations
@@ -71,6 +71,7 @@ def parameters_of(place: str) -> dict[str, Parameter]:
     module, _, name = place.partition(":")
     node: Any = next(node for node in _tree(module).body if getattr(node, "name", None) == name)
     described = _described(ast.get_docstring(node) or "")
+    shared = _shared(node)
     parameters: dict[str, Parameter] = {}
     if isinstance(node, ast.ClassDef):
         for base in node.bases:
@@ -80,6 +81,11 @@ def parameters_of(place: str) -> dict[str, Parameter]:
             for field in node.body
             if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
         ]
+        for name, _, call in pairs:  # fields declared as fact(default, doc, ...)
+            if isinstance(call, ast.Call) and ast.unparse(call.func) == "fact":
+                doc = ast.literal_eval(call.args[1])
+                units = [ast.literal_eval(each.value) for each in call.keywords if each.arg == "unit"]
+                described[name] = f"{doc[:1].upper()}{doc[1:]}{''.join(f' [{unit}]' for unit in units)}."
     else:
         spec = node.args
         defaults = [None] * (len(spec.args) - len(spec.defaults)) + spec.defaults + spec.kw_defaults
@@ -87,21 +93,10 @@ def parameters_of(place: str) -> dict[str, Parameter]:
             (argument.arg, argument.annotation, default)
             for argument, default in zip(spec.args + spec.kwonlyargs, defaults, strict=True)
         ]
-    for name, annotation, default in pairs:
-        text = described.get(name, "")
-        if isinstance(default, ast.Call) and ast.unparse(default.func) == "fact":  # a declared field
-            text = _declared(default)
-            default = default.args[0]
-        parameters[name] = Parameter(module, annotation, default, text)
-    return parameters
-
-
-def _declared(call: ast.Call) -> str:
-    """Return the help of a field that is declared by `hyperpaint.base.facts.fact`."""
-    options = {keyword.arg: ast.unparse(keyword.value).strip("'") for keyword in call.keywords}
-    meaning = ast.literal_eval(call.args[1])
-    unit = f" [{options['unit']}]" if "unit" in options else ""
-    return f"{meaning[:1].upper()}{meaning[1:]}{unit}."
+    return parameters | {
+        name: Parameter(module, annotation, default, described.get(name) or _help(shared.get(name, "")))
+        for name, annotation, default in pairs
+    }
 
 
 def _home(module: str, name: str) -> tuple[str, str]:
@@ -176,13 +171,27 @@ def _described(docstring: str) -> dict[str, str]:
     texts: dict[str, str] = {}
     entries = re.findall(r"^(\S[^\n]*)\n((?:[ ]+[^\n]*\n?|\n)+)", section[1] if section else "", re.M)
     for names, text in entries:
-        plain = re.sub(
-            r"`?`([^`]+)``?", lambda code: code[1].removeprefix("hyperpaint."), " ".join(text.split())
-        )
-        first, *others = re.split(r"(?<=[.])\s", plain)
-        default = next((sentence for sentence in others if sentence.startswith("By default")), "")
-        texts |= dict.fromkeys(re.split(r",\s*", names), f"{first} {default}".strip())
+        texts |= dict.fromkeys(re.split(r",\s*", names), _help(text))
     return texts
+
+
+def _help(text: str) -> str:
+    """Return the first sentence of a description, and that of its default."""
+    plain = re.sub(r"`?`([^`]+)``?", lambda code: code[1].removeprefix("hyperpaint."), " ".join(text.split()))
+    first, *others = re.split(r"(?<=[.])\s", plain)
+    default = next((sentence for sentence in others if sentence.startswith("By default")), "")
+    return f"{first} {default}".strip()
+
+
+def _shared(function: ast.FunctionDef | ast.ClassDef) -> dict[str, str]:
+    """Return the descriptions that `hyperpaint.base.facts.documented` gives the parameters of a function."""
+    calls = (node for node in function.decorator_list if isinstance(node, ast.Call))
+    decorator = next((call for call in calls if ast.unparse(call.func) == "documented"), None)
+    if decorator is None:
+        return {}
+    table: dict[str, str] = _value(ast.Name("PARAMETERS"), "base.facts")
+    own = {each.arg: ast.literal_eval(each.value) for each in decorator.keywords if each.arg}
+    return table | {name: table.get(text, text) for name, text in own.items()}
 
 
 Deferred = Callable[[], list[click.Option]]

@@ -16,6 +16,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -45,6 +46,7 @@ def sun_distance_factor(time: Array) -> Floats:
 
 
 @takes_quantities(latitude="degree", longitude="degree", calibration_uncertainty="1", wavelength="nm")
+@documented()
 def diffuse_from_record(
     irradiance: xr.Dataset,
     latitude: float,
@@ -62,7 +64,6 @@ def diffuse_from_record(
         With ``irradiance`` (irradiance_time, irradiance_wavelength) of a level receiver, in any unit of
         irradiance.
     latitude, longitude
-        Place of the receiver, north and east positive [degree].
     wavelength : (band,)
         Wavelengths of the fraction, 300 to 2500 [nm].
     calibration_uncertainty

@@ -8,12 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.facts import documented
 from hyperpaint.base.units import takes_quantities
 
 _J2000 = np.datetime64("2000-01-01T12:00:00", "ns")
 
 
 @takes_quantities(latitude="degree", longitude="degree")
+@documented()
 def solar_position(
     time: npt.ArrayLike, latitude: npt.ArrayLike, longitude: npt.ArrayLike
 ) -> tuple[Floats, Floats]:
@@ -24,7 +26,6 @@ def solar_position(
     time
         UTC, datetime64.
     latitude, longitude
-        Place, north and east positive [degree].
 
     Returns
     -------

@@ -12,6 +12,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -25,6 +26,7 @@ _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": 
 
 
 @takes_quantities(maximum_angle="rad")
+@documented()
 def search_library(
     library: xr.Dataset,
     *,
@@ -40,7 +42,6 @@ def search_library(
     Parameters
     ----------
     library
-        A paint library: ``reflectance`` (signature, band) [1], ``wavelength`` (band) [nm].
     name
         Part of a paint's name, or a pattern for the whole name with ``*``, ``?`` or ``[...]``. Case is
         ignored; "grun" and "gruen" find "Grün".

@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import StoreError, needs_extra
+from hyperpaint.base.facts import documented
 from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
 from hyperpaint.io.library import open_library
@@ -27,6 +28,7 @@ from .explorer_figures import INK
 from .explorer_state import Explored
 
 
+@documented(line="dataset")
 def explore(
     line: xr.Dataset,
     regions: Any = None,
@@ -44,7 +46,6 @@ def explore(
     Parameters
     ----------
     line
-        A flight line with reflectance, or with the variables to compute it.
     regions
         Regions to begin with, in sensor coordinates, see `hyperpaint.read_regions`; also the proposals of
         `hyperpaint.regions.propose_regions`.
@@ -55,8 +56,6 @@ def explore(
         Name of the flight line, given to new regions; needed to combine regions of several lines. Regions of
         other lines, by this name or the name of the line itself, are not shown, but saved as well.
     exclude
-        Flags of pixels excluded from the spectra of regions; by default as in
-        `hyperpaint.extract_signatures`.
     theme
         Theme of the figures, ``"light"`` or ``"dark"``.
 

@@ -13,6 +13,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, Quality
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import paint_colours
@@ -33,6 +34,7 @@ _CHARS_PER_INCH = 14.0  # of small text
 
 
 @takes_quantities()
+@documented(path="picture")
 def paint_card(
     line: xr.Dataset, library: xr.Dataset, paint: str, path: str | Path | None = None, *, width: float = 12.0
 ) -> Any:
@@ -47,11 +49,9 @@ def paint_card(
     line
         The flight line, with ``reflectance`` and, to show flags, ``quality``.
     library
-        A paint library from `hyperpaint.extract_signatures`, or opened from a store.
     paint
         Name of the paint.
     path
-        Where to write a picture (PNG, PDF, ...); nowhere by default.
     width
         Width of the figure [inch]; below 9 the plots stand one above the other.
 

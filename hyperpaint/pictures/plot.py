@@ -13,6 +13,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.kernels.overviews import mix_bands
 from hyperpaint.paints.colours import encode_srgb, srgb_weights
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
@@ -263,6 +264,7 @@ def overview(dataset: xr.Dataset) -> xr.DataArray | None:
     return small.rename("overview")
 
 
+@documented(path="picture")
 def quicklook(
     dataset: xr.Dataset, path: str | Path | None = None, *, lines: int = 1000, width: float = 11.0
 ) -> Any:
@@ -275,9 +277,7 @@ def quicklook(
     dataset
         A flight line with reflectance, or with the variables to compute it; or a raw cube, see `rgb`.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     lines
-        Maximum picture height [lines]; longer flight lines are subsampled.
     width
         Width of the figure [inch]; below 8 the plots stand one above the other.
 

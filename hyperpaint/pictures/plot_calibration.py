@@ -12,6 +12,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import BAND, CROSS_TRACK, STEP
 from hyperpaint.calibration.views import fitted_lines
 
@@ -43,6 +44,7 @@ _DIMS: dict[str, tuple[str, ...]] = {
 }
 
 
+@documented(path="picture")
 def calibration_report(
     calibration: xr.Dataset,
     sweep: xr.Dataset | None = None,
@@ -64,7 +66,6 @@ def calibration_report(
         The lab sweep of the calibration, for the counts of the lamp lines: five steps are read. Without it
         only the fits are drawn.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     column
         Column of the lamp lines shown and of the highlighted curve; by default the centre of the lit columns.
     width

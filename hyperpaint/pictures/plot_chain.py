@@ -12,6 +12,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.geometry.orthorectification import orthorectify
 from hyperpaint.paints.signatures import EXCLUDED
@@ -35,6 +36,7 @@ _BLUE = "#3399DD"  # seen on light and on dark ground
 _AXES_INCH = (4.3, 4.4)
 
 
+@documented(path="picture")
 def triptych(
     dataset: xr.Dataset,
     region: Any = None,
@@ -60,9 +62,7 @@ def triptych(
     pixels
         Instead of a region: (along_track, cross_track) of a pixel, or several such pairs.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     exclude
-        Flags of pixels of the region to exclude; by default as in `hyperpaint.extract_signatures`.
     width
         Width of the figure [inch]; below 8.6 the plots stand one above the other.
 
@@ -199,6 +199,7 @@ def _draw_white(axes: Any, dataset: xr.Dataset, along: Array) -> None:
 _MAX_LINES = 1500  # of the raw picture, and rows of the map
 
 
+@documented(path="picture")
 def straightening(
     line: xr.Dataset,
     orthomap: xr.Dataset | None = None,
@@ -218,7 +219,6 @@ def straightening(
     orthomap
         Its map from `hyperpaint.geometry.orthorectify`.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     width
         Width of the figure [inch]; below 6 the map stands below the line.
 

@@ -11,12 +11,14 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 
 from .figures import ink_of, legend_below, new_figure, save_figure
 
 _COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 
 
+@documented(path="picture")
 def detection_curve(
     detections: xr.Dataset | Mapping[str, xr.Dataset],
     truth: Any,
@@ -35,9 +37,7 @@ def detection_curve(
     truth
         Pixels that show one of the paints, (along_track, cross_track) bool.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     width
-        Width of the figure [inch].
 
     Returns
     -------

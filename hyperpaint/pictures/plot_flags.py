@@ -12,6 +12,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, numbers_of
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.signatures.pixel_gathering import gather
@@ -54,6 +55,7 @@ searched so that any two differ by 15 or more in CIEDE2000, also as protanopes a
 """
 
 
+@documented()
 def flag_overlay(
     dataset: xr.Dataset,
     flags: Quality | str | Iterable[str] | None = None,
@@ -78,11 +80,9 @@ def flag_overlay(
     layer
         Name of a variable (along_track, cross_track), such as a fraction of glint.
     lines
-        Maximum picture height [lines].
     opacity
         From 0, the picture alone, to 1.
     axes
-        matplotlib axes to draw on; new ones by default.
 
     Returns
     -------
@@ -245,6 +245,7 @@ _QUARTILES = (0.25, 0.75)
 
 
 @takes_quantities(wavelengths="nm")
+@documented(path="picture")
 def adjacency_figure(
     line: xr.Dataset,
     near: Any,
@@ -269,7 +270,6 @@ def adjacency_figure(
         Regions of one surface, beside the neighbour and away from it, see `hyperpaint.regions.regions_from`.
         The transect leads from the middle of the first to the middle of the second.
     path
-        File for the picture; none by default.
     without
         The same place without the neighbour's colour, such as another render of it: drawn dashed.
     wavelengths

@@ -10,6 +10,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.radiometry.panel_judging import PANEL_STATES
 from hyperpaint.radiometry.panels import CLOSURE
 
@@ -21,6 +22,7 @@ _COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 _DASHES = ("-", "--")
 
 
+@documented(path="picture")
 def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: float = 9.0) -> Any:
     """Draw the factor of every panel with its combined uncertainty and the findings on the panel.
 
@@ -31,9 +33,7 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
     closure
         Result of `hyperpaint.radiometry.panel_closure`, or a line scaled by panels.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     width
-        Width of the figure [inch].
 
     Returns
     -------

@@ -12,6 +12,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import SIGNATURE
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import paint_colours, srgb
@@ -27,6 +28,7 @@ _CHIP_INCH, _RENDER_INCH = 0.85, 4.2  # widths
 
 
 @takes_quantities()
+@documented(path="picture")
 def chips_and_renders(
     paints: xr.Dataset,
     renders: xr.Dataset | Mapping[str, xr.Dataset],
@@ -45,7 +47,6 @@ def chips_and_renders(
         A render from `hyperpaint.simulation.relight` or a group of `hyperpaint.render_scene`; or several by
         the name of their light.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     columns
         Chips side by side.
     stretch

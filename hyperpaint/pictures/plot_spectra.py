@@ -12,6 +12,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats32
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.paints.colours import ciede2000, lab_of, paint_colours, srgb
@@ -28,6 +29,7 @@ _MIN_DIFFERENCE = 12.0  # CIEDE2000 between colours of curves, below which their
 _DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)))
 
 
+@documented()
 def spectrum(
     dataset: xr.Dataset,
     regions: Any = None,
@@ -59,9 +61,7 @@ def spectrum(
         For regions and paints: ``"quantiles"`` shades the middle half and 5 to 95 % of the pixels, ``"sd"``
         one standard deviation, ``"none"`` nothing.
     exclude
-        Flags of pixels of regions to exclude; by default as in `hyperpaint.extract_signatures`.
     axes
-        matplotlib axes to draw on; new ones by default.
 
     Returns
     -------
@@ -301,6 +301,7 @@ _KINDS = {"float32": "fiu", "float64": "fiu", "int64": "iu", "uint16": "iu", "bo
 
 
 @takes_quantities()
+@documented(path="picture", paints="library")
 def library_overview(
     paints: xr.Dataset, path: str | Path | None = None, *, columns: int = 4, spread: str = "quantiles"
 ) -> Any:
@@ -309,11 +310,8 @@ def library_overview(
     Parameters
     ----------
     paints
-        A paint library, as from `hyperpaint.extract_signatures`.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     columns
-        Paints side by side.
     spread
         See `hyperpaint.pictures.spectrum`.
 

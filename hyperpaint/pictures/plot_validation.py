@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 
 from .figures import ink_of, label_for, legend_below, new_figure, save_figure
 
@@ -25,6 +26,7 @@ _REFERENCES = (("#D55E00", "--"), ("#009E73", "-."), ("#CC79A7", ":"), ("#E69F00
 _MIN_SPAN = 0.005  # half range of the axis of differences [1]
 
 
+@documented(path="picture")
 def validation_figure(
     validation: Validation, path: str | Path | None = None, *, columns: int = 3, limit: float | None = None
 ) -> Any:
@@ -37,9 +39,7 @@ def validation_figure(
     validation
         Result of `hyperpaint.validate`.
     path
-        File for the picture (PNG, PDF, ...); none by default.
     columns
-        Paints side by side.
     limit
         Half range of all axes of differences [1]; by default it holds the largest difference and the limit of
         RMSE, which is shaded.

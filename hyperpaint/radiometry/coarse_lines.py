@@ -8,6 +8,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, round_bits
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
 from hyperpaint.kernels.overviews import average_blocks
 
@@ -23,6 +24,7 @@ MEANS_BITS = 10
 _SIDE = "block_side"
 
 
+@documented()
 def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     """Return a flight line at the size of a screen: means of blocks of ``side`` x ``side`` pixels.
 
@@ -32,7 +34,6 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     Parameters
     ----------
     dataset
-        A flight line with ``reflectance``, or with the variables that `reflectance` needs.
     side
         Lines and columns of a block, at most 32; by default the stored side, else the smallest power of 2
         from 4 to 32 that leaves at most 1,000 lines.

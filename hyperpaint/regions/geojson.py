@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import is_plain_file, read_limited
 from hyperpaint.io.files.publishing import publish_file
 
@@ -88,6 +89,7 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     return _collection(document, str(place))
 
 
+@documented()
 def write_regions(
     regions: Regions | Iterable[Region], path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> Path:
@@ -100,7 +102,6 @@ def write_regions(
     regions
         Regions to write.
     path
-        The file.
     overwrite
         Replace a file with other content.
 

@@ -21,6 +21,7 @@ import xarray as xr
 
 from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
@@ -68,6 +69,7 @@ _LEFT_OUT = (
 
 
 @renamed(signatures="library", lines="max_lines")
+@documented(library="library page", overwrite="own overwrite", progress="progress bar")
 def write_site(
     store: str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -89,15 +91,12 @@ def write_site(
     Parameters
     ----------
     store
-        A finished store, as `hyperpaint.process` or `hyperpaint.render_scene` writes it, or of a map.
     out
         A folder, new or empty, or an earlier site. It holds the page, pictures and ``store.zarr``: the
         reflectance of the store, or else computed from its counts and rounded as by `hyperpaint.process`;
         flags, wavelengths and paints.
     flightlines
-        Names of the flight lines shown, such as ``["raw_0"]``; by default the first 64.
     library
-        A paint library beside the store, as ``hyperpaint signatures`` writes it.
     link
         Copy nothing: the page reads the store at this address, absolute or relative to the page. A click then
         reads whole chunks of that store, 8 to 20 MB in the layouts of `hyperpaint.process`; another origin
@@ -108,9 +107,7 @@ def write_site(
         Detect glint, shadow and light of neighbours on lines without these flags, see
         `hyperpaint.surroundings.flag`, for the copy. A warning names lines where that is not possible.
     overwrite
-        Replace an earlier site.
     progress
-        Show a progress bar.
 
     Returns
     -------

@@ -18,6 +18,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.io.files.publishing import check_place, publish_file
@@ -55,6 +56,7 @@ class Written:
 
 
 @renamed(signatures="library", lines="max_lines")
+@documented(library="library page")
 def write_report(
     store: str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -79,14 +81,10 @@ def write_report(
     Parameters
     ----------
     store
-        A finished store, as `hyperpaint.process` or `hyperpaint.render_scene` writes it, or of a map.
     out
         The page, a file.
     flightlines
-        Names of the flight lines shown, such as ``["raw_0"]``; by default the first 64.
     library
-        A paint library beside the store, as ``hyperpaint signatures`` writes it; libraries in the store are
-        always shown.
     max_lines
         Maximum picture height [lines]; longer flight lines are subsampled. Flags are read completely, two
         bytes a pixel.
@@ -100,9 +98,7 @@ def write_report(
     sun_zenith
         Sun zenith angle for the flags [degree]; by default from time and position of each line.
     overwrite
-        Replace a file that is there.
     progress
-        Called with the number of steps done and their total.
 
     Returns
     -------

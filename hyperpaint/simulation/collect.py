@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError, StoreError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import CHUNK_LINES
 
@@ -126,6 +127,7 @@ _NAVIGATION_MARGIN = 2 * 10**9  # ns around the flight
 _DARK_LEAD = 60 * 10**9  # ns from the first dark frame to the first line
 
 
+@documented(overwrite="own overwrite")
 def simulate_collect(
     folder: str | Path,
     *,
@@ -170,9 +172,7 @@ def simulate_collect(
         (fields of `hyperpaint.simulation.SweepSettings`, ``{}`` for the defaults), ``lab/sweep_truth.zarr``
         its truth. ``collect.toml`` then names the sweep in place of ``calibration.zarr``.
     overwrite
-        Replace an earlier simulated collect in the folder.
     progress
-        Called with lines done and lines to do.
     block_lines
         Lines worked on together; bounds the memory, changes no value.
     **effects

@@ -16,6 +16,7 @@ from zarr.codecs import BloscCodec
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import StoreError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import (
     CHUNK_LINES,
@@ -339,6 +340,7 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
     )
 
 
+@documented()
 def simulate_sweep(
     *, steps: int = 61, bands: int = 272, columns: int = 640, seed: int = 0, **effects: Any
 ) -> xr.Dataset:
@@ -351,9 +353,6 @@ def simulate_sweep(
     bands, columns, seed
         Of the camera. A collect with equal settings is flown with the same camera.
     **effects
-        Fields of `hyperpaint.simulation.SweepSettings`: ``monochromator_fwhm_nm``, ``stray_light`` ...; and,
-        of the camera, those of `hyperpaint.simulation.SimulationSettings`: ``smile_nm``, ``srf_shape``,
-        ``noise`` ... ``quantise=False`` leaves counts that are not whole.
 
     Returns
     -------
@@ -388,6 +387,7 @@ def simulate_sweep(
     return line.assign(truth.data_vars).assign_attrs(truth.attrs)
 
 
+@documented(overwrite="own overwrite")
 def write_sweep(
     path: str | Path,
     *,
@@ -411,11 +411,8 @@ def write_sweep(
     truth
         Write the truth.
     overwrite
-        Replace an earlier sweep.
     progress
-        Called with steps done and steps to do.
     **effects
-        As for `hyperpaint.simulation.simulate_sweep`.
 
     Returns
     -------

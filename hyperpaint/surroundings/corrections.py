@@ -14,6 +14,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.mirrored_light import EXCLUDED, THROUGH_COAT
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
@@ -46,6 +47,7 @@ WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", 
 
 
 @takes_quantities(sun_zenith="degree")
+@documented(line="spectra")
 def remove_mirrored_sky(
     line: xr.Dataset,
     *,
@@ -62,13 +64,11 @@ def remove_mirrored_sky(
     Parameters
     ----------
     line
-        Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``; a paint library too.
     strength
         Reflectance of the coat at normal incidence, :math:`F_0` [1].
     sky_view_factor
         Part of the mirrored directions that show sky [1].
     diffuse, sun_zenith
-        Direct/diffuse split, see `hyperpaint.surroundings.survey`.
     sky
         "clear", darker at the zenith than its mean under a low sun; "uniform"; "overcast", brighter there
         (CIE). By default from ``sky_state`` of the lines, between clear and overcast where it is broken or
@@ -126,6 +126,7 @@ def remove_mirrored_sky(
 
 
 @takes_quantities(direct="1", sky_view_factor="1", sun_zenith="degree")
+@documented(line="spectra")
 def correct_light(
     line: xr.Dataset,
     *,
@@ -144,7 +145,6 @@ def correct_light(
     Parameters
     ----------
     line
-        Holds ``reflectance`` [1], on ``band`` and any other dims, and ``wavelength``; a paint library too.
     direct
         Direct light relative to level ground, c = cos(incidence) / cos(zenith) [1]: a number, or a DataArray
         on dims of the line.
@@ -153,7 +153,6 @@ def correct_light(
     neighbour_reflectance
         Reflectance of the objects that hide the rest [1].
     diffuse, sun_zenith
-        Direct/diffuse split, see `hyperpaint.surroundings.survey`.
     sky
         As for `remove_mirrored_sky`; a small lean changes as little under an overcast as under a uniform sky.
 

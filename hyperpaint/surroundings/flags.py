@@ -18,6 +18,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
 from hyperpaint.base.units import takes_quantities
@@ -36,6 +37,7 @@ LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "adjacency_segment", 
 
 
 @takes_quantities(sun_zenith="degree", sun_azimuth="degree", heading="degree")
+@documented(progress="survey progress")
 def flag(
     line: xr.Dataset,
     model: SceneModel | xr.Dataset | None = None,
@@ -55,7 +57,6 @@ def flag(
     Parameters
     ----------
     line
-        A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
     model
         From `hyperpaint.surroundings.survey` of the same line, or its stored Dataset.
     glint
@@ -69,7 +70,6 @@ def flag(
     edge
         Distance from a boundary up to which a pixel is mixed [pixel], 0 for pixels in between only.
     progress
-        See `hyperpaint.surroundings.survey`; used without ``model``.
     **options
         Options of `hyperpaint.surroundings.survey`, used without ``model``.
 

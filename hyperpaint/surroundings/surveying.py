@@ -13,6 +13,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.progress_reports import as_progress
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality
 from hyperpaint.base.units import takes_quantities
@@ -168,6 +169,7 @@ def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Boo
 
 
 @takes_quantities(sun_zenith="degree", sun_azimuth="degree", heading="degree")
+@documented()
 def survey(
     line: xr.Dataset,
     *,
@@ -196,7 +198,6 @@ def survey(
         shadow on the ground in the image; or a measured spectrum (band,) or with a coordinate
         ``wavelength``, such as a reading in the shade of a small disc over the reading in full light.
     sun_zenith
-        [degree]; by default from time and place.
     sun_azimuth, heading
         Clockwise from north [degree]; by default from the line. Without them, the side of shadows is
         estimated from the most certain ones.

@@ -13,6 +13,7 @@ import xarray as xr
 from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.units import takes_quantities
 
 from .agreement import statistics_of, uncertainty_of
@@ -37,6 +38,7 @@ _MIN_BANDS, _MIN_SHARE = 3, 0.5  # bands compared in a part that is judged, and 
 
 
 @takes_quantities(reference_fwhm="nm", parts="nm")
+@documented(signatures="library")
 def validate(
     signatures: xr.Dataset,
     references: Any,
@@ -56,7 +58,6 @@ def validate(
     Parameters
     ----------
     signatures
-        A paint library, as of `hyperpaint.extract_signatures`.
     references
         Datasets of reflectance, one or several: spectra of a field spectrometer (spectrum, wavelength), as of
         `hyperpaint.open_asd` and ``open_svc``, or a paint library (signature, band).

@@ -13,6 +13,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import CollectError, FormatError, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import CROSS_TRACK, label
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
@@ -80,6 +81,7 @@ def write_calibration(
     return calibration
 
 
+@documented()
 def open_collect(
     path: str | os.PathLike[str], *, need_irradiance: bool = True, chunks: Any = "auto"
 ) -> xr.DataTree:
@@ -90,7 +92,6 @@ def open_collect(
     Parameters
     ----------
     path
-        The file.
     need_irradiance
         False where only radiance is wanted: a collect without irradiance is then whole.
     chunks

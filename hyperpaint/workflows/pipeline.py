@@ -21,6 +21,7 @@ from hyperpaint.base.errors import (
     StoreError,
     needs_extra,
 )
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
 from hyperpaint.io.store.layout import Layout
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
@@ -193,6 +194,7 @@ Product = Literal["radiance", "reflectance"]
 Kept = Literal["none", "stored"]
 
 
+@documented(overwrite="group overwrite", progress="stderr progress")
 def process(
     collect: str | Path,
     out: str | Path,
@@ -238,8 +240,6 @@ def process(
         significant (``"auto"``), ``"never"``, or whenever it can be found (``"always"``); by default as
         ``[alignment] apply`` of the collect says, else ``"auto"``.
     scheduler
-        Address of a dask.distributed scheduler, whose workers see the same files. By default the client
-        that is active, else threads.
     memory_limit
         Most memory of this process, or of each worker: bytes, or text such as ``"2 GiB"``. By default 80 % of
         what is available. The peak is computed before the run; where it would be larger, fewer lines a task
@@ -247,9 +247,7 @@ def process(
     accept
         Names of findings of `hyperpaint check` to go on with; inputs that cannot be true are refused.
     overwrite
-        Replace groups that were made from other inputs or parameters.
     progress
-        Show on stderr which line is being written, and how far it is.
     codec, layout
         See `to_store`. Groups that are there stay, whatever theirs are.
 

@@ -41,6 +41,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
@@ -71,6 +72,7 @@ CLUSTER_LINES = 64
 
 
 @renamed(paints="library")
+@documented(overwrite="group overwrite", progress="stderr progress")
 def render_scene(
     path: str | Path,
     out: str | Path,
@@ -118,12 +120,8 @@ def render_scene(
         Hold spectra constant beyond their last band with values, and bridge bands without, in place of what
         the file says.
     scheduler
-        Address of a dask.distributed scheduler, whose workers see the same files. By default the client
-        that is active, else threads.
     overwrite
-        Replace groups that were made from other inputs or parameters.
     progress
-        Show on stderr what is being done, and how far it is.
 
     Returns
     -------

@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Fact, by_key, check_fields, declared, documented, fact
+from hyperpaint.base.facts import (
+    PARAMETERS,
+    Fact,
+    by_key,
+    check_fields,
+    declared,
+    documented,
+    fact,
+)
 from hyperpaint.simulation.settings import SimulationSettings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
@@ -96,8 +104,8 @@ def test_every_field_of_the_simulator_is_documented() -> None:
 
 
 def test_shared_parameters_are_described() -> None:
-    @documented(depth="Number of levels.")
-    def walk(depth: int, overwrite: bool, own: int) -> None:
+    @documented(depth="Number of levels.", width="picture")
+    def walk(depth: int, overwrite: bool, own: int, width: str, **kwargs: int) -> None:
         """Walk.
 
         Parameters
@@ -106,6 +114,8 @@ def test_shared_parameters_are_described() -> None:
         own
             Described here.
         overwrite
+        width
+        **kwargs
 
         Returns
         -------
@@ -114,6 +124,7 @@ def test_shared_parameters_are_described() -> None:
 
     doc = walk.__doc__ or ""
     assert "depth\n    Number of levels.\nown\n    Described here.\noverwrite\n    Replace the output" in doc
+    assert f"\nwidth\n    {PARAMETERS['picture']}\n**kwargs\n    Passed to" in doc
     assert doc.endswith("\n\nReturns\n-------\nNothing.")
 
 

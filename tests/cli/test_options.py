@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import PARAMETERS
 from hyperpaint.cli.options import Settings, parameters_of
 from hyperpaint.cli.program import GROUPS, main
 from hyperpaint.pictures.exploring import serve_explorer
@@ -65,6 +66,12 @@ def test_choices_and_defaults_are_those_of_the_function() -> None:
     (layout,) = (option for option in options_of("process") if option.name == "layout")
     assert isinstance(layout.type, click.Choice)
     assert tuple(layout.type.choices) == ("cube", "explore", "web")
+
+
+def test_shared_descriptions_are_read_from_their_table() -> None:
+    process = parameters_of("workflows.pipeline:process")
+    assert process["scheduler"].help.startswith("Address of a dask.distributed scheduler")
+    assert process["overwrite"].help == PARAMETERS["group overwrite"]
 
 
 def test_parameters_are_read_without_an_import() -> None:

@@ -11,6 +11,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError, needs_extra
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import require
 
 from .geodesy import between_maps, crs_of
@@ -19,13 +20,13 @@ _LONGITUDE_LATITUDE = "OGC:CRS84"
 _PERCENTILES = (5.0, 95.0)
 
 
+@documented()
 def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     """Return the outline of the ground that a located line covers, as a GeoJSON Feature (eager).
 
     Parameters
     ----------
     located
-        What `hyperpaint.geometry.locate` has returned.
     crs
         Reference system of the outline; by default longitude and latitude, as GeoJSON wants it.
 
@@ -93,13 +94,13 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     }
 
 
+@documented()
 def spacing(located: xr.Dataset) -> dict[str, float]:
     """Return the spacing of the pixels of a located line on the ground (eager).
 
     Parameters
     ----------
     located
-        What `hyperpaint.geometry.locate` has returned.
 
     Returns
     -------

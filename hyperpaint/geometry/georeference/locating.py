@@ -15,6 +15,7 @@ from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
@@ -100,6 +101,7 @@ _PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 
 
 @takes_quantities(**LOCATION_UNITS)
+@documented()
 def locate(
     line: xr.Dataset,
     *,
@@ -146,7 +148,6 @@ def locate(
         of the line,
         else its ``look_angle``.
     clock_offset_s
-        Added to ``time`` to have the time of the navigation's clock [s].
     convention
         Meaning of angles and heights, and the order of the columns; by default as the attributes of
         ``navigation``, or of the line, declare. ``column_order`` is needed for a pinhole alone, and is also

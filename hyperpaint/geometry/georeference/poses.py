@@ -13,6 +13,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, label
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
@@ -43,6 +44,7 @@ LOCATION_UNITS = {
 # --- canonical form ----------------------------------------------------------------------------------------
 
 
+@documented()
 def canonical_navigation(
     navigation: xr.Dataset, *, convention: Convention | None = None, crs: Any = None
 ) -> xr.Dataset:
@@ -56,7 +58,6 @@ def canonical_navigation(
     convention
         Meaning of these variables; by default as their attributes declare.
     crs
-        Map whose north ``"grid"`` headings count from, where the convention names none.
 
     Returns
     -------
@@ -196,6 +197,7 @@ def canonical_values(
 
 
 @takes_quantities(clock_offset_s="s", max_gap_s="s")
+@documented()
 def interpolate_pose(
     navigation: xr.Dataset,
     time: xr.DataArray,
@@ -217,7 +219,6 @@ def interpolate_pose(
     convention, crs
         See `canonical_navigation`.
     clock_offset_s
-        Added to ``time`` to have the time of the navigation's clock [s].
     max_gap_s
         Longest interval between rows that is interpolated [s]; by default 2.5 times the median one, at least
         0.1 s.

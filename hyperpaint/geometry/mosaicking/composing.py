@@ -16,6 +16,7 @@ from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import BAND, Quality
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS
@@ -39,6 +40,7 @@ Place = tuple[int, int]
 
 
 @takes_quantities(**LOCATION_UNITS, gsd="m")
+@documented()
 def mosaic(
     lines: Mapping[str, xr.Dataset] | Sequence[xr.Dataset],
     gsd: float | None = None,
@@ -76,9 +78,7 @@ def mosaic(
     variables
         Variables of the map, as for `hyperpaint.geometry.orthorectify`; all lines must have them.
     tile
-        Rows and columns of a task.
     progress
-        Called with the number of slabs surveyed and their total, for every line.
     **options
         ``method``, ``multi_hit`` and ``max_stretch`` of `hyperpaint.geometry.orthorectify`, and options of
         `hyperpaint.geometry.locate`, for all lines.

@@ -12,6 +12,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS
@@ -53,6 +54,7 @@ class _Picture:
 
 
 @takes_quantities(**LOCATION_UNITS, gsd="m", search_m="m")
+@documented()
 def find_tie_points(
     lines: Mapping[str, xr.Dataset] | Sequence[xr.Dataset],
     gsd: float | None = None,
@@ -78,11 +80,8 @@ def find_tie_points(
     band
         Number of the band to compare, of counts, else radiance, else reflectance; by default the middle one.
     rules
-        Thresholds.
     progress
-        Called with the number of pairs of lines done and their total.
     **location
-        Options of `hyperpaint.geometry.locate`.
 
     Returns
     -------

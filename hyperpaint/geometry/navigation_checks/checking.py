@@ -13,6 +13,7 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import conversion_factor, takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
@@ -112,6 +113,7 @@ RULES = Rules()
 
 
 @takes_quantities(**LOCATION_UNITS)
+@documented()
 def check_conventions(
     line: xr.Dataset,
     navigation: xr.Dataset | None = None,
@@ -151,7 +153,6 @@ def check_conventions(
     lines
         Lines to look at; by default 4000 in the middle. They should hold the wobbliest part.
     crs
-        Map whose north ``"grid"`` headings count from, where the convention names none.
 
     Returns
     -------

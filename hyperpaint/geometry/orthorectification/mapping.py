@@ -13,6 +13,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -53,6 +54,7 @@ _MAX_TILES = 100_000  # a larger graph takes minutes and gigabytes before anythi
 
 
 @takes_quantities(**LOCATION_UNITS, gsd="m", bounds="m")
+@documented()
 def orthorectify(
     line: xr.Dataset,
     gsd: float | None = None,
@@ -100,13 +102,10 @@ def orthorectify(
         Four neighbouring pixels with an edge longer than this many cells, or pixel spacings where these are
         larger, are a gap, and nothing is drawn between them: two lost frames are bridged, three are not.
     tile
-        Rows and columns of a task.
     bounds
         West, south, east, north of the part wanted, in the line's crs [m]; by default all of the line.
     progress
-        Called with the number of slabs surveyed and their total.
     **location
-        Options of `hyperpaint.geometry.locate`, for a line that is not located.
 
     Returns
     -------

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
 from hyperpaint.base.units import takes_quantities
@@ -57,6 +58,7 @@ class _Surface(NamedTuple):
 
 
 @takes_quantities(wavelength_range="nm")
+@documented(overwrite="own overwrite")
 def write_dirsig_scene(
     scene: Triangles,
     folder: str | os.PathLike[str],
@@ -84,7 +86,6 @@ def write_dirsig_scene(
     scene
         As `hyperpaint.simulation` makes it: ``vertices`` [m], ``faces``, ``materials`` ...
     folder
-        New or empty.
     paints
         A paint library, or several of which the first that has a name counts: ``reflectance`` (signature,
         band) [1] under the names of the spectra that the scene's materials have. Members become a population.
@@ -103,9 +104,7 @@ def write_dirsig_scene(
     texture_m
         What one picture of a texture covers [m].
     overwrite
-        Replace an earlier export; never anything else.
     progress
-        Called with the number of materials done and of all.
 
     Returns
     -------

@@ -16,6 +16,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
 from hyperpaint.base.units import takes_quantities
@@ -99,6 +100,7 @@ _RGB = (640.0, 550.0, 460.0)
 
 
 @takes_quantities(wavelength_range="nm")
+@documented(overwrite="own overwrite")
 def write_dirsig(
     library: xr.Dataset,
     folder: str | os.PathLike[str],
@@ -129,7 +131,6 @@ def write_dirsig(
     library
         A paint library: ``reflectance`` (signature, band) [1], ``wavelength`` (band) [nm], in any order.
     folder
-        New or empty.
     curves
         ``members`` for the single pixels, ``quantiles``, or ``centre`` for one curve a paint. By default
         members where the library has them, else the centre.
@@ -162,9 +163,7 @@ def write_dirsig(
     scene_materials
         A scene's own material list, whose IDs and names are not used again.
     overwrite
-        Replace an earlier export; never anything else.
     progress
-        Called with the number of paints done and of all.
 
     Returns
     -------

@@ -19,6 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
@@ -46,6 +47,7 @@ _BLOCK = 64 * 2**20
 
 
 @takes_quantities()
+@documented()
 def write_envi(
     dataset: xr.Dataset,
     path: str | os.PathLike[str],
@@ -67,7 +69,6 @@ def write_envi(
     path
         The data file, or the header; without either's suffix, ``.img`` is added.
     variable
-        By default the first of ``reflectance``, ``radiance``, ``counts``, ``values``.
     interleave
         By default ``"bil"`` for flight lines and ``"bip"`` for maps: the order in which the blocks come.
     dtype
@@ -75,9 +76,7 @@ def write_envi(
         samples 65535. By default floats are float32 (places such as ``east`` and ``glt_line`` float64), and
         integers keep their type.
     overwrite
-        Replace files that exist.
     progress
-        Called with samples written and samples in all.
 
     Returns
     -------

@@ -11,6 +11,7 @@ import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
@@ -22,6 +23,7 @@ _FIRST = (
 
 
 @takes_quantities()
+@documented()
 def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Write the variables on ``along_track`` of a flight line as comma-separated values.
 
@@ -34,9 +36,7 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
         A flight line: its variables on ``along_track`` alone, of numbers or times. Scalars of a line, such as
         one exposure time, are repeated.
     path
-        The file.
     overwrite
-        Replace a file that exists.
 
     Returns
     -------

@@ -11,6 +11,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import FormatError, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.store import to_store
@@ -54,6 +55,7 @@ _OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".
 
 
 @takes_quantities()
+@documented()
 def write_library(
     library: xr.Dataset,
     path: str | os.PathLike[str],
@@ -97,7 +99,6 @@ def write_library(
     overwrite
         Replace a library that is there. A folder that holds anything else is never replaced.
     progress
-        Called with paints done and to do.
 
     Returns
     -------

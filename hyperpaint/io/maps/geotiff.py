@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
+from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
@@ -38,6 +39,7 @@ _CACHE_MB = 256
 
 
 @takes_quantities()
+@documented()
 def write_geotiff(
     map: xr.Dataset,
     path: str | os.PathLike[str],
@@ -57,9 +59,7 @@ def write_geotiff(
         With a variable on (y, x, band) or (y, x) in any order, and a position: ``spatial_ref`` with
         ``GeoTransform`` (any affine, rotated or not), or ``x`` and ``y``.
     path
-        The file.
     variable
-        By default the first of ``reflectance``, ``radiance``, ``counts``, ``values``.
     bands
         ``"all"``; indices; or ``"rgb"``: an 8-bit picture of the bands nearest to 640, 550 and 460 nm,
         brightness between the percentiles of ``stretch``, sRGB curve, 0 where a band is unknown.
@@ -68,9 +68,7 @@ def write_geotiff(
     stretch
         Percentiles of brightness that become black and white, computed from at most 64 rows.
     overwrite
-        Replace a file that exists.
     progress
-        Called with the number of samples written, and in all.
 
     Returns
     -------

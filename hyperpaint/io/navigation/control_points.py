@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems, needs_extra
+from hyperpaint.base.facts import documented
 from hyperpaint.base.units import is_unit, same_dimension
 from hyperpaint.io.files.reading import read_limited_text
 from hyperpaint.io.files.text_tables import name_rows, table_of
@@ -53,6 +54,7 @@ _LENGTHS = {
 }
 
 
+@documented()
 def read_control_points(path: str | Path) -> xr.Dataset:
     r"""Read ground control points from a table of text.
 
@@ -67,7 +69,6 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     Parameters
     ----------
     path
-        The file.
 
     Returns
     -------

@@ -21,6 +21,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, TIME_UNITS
 
 # Cells along each side of a map tile: 18 MB of float32 at 272 bands.
@@ -149,6 +150,7 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
     return False if dtype.kind == "b" else None
 
 
+@documented()
 def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, dict[str, Any]]:
     """Return the xarray encoding that `to_store` uses, for writers other than hyperpaint.
 
@@ -161,7 +163,6 @@ def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, di
     dataset
         The dataset to write; only dims, shapes and dtypes are read.
     codec
-        As in `to_store`.
 
     Returns
     -------

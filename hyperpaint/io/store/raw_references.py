@@ -41,6 +41,7 @@ from hyperpaint.base.errors import (
     StoreError,
     needs_extra,
 )
+from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import head_of, read_limited
 
 from .layout import encoding, prepare
@@ -474,6 +475,7 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
         await asyncio.gather(*(check(key, size) for key in keys))
 
 
+@documented()
 def open_virtual(
     path: str | os.PathLike[str],
     group: str | None = None,
@@ -499,7 +501,6 @@ def open_virtual(
         More folders, or URLs (s3, http, https), below which raw files may be read; one or several. S3
         takes region, endpoint and keys from the environment.
     **kwargs
-        Passed to `xarray.open_zarr`, such as ``chunks={"along_track": 256}``.
 
     Returns
     -------

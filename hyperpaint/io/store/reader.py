@@ -21,6 +21,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import IncompleteStoreError, PaintWarning, Problems, StoreError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, stamp_means
 
 from .location import (
@@ -139,6 +140,7 @@ def open_store(path: Any, group: str, **kwargs: Any) -> xr.Dataset: ...
 def open_store(path: Any, group: None = None, **kwargs: Any) -> Any: ...
 
 
+@documented()
 def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     """Open a group lazily, like `xarray.open_zarr`, or all of a collect's store.
 
@@ -154,7 +156,6 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     group
         Group inside it, ``""`` for the root; by default the root, or all groups where that holds no arrays.
     **kwargs
-        Passed to `xarray.open_zarr`, such as ``chunks={"along_track": 256}``.
 
     Returns
     -------

@@ -22,6 +22,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError, StoreError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
 from hyperpaint.base.units import takes_quantities
 
@@ -72,6 +73,7 @@ TakeUp = Callable[[Staging, "Job"], None]
 
 
 @takes_quantities()
+@documented(progress="progress bar")
 def to_store(
     data: xr.Dataset | xr.DataTree,
     path: Any,
@@ -119,16 +121,12 @@ def to_store(
         one of its chunks is missing), any other is refused. Damaged metadata of the groups above are
         rewritten too; complete groups stay.
     progress
-        Show a progress bar.
     source_token
         Identifies the content: equal tokens, equal content. By default derived from the arrays: dask's names
         of lazy ones, the values of others. Arrays read lazily without dask, or from a Zarr store not opened
         by `open_store`, have no name that follows their content and are always rewritten. Pass a token for
         them, or where names do not follow the data, such as a digest of the files and parameters.
     codec
-        ``"compact"`` shuffles bits before lz4; ``"fast"`` shuffles bytes, which takes half the processor time
-        for a seventh (counts) to two fifths (rounded reflectance) more space. Values and content are equal:
-        a complete group is not rewritten for another codec.
     layout
         ``"cube"``: a chunk of a cube holds all bands, one task computes on one chunk. ``"explore"``: an
         eighth of the bands, so that a picture of one band reads an eighth of the cube; it has eight times the

@@ -13,6 +13,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import SIGNATURE
 from hyperpaint.base.units import takes_quantities
 
@@ -26,6 +27,7 @@ METHODS = ("kubelka-munk", "linear")
 
 
 @takes_quantities()
+@documented(library="opaque library")
 def mix_paints(
     library: xr.Dataset,
     recipes: Mapping[str, Mapping[str, float]],
@@ -41,7 +43,6 @@ def mix_paints(
     Parameters
     ----------
     library
-        A paint library: ``reflectance`` (signature, band) [1], of opaque paints.
     recipes
         Parts of each parent by its name, for every new paint by its name. Only the ratio of the parts
         matters.
@@ -140,6 +141,7 @@ def mix_paints(
 
 
 @takes_quantities()
+@documented(library="opaque library")
 def shade_paints(
     library: xr.Dataset, depths: Sequence[float], *, k1: float = 0.04, k2: float = 0.60, mirrored: Any = None
 ) -> xr.Dataset:
@@ -148,7 +150,6 @@ def shade_paints(
     Parameters
     ----------
     library
-        A paint library: ``reflectance`` (signature, band) [1], of opaque paints.
     depths
         Depths of shade relative to the paint [1]: pigment per scatterer. 0.1 is a tint, one part of the paint
         in nine of a white without absorption; 2 has twice the pigment. To darken with black, mix it in with

@@ -16,6 +16,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import SIGNATURE, Quality, flag_names
 from hyperpaint.base.units import takes_quantities
@@ -49,6 +50,7 @@ WHOLE_BYTES = 256 * 2**20
 
 
 @takes_quantities(sun_zenith="degree")
+@documented()
 def extract_signatures(
     line: xr.Dataset | xr.DataTree | Mapping[str, xr.Dataset],
     regions: Any,
@@ -98,8 +100,6 @@ def extract_signatures(
     specular_sky
         Subtract the sky that a clear coat mirrors, see `hyperpaint.surroundings.remove_mirrored_sky`.
     sun_zenith
-        Zenith angle of the sun for these corrections [degree]; by default from time and position of each
-        line.
     diffuse
         Diffuse part of the light for these corrections, see `hyperpaint.surroundings.survey`; by default as
         each line declares it.
@@ -118,7 +118,6 @@ def extract_signatures(
     seed
         Seed of the choice of members.
     progress
-        Called with work done and to do.
 
     Returns
     -------

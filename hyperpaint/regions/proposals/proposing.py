@@ -14,6 +14,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import Quality, flag_names
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
@@ -138,6 +139,7 @@ class Proposals(Regions):
 
 
 @takes_quantities(angle="degree", sun_zenith="degree", sun_azimuth="degree", heading="degree")
+@documented(progress="survey progress")
 def propose_regions(
     line: xr.Dataset,
     model: SceneModel | xr.Dataset | None = None,
@@ -199,7 +201,6 @@ def propose_regions(
     Parameters
     ----------
     line
-        A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``.
     model
         From `hyperpaint.surroundings.survey` of the same line; by default surveyed with ``options``.
     most
@@ -221,7 +222,6 @@ def propose_regions(
     name
         Prefix of the names of the regions.
     progress
-        See `hyperpaint.surroundings.survey`; used without ``model``.
     **options
         Options of `hyperpaint.surroundings.survey`; ``sun_zenith`` also applies with ``model``.
 

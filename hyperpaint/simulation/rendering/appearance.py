@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import documented
 
 from .materials import Coat, Flakes, Material, fresnel_reflectance, measured_factor
 
@@ -143,6 +144,7 @@ def _share_and_alpha(material: Material) -> tuple[float, float]:
     return (0.0, 0.0) if material.flakes is None else (material.flakes.share, material.flakes.roughness)
 
 
+@documented()
 def reflectance_factor(
     material: Material,
     body: npt.ArrayLike,
@@ -158,7 +160,6 @@ def reflectance_factor(
     Parameters
     ----------
     material
-        Its coat and flakes.
     body
         Reflectance of its spectrum, near normal, without the specular component, any shape [1].
     flakes
@@ -187,6 +188,7 @@ def reflectance_factor(
     return np.asarray(seen + share * lobes.flakes * (mixed - metal))
 
 
+@documented()
 def flop_index(
     material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike = 0.0
 ) -> float:
@@ -200,7 +202,6 @@ def flop_index(
     Parameters
     ----------
     material
-        Its coat and flakes.
     wavelength
         Of the reflectances [nm], shape (band,).
     body, flakes
