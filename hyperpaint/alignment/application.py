@@ -103,7 +103,7 @@ def apply_alignment(
 
 
 def _by_window(alignment: xr.Dataset) -> xr.Dataset:
-    """Return an alignment with a leading dim of windows; SchemaError for another dataset."""
+    # An alignment with a leading dim of windows; SchemaError for another dataset
     problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
     for name in _NEEDED:
         if name not in alignment.variables:
@@ -142,7 +142,7 @@ def _check(windows: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[in
 
 
 def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, float]:
-    """Return the shift's correction of all columns (column,) [nm] and the mean width factor of one window."""
+    # Shift's correction of all columns (column,) [nm] and the mean width factor of one window
     scale = max((columns - 1) / 2.0, 1.0)
     basis = np.polynomial.legendre.legvander(window["column"].values / scale - 1.0, degree)
     value, spread = window["shift_correction"].values, np.maximum(window["wavelength_shift_u"].values, 1e-6)
@@ -166,7 +166,6 @@ def _replaced(
     correction: Floats,
     factor: Any,
 ) -> xr.Dataset:
-    """Return the line with corrected shifts and widths, and a sentence that describes them."""
     centres, wavelength = np.atleast_1d(alignment["window_centre"].values), variables["wavelength"].values
     order = np.argsort(centres)
 

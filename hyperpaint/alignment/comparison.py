@@ -152,8 +152,7 @@ class Comparison(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _WindowFit:
-    """One window: means of groups of pixels, and the light matched to its bands."""
-
+    # One window: means of groups of pixels, and the light matched to its bands
     wavelength: Floats  # (band,)
     log: Floats  # (band, group): of radiance
     shift: Floats  # (band, group): declared [nm]
@@ -168,7 +167,7 @@ class _WindowFit:
     by_width: dict[float, Floats] = field(default_factory=dict)  # (node, band): cache of light at a width
 
     def light_at(self, shift: Floats, width: float) -> Floats:
-        """Return the light (band, group) at shifts (band, group) [nm], by polynomials in both."""
+        # Light (band, group) at shifts (band, group) [nm], by polynomials in both
         # many shifts are tried with the same widths
         at_width = self.by_width.get(float(width))
         if at_width is None:
@@ -196,15 +195,13 @@ class _WindowFit:
         return np.asarray(sum(w * values[first + k * shift.shape[0]] for k, w in enumerate(weights)))
 
     def lines(self, shift: Floats, width: float) -> Floats:
-        """Return the logarithm of the light (band, group) without its smooth part."""
+        # Logarithm of the light (band, group) without its smooth part
         light = self.light_at(self.shift + shift[:, None], width)
         return np.asarray(light - self.basis @ (self.basis.T @ light))
 
     def departure(self, shift: Floats, width: float) -> Floats:
-        """Return the logarithm of radiance over light (band, group) without its smooth part.
-
-        A surface of slope g seen by a band of variance v acts as a shift g v; g is the smooth curve's.
-        """
+        # Logarithm of radiance over light (band, group) without its smooth part.
+        # A surface of slope g seen by a band of variance v acts as a shift g v; g is the smooth curve's.
         place = self.shift + shift[:, None]
         ratio = self.log - self.light_at(place, width)
         tilt = (self.slopes @ (self.basis.T @ ratio)) * self.variance[:, None]
@@ -253,7 +250,6 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
 
 
 def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, float]]:
-    """Return the windows with enough bands for the polynomial and three parameters."""
     channels = declared.light.wavelength
     fewest = rules.degree + 1 + 6
     return [
@@ -266,8 +262,6 @@ def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, fl
 
 
 class _Block(NamedTuple):
-    """Means over the lines of a slab."""
-
     radiance: Floats  # (band, column), all bands; NaN of those that were not read
     pixels: Array  # (column,)
 
@@ -279,7 +273,7 @@ def _block_means(
     windows: list[tuple[float, float]],
     rules: ComparisonRules,
 ) -> tuple[list[_Block], Floats]:
-    """Return the means of slabs evenly over the line, and the weights of samples (sample,) in their light."""
+    # Means of slabs evenly over the line, and the weights of samples (sample,) in their light
     lines = dataset.sizes[ALONG_TRACK]
     size = min(rules.block_lines, lines)
     starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
@@ -299,7 +293,7 @@ def _block_means(
 def _group_means(
     declared: Declared, chosen: Array, blocks: list[_Block], rules: ComparisonRules
 ) -> tuple[Floats, Floats]:
-    """Return spectra and declared shifts (band, group) of a window; NaN spectra where pixels are too few."""
+    # Spectra and declared shifts (band, group) of a window; NaN spectra where pixels are too few
     columns = blocks[0].pixels.size
     shift = declared.shift(columns)[chosen]
     edges = np.unique(np.linspace(0, columns, rules.column_groups + 1).astype(np.int64))
@@ -325,7 +319,7 @@ def _window_fit(
     record: tuple[Floats, Floats],
     rules: ComparisonRules,
 ) -> _WindowFit | None:
-    """Return a window ready for the fit; None where record or pixels cover too little of it."""
+    # A window ready for the fit; None where record or pixels cover too little of it
     light, noise = record  # (channel,): mean of the light, and its noise
     spectrum, own = _group_means(declared, chosen, blocks, rules)
     valid = np.asarray(np.isfinite(spectrum).all(axis=0))
@@ -368,15 +362,13 @@ def _window_fit(
 
 
 def _shifts(fit: _WindowFit, numbers: Floats) -> Floats:
-    """Return the shift (band,) [nm] of ``numbers``: shift at the centre, tilt, width."""
+    # Shift (band,) [nm] of `numbers`: shift at the centre, tilt, width
     return np.asarray(numbers[0] + numbers[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
 def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
-    """Return shift, tilt and width at which all windows of all groups are smoothest.
-
-    A fourth parameter is the air below the camera, which deepens the air's absorption in radiance alone.
-    """
+    # Shift, tilt and width at which all windows of all groups are smoothest.
+    # A fourth parameter is the air below the camera, which deepens the air's absorption in radiance alone.
     prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
     numbers = np.append(_coarse(fits, rules), 0.0)
     limits = np.array([rules.max_shift_nm, 0.3, np.inf, 0.1])
@@ -416,7 +408,7 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
 
 
 def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
-    """Return the best of a grid of shifts and widths for the mean group: solar lines cause several minima."""
+    # Best of a grid of shifts and widths for the mean group: solar lines cause several minima
     steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
     shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
     # one group a shift
@@ -439,7 +431,7 @@ def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
 def _linear(
     fits: list[_WindowFit], numbers: Floats, rules: ComparisonRules
 ) -> tuple[list[Floats], list[Floats]]:
-    """Return departures (band, group) and their derivatives (parameter, band, group) of every window."""
+    # Departures (band, group) and their derivatives (parameter, band, group) of every window
     away, slopes = [], []
     for fit in fits:
         at, width = _shifts(fit, numbers), float(numbers[2])
@@ -457,7 +449,7 @@ def _linear(
 
 
 def _weights(fits: list[_WindowFit], away: list[Floats]) -> list[Floats]:
-    """Return inverse variances (band, group): half of a group's own departures, half of its window's."""
+    # Inverse variances (band, group): half of a group's own departures, half of its window's
     weights = []
     for fit, r in zip(fits, away, strict=True):
         own = (r**2).mean(axis=0)
@@ -500,6 +492,5 @@ def _covariance(
 
 
 def _rms(fits: list[_WindowFit], away: list[Floats]) -> float:
-    """Return the root mean square of the mean departures over groups."""
     shared = [r[:, fit.valid].mean(axis=1) for fit, r in zip(fits, away, strict=True)]
     return float(np.sqrt(np.mean(np.concatenate(shared) ** 2)))

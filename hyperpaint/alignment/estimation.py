@@ -193,7 +193,7 @@ def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: f
 def _grouped(
     spectrum: Floats, pixels: npt.NDArray[np.int64], shift: Floats, group: int
 ) -> tuple[Floats, npt.NDArray[np.int64], Floats, Floats]:
-    """Return spectra, pixels, shifts and column numbers of groups of neighbouring columns."""
+    # Spectra, pixels, shifts and column numbers of groups of neighbouring columns
     columns = np.arange(pixels.size, dtype=np.float64)
     if group == 1:
         return spectrum, pixels, shift, columns
@@ -218,7 +218,7 @@ def _grouped(
 def _labelled(
     estimates: list[Estimate], pixels: npt.NDArray[np.int64], column: Floats, max_uncertainty: float
 ) -> xr.Dataset:
-    """Return estimates as a Dataset (window, cross_track), with flags of noise and of few pixels."""
+    # Estimates as a Dataset (window, cross_track), with flags of noise and of few pixels
     value, covariance, flag = (stacked(estimates, name) for name in ("value", "covariance", "flag"))
     spread = np.sqrt(np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1))
     fwhm = np.array([estimate.fwhm for estimate in estimates])[:, None]
@@ -250,7 +250,6 @@ def _labelled(
 def _with_spectra(
     report: xr.Dataset, fits: list[Fit], chosen: list[Array], declared: Declared, separate: bool
 ) -> xr.Dataset:
-    """Return the report with the departures band by band, and all attributes."""
     shown = report if separate else report.isel(window=0)
     for name in ("departure", "departure_declared"):
         values = np.full((declared.wavelength.size, report.sizes[CROSS_TRACK]), np.nan)

@@ -149,7 +149,6 @@ def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
 
 
 def _numbers(found: Comparison) -> dict[str, float]:
-    """Return the comparison as attributes, rounded far below its uncertainty."""
     spread = np.sqrt(np.diag(found.covariance))
     values = {
         "shift": found.shift,
@@ -188,7 +187,7 @@ def _sentence(found: Comparison) -> str:
 
 
 def _corrected(line: xr.Dataset, found: Comparison, camera: float) -> xr.Dataset:
-    """Return the line with corrected channels of the record; ``camera``: the camera's share [nm]."""
+    # Line with corrected channels of the record; `camera`: the camera's share [nm]
     dataset = schema.rename_to_roles(line)
     arrays = schema.require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
     channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)

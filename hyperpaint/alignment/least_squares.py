@@ -44,8 +44,6 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """End of the search."""
-
     # shift, factor (column,): [nm], [1]
     shift: Floats
     factor: Floats
@@ -55,8 +53,7 @@ class _Optimum:
 
 @dataclass(frozen=True)
 class _Smooth:
-    """Projection of logarithms (band, column) onto polynomials over the bands."""
-
+    # Projection of logarithms (band, column) onto polynomials over the bands
     used: Array
     basis: Floats  # (column, band, power), orthonormal over the used bands
     slopes: Floats  # (column, band, power), its derivative [nm-1]
@@ -73,13 +70,12 @@ class _Smooth:
         return cls(used, basis, derivatives / scale @ np.linalg.inv(upper))
 
     def slope(self, values: Floats) -> Floats:
-        """Return the derivative of the smooth curve (band, column) [nm-1]."""
+        # Derivative of the smooth curve (band, column) [nm-1]
         usable = np.where(self.used, values, 0.0)
         terms = np.einsum("xbp,bx->xp", self.basis, usable)
         return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms))
 
     def without(self, values: Floats) -> Floats:
-        """Return the departures, 0 in bands that are not used."""
         usable = np.where(self.used, values, 0.0)
         smooth = np.einsum("xbp,xp->bx", self.basis, np.einsum("xbp,bx->xp", self.basis, usable))
         return np.where(self.used, usable - smooth, 0.0)
@@ -87,28 +83,25 @@ class _Smooth:
 
 @dataclass(frozen=True, eq=False)
 class _Ratio:
-    """Logarithm of radiance over irradiance (band, column) at trial shifts and widths (column,).
-
-    ``tilt`` (band, column) [nm] is the shift equivalent to the surface's own slope.
-    """
-
+    # Logarithm of radiance over irradiance (band, column) at trial shifts and widths (column,).
+    # `tilt` (band, column) [nm] is the shift equivalent to the surface's own slope.
     table: IrradianceTable
     smooth: _Smooth
     log: Floats  # (band, column), of radiance
     declared: Floats  # (band, column), shift [nm]
 
     def departure(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
-        """Return its departure from a smooth curve (band, column)."""
+        # Its departure from a smooth curve (band, column)
         return self.smooth.without(self._at(tilt, shift, factor))
 
     def tilt(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
-        """Return the next tilt (band, column) [nm] from the slope of the smooth curve."""
+        # Next tilt (band, column) [nm] from the slope of the smooth curve
         return np.asarray(self.smooth.slope(self._at(tilt, shift, factor)) * self.table.variance_at(factor))
 
     def normal_equations(
         self, tilt: Floats, shift: Floats, factor: Floats, away: Floats
     ) -> tuple[Floats, Floats]:
-        """Return the normal matrix (column, 2, 2) and right side (column, 2) of a Gauss-Newton step."""
+        # Normal matrix (column, 2, 2) and right side (column, 2) of a Gauss-Newton step
         place = self.declared + tilt + shift
         derivatives = (self.table.at(place, factor, dx=1), self.table.at(place, factor, dy=1))
         slopes = np.stack([self.smooth.without(derivative) for derivative in derivatives])
@@ -155,7 +148,6 @@ def fit_columns(
 
 
 def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
-    """Return the shift and width of the least departures."""
     tilt: Floats = np.zeros(ratio.log.shape)
     # the best of a grid of shifts and widths: absorption bands cause several minima
     columns = tilt.shape[1]
@@ -184,7 +176,6 @@ def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
 
 
 def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array, max_shift: float) -> Fit:
-    """Return the fit with its uncertainties, and the residuals of the declared values."""
     shift, factor, used = optimum.shift, optimum.factor, ratio.smooth.used
     after = ratio.departure(optimum.tilt, shift, factor)
     normal, _ = ratio.normal_equations(optimum.tilt, shift, factor, after)
@@ -216,10 +207,8 @@ def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array
 def _uncertainties(
     after: Floats, normal: Floats, freedom: Array, has_bands: Array
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the standard uncertainties of shift and factor from the residual, and their correlation.
-
-    Infinite where the light has no lines, NaN where a column has too few bands.
-    """
+    # Standard uncertainties of shift and factor from the residual, and their correlation.
+    # Infinite where the light has no lines, NaN where a column has too few bands.
     variance = np.maximum((after**2).sum(axis=0) / np.maximum(freedom, 1), RESIDUAL_FLOOR**2)
     shift, factor, common = normal[:, 0, 0], normal[:, 1, 1], normal[:, 0, 1]
     # written out, so that a column without lines does not make a singular matrix
@@ -262,7 +251,7 @@ def default_windows(declared: Declared, degree: int) -> list[Window]:
 
 
 def _inside(declared: Declared, low: float, high: float) -> Array:
-    """Return whether bands are good and lie in a window, (band,) bool."""
+    # Whether bands are good and lie in a window, (band,) bool
     return declared.good & (declared.wavelength >= low) & (declared.wavelength <= high)
 
 
@@ -389,7 +378,7 @@ def combined(windows: list[Estimate]) -> Estimate:
 
 
 def _pooled(windows: list[Estimate], is_reliable: Array, name: str) -> Floats:
-    """Return a residual (column,) pooled over the reliable windows."""
+    # A residual (column,) pooled over the reliable windows
     freedom = np.where(is_reliable, stacked(windows, "freedom"), 0)
     square = np.where(is_reliable, stacked(windows, name) ** 2, 0.0)
     with np.errstate(invalid="ignore"):
@@ -397,10 +386,8 @@ def _pooled(windows: list[Estimate], is_reliable: Array, name: str) -> Floats:
 
 
 def _one_noise(windows: list[Estimate], is_reliable: Array) -> Floats:
-    """Return the pooled variance over each window's own (window, column); 1 where they differ too much.
-
-    Variances from a few tens of bands are uncertain by a third, and would make weights as uncertain.
-    """
+    # Pooled variance over each window's own (window, column); 1 where they differ too much.
+    # Variances from a few tens of bands are uncertain by a third, and would make weights as uncertain.
     own = np.where(is_reliable, np.maximum(stacked(windows, "residual"), RESIDUAL_FLOOR) ** 2, np.nan)
     pooled = np.maximum(_pooled(windows, is_reliable, "residual"), RESIDUAL_FLOOR) ** 2
     with np.errstate(invalid="ignore", all="ignore"):

@@ -128,7 +128,6 @@ def divided(
 
 
 def _solved(rows: list[tuple[float, float, float, float]]) -> tuple[list[float], list[float]]:
-    """Return two unknowns and their uncertainties from rows of factors, value and uncertainty."""
     table = np.array(rows)
     weighted = table[:, :3] / table[:, 3:]
     normal = weighted[:, :2].T @ weighted[:, :2]
@@ -165,7 +164,7 @@ def record_against_sun(
 def _window(
     channels: Floats, spectrum: Floats, low: float, high: float, rules: SunLineRules
 ) -> tuple[float, float, float, float] | None:
-    """Return shift and width of one window, each with its uncertainty [nm]; None without a minimum."""
+    # Shift and width of one window, each with its uncertainty [nm]; None without a minimum
     used = (channels >= low) & (channels <= high) & (spectrum > 0)
     if used.sum() < rules.degree + 1 + 12:
         return None
@@ -193,8 +192,6 @@ def _window(
 
 
 class _Trials(NamedTuple):
-    """Sunlight matched to a window's channels at every shift and width."""
-
     shifts: Floats  # (shift,) [nm]
     widths: Floats  # (width,) [nm]
     seen: Floats  # (shift, width, channel): logarithm of the sun above the air
@@ -224,10 +221,8 @@ def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
 
 
 def _seen(nm: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:
-    """Return logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width.
-
-    First of the sun above the air, then (gas, shift, channel) the change by two gases.
-    """
+    # Logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width.
+    # First of the sun above the air, then (gas, shift, channel) the change by two gases.
     table = sunlight_table()
     away = np.abs(table.wavelength - nm.mean(axis=1, keepdims=True))
     near = away < np.ptp(nm, axis=1, keepdims=True) / 2.0 + 3.0 * width  # (shift, cell)

@@ -225,7 +225,7 @@ class Result:
 
     @cached_property
     def _missed(self) -> float:
-        """Error of the gain between lamp lines [1]; 0 if negligible, or explained by column differences."""
+        # Error of the gain between lamp lines [1]; 0 if negligible, or explained by column differences
         shape_is_off = self.measured is not None and self.measured.is_another and not self.is_shape_free
         if self.between is None or shape_is_off:
             return 0.0
@@ -234,7 +234,6 @@ class Result:
         return self.between.error if self.between.error > least else 0.0
 
     def _warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield texts and codes of the sweep's faults that do not stop the calibration."""
         wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
         if wide.any():
             share = float(np.max(self.lab.width / self.fwhm_at_steps))
@@ -271,7 +270,6 @@ class Result:
             )
 
     def _table(self) -> tuple[Floats, Floats] | None:
-        """Return offsets and responses of the bands where the lamp lines resolve another response."""
         measured = self.measured
         if measured is None or not measured.is_another:
             return None
@@ -359,7 +357,6 @@ class Result:
         }
 
     def _check_plausible(self, gain: Floats) -> None:
-        """Refuse a scale at which a photon frees more than one electron, or almost none."""
         photon = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9)
         counts = photon / (gain * self.lab.etendue * self.spacing)
         best = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
@@ -385,7 +382,7 @@ class Result:
 
     @cached_property
     def _unlit(self) -> Bools:
-        """Columns (cross_track,) beyond the outer lit ones, where the map is held constant."""
+        # Columns (cross_track,) beyond the outer lit ones, where the map is held constant
         first, last = self.surface.lit
         column = np.arange(self.lab.shape[2])
         return np.asarray((column < first) | (column > last))

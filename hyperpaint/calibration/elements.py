@@ -34,7 +34,7 @@ class Differences:
 
 
 def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
-    """Return the camera's own width at every step (step,) [nm]; interpolated without a good lamp line."""
+    # Camera's own width at every step (step,) [nm]; interpolated without a good lamp line
     columns = np.arange(lab.shape[2])
     own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), columns)
     count = lines.trusted.sum(axis=1)
@@ -46,7 +46,7 @@ def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
 def _unit_lines(
     lab: LabSweep, window: Window, step: int, surface: WavelengthMap, centre: Floats, width: float, shape: int
 ) -> Floats:
-    """Return lamp lines of unit area (line, sample) at given centres (line,) [band]."""
+    # Lamp lines of unit area (line, sample) at given centres (line,) [band]
     spacing = surface.spacing(centre, window.columns)
     unit = np.empty(window.values.shape)
     profiles(
@@ -135,10 +135,8 @@ def element_differences(
 
 
 def _of_free_height_and_place(values: Floats, unit: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return lamp lines of fitted height, residuals without a small move, and each sample's freedom.
-
-    For independent scatter of variances d, the expected sum of squared residuals is sum(d x freedom).
-    """
+    # Lamp lines of fitted height, residuals without a small move, and each sample's freedom.
+    # For independent scatter of variances d, the expected sum of squared residuals is sum(d x freedom).
     first = unit / np.sqrt((unit**2).sum(axis=1, keepdims=True))
     second = slope - (slope * first).sum(axis=1, keepdims=True) * first
     second /= np.sqrt(np.maximum((second**2).sum(axis=1, keepdims=True), 1e-300))
@@ -149,7 +147,6 @@ def _of_free_height_and_place(values: Floats, unit: Floats, slope: Floats) -> tu
 
 
 def _split(tally: Floats) -> Differences:
-    """Return the parts of the scatter that grow as the signal and as its square, from sums over bins."""
     from scipy.optimize import nnls
 
     used = tally[0] >= MIN_BIN_SAMPLES

@@ -108,7 +108,7 @@ def level_scatter(nodes: Floats) -> float:
 
 
 def _running(values: Floats) -> Floats:
-    """Return the root mean square over some steps; near the ends over the existing ones."""
+    # Root mean square over some steps; near the ends over the existing ones
     there, window = np.isfinite(values), np.ones(FRINGES.window_steps)
     total = np.convolve(np.where(there, values, 0.0) ** 2, window, "same")
     return np.asarray(np.sqrt(total / np.maximum(np.convolve(there, window, "same"), 1.0)))

@@ -159,7 +159,7 @@ def stray_light_matrix(
 
 
 def _line_spread(distance: Floats, share: Floats, bands: int) -> Any:
-    """Return the wings as a function of the distance in bands: medians of bins that widen with distance."""
+    # Wings as a function of the distance in bands: medians of bins that widen with distance
     edges = np.unique(np.round(np.geomspace(1.0, bands, 25)))
     edges = np.concatenate([-edges[::-1], edges])
     bins = np.digitize(distance, edges)
@@ -187,7 +187,7 @@ def _line_spread(distance: Floats, share: Floats, bands: int) -> Any:
 
 
 def _side(distance: Floats, levels: Floats) -> tuple[float, float]:
-    """Return the wing nearest to its lamp line on one side, and its rise towards the line [band-1]."""
+    # Wing nearest to its lamp line on one side, and its rise towards the line [band-1]
     order = np.argsort(np.where(distance > 0, distance, np.inf))[:_NEAREST_BINS]
     at, level = distance[order], levels[order]
     if not ((at > 0) & (level > 0)).all() or level.size < _NEAREST_BINS:

@@ -146,7 +146,7 @@ def measured_shape(
 
 
 def _convolution(place: Floats, offset: Floats, width: float, *, triangular: bool) -> Floats:
-    """Return the matrix from a response (offset,) to a curve at places (place,) through a line of a width."""
+    # Matrix from a response (offset,) to a curve at places (place,) through a line of a width
     apart = place[:, None] - offset
     if triangular:
         line = np.clip(1.0 - np.abs(apart) / width, 0.0, None) / width
@@ -156,7 +156,7 @@ def _convolution(place: Floats, offset: Floats, width: float, *, triangular: boo
 
 
 def _without_light(source: Floats, seen: Floats, weight: Floats) -> Floats:
-    """Return the response (offset,), not negative and of unit area, whose convolution fits a curve."""
+    # Response (offset,), not negative and of unit area, whose convolution fits a curve
     from scipy.optimize import nnls
 
     size = source.shape[1]
@@ -169,7 +169,7 @@ def _without_light(source: Floats, seen: Floats, weight: Floats) -> Floats:
 
 
 def _effect(offset: Floats, response: Floats, model: Floats, width: float) -> float:
-    """Return the largest relative change of daylight in a band, 420 to 950 nm, by a model of its response."""
+    # Largest relative change of daylight in a band, 420 to 950 nm, by a model of its response
     nm = np.arange(380.0, 1001.0)
     mass = 1.0 / np.cos(np.radians(SHAPE_RULES.sun_zenith_deg))
     direct, diffuse = ClearSky(SHAPE_RULES.sun_zenith_deg, airmass=float(mass)).irradiance(nm)

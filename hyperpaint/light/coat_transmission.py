@@ -49,7 +49,7 @@ def _reflectance(cosine: Floats, index: float) -> Floats:
 
 @functools.lru_cache(maxsize=64)
 def _of_functions(sun_zenith: float, index: float) -> tuple[Floats, float]:
-    """Return the mean reflectance for the functions of a clear sky (3,), and for CIE's overcast sky."""
+    # mean reflectance for the functions of a clear sky (3,), and for CIE's overcast sky
     sky = dome()
     reflected = sky.level * _reflectance(sky.cosine, index)
     from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)

@@ -187,11 +187,9 @@ def _split(
     place: tuple[float, float, float, float],
     sun_zenith: float | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
-
-    ``place``: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
-    ``sun_zenith`` replaces the zenith angle from clock and place [degree].
-    """
+    # Fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
+    # `place`: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
+    # `sun_zenith` replaces the zenith angle from clock and place [degree].
     latitude, longitude, level_u, pressure = place
     spectra = np.asarray(spectra, np.float64)
     # leave out channels that most samples lack: a sample is used only where all its intervals are known
@@ -271,7 +269,7 @@ def split_of_lines(
 
 
 def _block_starts(line: xr.Dataset) -> list[int]:
-    """Return where blocks of lines begin, except the first: the chunks of the cube."""
+    # Where blocks of lines begin, except the first: the chunks of the cube
     for name in ("reflectance", "radiance", "counts"):
         if name in line.variables and line[name].chunks is not None:
             sizes = line[name].variable.chunksizes.get(ALONG_TRACK, ())
@@ -282,7 +280,7 @@ def _block_starts(line: xr.Dataset) -> list[int]:
 def _at_lines(
     split: tuple[Floats, Floats, Floats, Floats], samples: Array, time: Array
 ) -> tuple[Array, Array, Array]:
-    """Return fraction, uncertainty (line, band) and state (line,) between the samples around every line."""
+    # Fraction, uncertainty (line, band) and state (line,) between the samples around every line
     fraction, u, probability, _ = split
     usable = np.flatnonzero(np.isfinite(fraction).any(axis=1))
     shape = (time.size, fraction.shape[1])

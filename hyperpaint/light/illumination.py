@@ -368,10 +368,8 @@ def _warn_of_bands(matching: Matching, channels: Floats, imager: Mapping[str, An
 
 
 def _apply(matching: Matching, spectra: Array, order: Array | None = None) -> Floats:
-    """Return spectra (..., channel) as (..., node, band); NaN where a missing channel has a weight.
-
-    ``order``: channels of the spectra in the order of the weights; None for the same.
-    """
+    # Spectra (..., channel) as (..., node, band); NaN where a missing channel has a weight.
+    # `order`: channels of the spectra in the order of the weights; None for the same.
     # most channels of the spectrometer lie outside the camera's range and have no weight
     used = matching.used
     spectra = np.asarray(spectra[..., used if order is None else order[used]], np.float64)

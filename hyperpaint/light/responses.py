@@ -155,7 +155,6 @@ def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -
 
 
 def _even_spacing(wavelength: Floats) -> Floats:
-    """Return the spacing of contiguous bands; SchemaError for a selection of bands."""
     steps = np.abs(np.diff(wavelength))
     jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
     if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
@@ -277,7 +276,7 @@ def matching_operator(
 def _remembered_operator(
     spectrometer: Responses, imager: Responses, nodes: tuple[float, ...], ridge: float
 ) -> Matching:
-    """Compute an operator once for all flight lines of a camera, and for every recomputation."""
+    # computed once for all flight lines of a camera
     shifts = np.array(nodes)
     order = np.argsort(spectrometer.wavelength, kind="stable")
     centres, reach = spectrometer.wavelength[order], spectrometer.reach()[order]
@@ -360,7 +359,7 @@ def _has_hole(centres: Floats, centre: float, half: float, widest: float) -> boo
 
 
 def _constrained_ridge(channels: Floats, responses: Floats, ridge: float) -> Floats:
-    """Return ridge weights (node, channel) that combine channels into responses, each row summing to 1."""
+    # Ridge weights (node, channel) that combine channels into responses, each row summing to 1
     # einsum: threads of a BLAS that wait for busy cores make products this small ten times slower
     gram = np.einsum("ig,jg->ij", channels, channels)
     gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)

@@ -53,7 +53,7 @@ def _tables() -> _Tables:
 
 
 def _between(nodes: Floats, values: Floats, at: float) -> Floats:
-    """Return values (node, ...) at one place, linear between nodes, held beyond."""
+    # Values (node, ...) at one place, linear between nodes, held beyond
     place = float(np.interp(at, nodes, np.arange(nodes.size)))
     low = min(int(place), nodes.size - 2)
     part = place - low

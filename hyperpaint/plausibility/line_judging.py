@@ -100,10 +100,8 @@ def _judge_sample(
 
 
 def _dark_of(line: xr.Dataset) -> tuple[Floats, bool]:
-    """Return the dark (band, cross_track) of a line, and whether it was measured at the line's exposure.
-
-    A dark that is fitted to darks of other exposures has no noise of its own.
-    """
+    # Dark (band, cross_track) of a line, and whether it was measured at the line's exposure.
+    # A dark that is fitted to darks of other exposures has no noise of its own.
     parts = {"dark_counts": line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values}
     exposure = np.atleast_1d(line["exposure_time"].values).astype(np.float64)
     if "dark_exposure_time" in line:

@@ -128,7 +128,7 @@ def judge_bands(
 
 
 def _roughness(spectrum: Floats, light: Floats) -> float:
-    """Return the squared difference of neighbouring bands relative to all pairs; 0 where too few are lit."""
+    # Squared difference of neighbouring bands relative to all pairs; 0 where too few are lit
     lit = (light > max(RULES.lit_counts, RULES.lit_share * np.nanmax(light))) & np.isfinite(spectrum)
     if lit.sum() < RULES.bands:
         return 0.0
@@ -140,7 +140,6 @@ def _roughness(spectrum: Floats, light: Floats) -> float:
 
 
 def _agreements(radiance: Floats, wavelength: Floats, daylight: _Daylight) -> dict[str, float]:
-    """Return the correlation of the bands with daylight at other wavelengths, by their description."""
     agreements = {}
     middle = float(wavelength.mean())
     shifts = np.arange(-RULES.shifts_nm, RULES.shifts_nm, 3.0)[:, None]
@@ -154,8 +153,7 @@ def _agreements(radiance: Floats, wavelength: Floats, daylight: _Daylight) -> di
 
 
 class _Daylight:
-    """Daylight at the resolution of the bands, NaN outside its range."""
-
+    # Daylight at the resolution of the bands, NaN outside its range
     def __init__(self, wavelength: Floats, fwhm: float, record: tuple[Floats, Floats] | None) -> None:
         beyond = 2.0 * RULES.shifts_nm
         nm = np.arange(max(wavelength.min() - beyond, 300.0), min(wavelength.max() + beyond, 2500.0), 0.5)
@@ -170,7 +168,7 @@ class _Daylight:
 
 
 def _curvature(spectrum: Floats) -> Floats:
-    """Return second differences of the logarithm (..., band), NaN where there is almost no light."""
+    # Second differences of the logarithm (..., band), NaN where there is almost no light
     least = 0.03 * np.nan_to_num(spectrum).max(axis=-1, keepdims=True)
     curvature = np.full(spectrum.shape, np.nan)
     curvature[..., 1:-1] = np.diff(np.log(np.where(spectrum > least, spectrum, np.nan)), 2)
@@ -178,7 +176,7 @@ def _curvature(spectrum: Floats) -> Floats:
 
 
 def _correlation(first: Floats, second: Floats) -> Floats:
-    """Return the correlation over the last axis, where both are known; NaN where few of the first are."""
+    # Correlation over the last axis, where both are known; NaN where few of the first are
     both = np.isfinite(first) & np.isfinite(second)
     count = both.sum(axis=-1)
     a, b = (np.where(both, part, 0.0) for part in (first, second))

@@ -132,7 +132,7 @@ def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
 
 
 def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
-    """Find the light of the scene in a dark, both (band,)."""
+    # Find the light of the scene in a dark, both (band,)
     finite = np.isfinite(dark) & np.isfinite(light)
     dark, light = dark[finite], light[finite]
     if dark.size < RULES.lit_bands or not (np.ptp(dark) > 0.0 and np.ptp(light) > 0.0):
@@ -157,11 +157,9 @@ def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
 def _judge_pattern(
     name: str, dark: Floats, uncertainty: Floats, gain: Floats, sample: CubeSample, full: float
 ) -> Iterator[Finding]:
-    """Find a dark whose pattern is not part of the scene.
-
-    Mean scene = dark + light / gain: differences of neighbouring elements leave the two patterns, and a
-    regression of the scene's on both gives the share of the dark's pattern in it.
-    """
+    # Find a dark whose pattern is not part of the scene.
+    # Mean scene = dark + light / gain: differences of neighbouring elements leave the two patterns, and a
+    # regression of the scene's on both gives the share of the dark's pattern in it.
     if dark.shape[0] < 3 or dark.shape[1] < 2 or not np.nanmax(dark) - np.nanmin(dark) > RULES.pattern_range:
         return
     light = sample.mean - dark
@@ -207,5 +205,5 @@ def _judge_pattern(
 
 
 def _differences(array: Floats) -> Floats:
-    """Return second differences over bands of first differences over columns: slow changes cancel."""
+    # Second differences over bands of first differences over columns: slow changes cancel
     return np.asarray(np.diff(np.diff(array, 2, axis=0), axis=1))

@@ -66,7 +66,6 @@ def judge_index(inputs: FlightlineInputs, lines: int) -> tuple[Bools, list[Findi
 
 
 def _jumps(name: str, frame: Ints, stamp: Ints) -> Iterator[Finding]:
-    """Find lost frames that stamps show and frame numbers do not."""
     wide = RULES.window
     if frame.size < 4 * wide:
         return
@@ -117,7 +116,7 @@ def judge_doubles(name: str, counts: xr.DataArray, by_pixel: bool, recorded: Boo
 
 
 def _equal_shares(rows: xr.DataArray, block: int) -> Floats:
-    """Return the share of samples that equal the line before, (along_track - 1,)."""
+    # Share of samples that equal the line before, (along_track - 1,)
     shares: list[Array] = []
     for start in range(0, rows.shape[0] - 1, block):
         part = rows[start : start + block + 1].to_numpy()

@@ -49,20 +49,19 @@ RULES = LayoutRules()
 
 
 class _View(NamedTuple):
-    """Counts read in one interleave, both (band, pixel)."""
-
+    # Counts read in one interleave, both (band, pixel)
     values: Floats
     neighbours: Floats  # Of the next band
 
     @property
     def roughness(self) -> float:
-        """Mean squared difference of neighbouring bands, over twice the variance."""
+        # squared difference of neighbouring bands, over twice the variance
         spread = 2.0 * float(self.values.var())
         return float(np.mean((self.values - self.neighbours) ** 2)) / spread if spread else 0.0
 
     @property
     def separation(self) -> float:
-        """Share of the variance that lies between bands, less its expectation by chance."""
+        # share of the variance between bands, less its expectation by chance
         bands, pixels = self.values.shape
         within = float(self.values.var(axis=1).mean()) * pixels / (pixels - 1)
         between = max(float(self.values.mean(axis=1).var()) * bands / (bands - 1) - within / pixels, 0.0)
@@ -106,7 +105,7 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
 
 
 def _view(file: io.FileIO, header: EnviHeader, lines: int, order: str) -> _View:
-    """Read random pixels, the same in every band, with the file's samples in the given interleave."""
+    # Read random pixels, the same in every band, with the file's samples in the given interleave
     rng = np.random.default_rng(0)
     count = min(RULES.bands, header.bands - 1)
     bands = np.linspace(0, header.bands - 2, count).astype(np.int64)[:, None]

@@ -82,7 +82,6 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
 
 
 def _judge_changes(name: str, spectra: Array, times: Array, flown: Array) -> Iterator[Finding]:
-    """Find a record that stands still, all the time or while a line is flown."""
     same = (spectra[1:] == spectra[:-1]) | (np.isnan(spectra[1:]) & np.isnan(spectra[:-1]))
     same = same.all(axis=1) & np.isfinite(spectra[1:]).any(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))

@@ -129,7 +129,7 @@ def _means(values: Array, side: int) -> Array:
 
 
 def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
-    """Return the stored means where they belong to this line and are complete; None otherwise."""
+    # Stored means where they belong to this line and are complete; None otherwise
     row = schema.VARIABLES["coarse_reflectance"]
     stored = line.get(row.name)
     if stored is None or set(stored.dims) != set(row.dims):

@@ -292,7 +292,7 @@ def _reflectance(
     keep_bits: int | None = None,
     refuses: bool = True,
 ) -> xr.Dataset:
-    """Compute `reflectance`; without ``refuses`` panels are judged but never refused."""
+    # Compute `reflectance`; without `refuses` panels are judged but never refused
     dataset = schema.rename_to_roles(dataset)
     if isinstance(tilt, tuple) and len(tilt) == 2:
         tilt = Tilt(*tilt)
@@ -379,7 +379,7 @@ def applied(values: dict[str, Any]) -> dict[str, str | None]:
 def _with(
     dataset: xr.Dataset, name: str, cube: Any, quality: Any, notes: dict[str, str | None]
 ) -> xr.Dataset:
-    """Return the dataset with a calibrated cube and its quality, attributes and ``notes`` set outright."""
+    # Dataset with a calibrated cube and its quality, attributes and `notes` set outright
     before = None
     if "quality" in dataset.variables:
         before = schema.require(dataset, ["quality"], name)["quality"].variable

@@ -84,7 +84,7 @@ def scale_of_factors(factor: Floats, weight: Floats, refused: Array) -> tuple[Fl
 
 
 def _filled(scale: Floats) -> Floats:
-    """Return scales (panel, band) with refused bands filled from other panels, at the panel's own level."""
+    # Scales (panel, band) with refused bands filled from other panels, at the panel's own level
     valid = np.isfinite(scale)
     if valid.all():
         return scale

@@ -143,7 +143,7 @@ def without_panels(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _tabulated(reflectance: Any) -> Any:
-    """Return a declared reflectance: a number, or pairs of wavelength [nm] and reflectance."""
+    # A declared reflectance: a number, or pairs of wavelength [nm] and reflectance
     if not isinstance(reflectance, list):
         return reflectance
     nm, values = np.array(reflectance, np.float64).T
@@ -216,7 +216,6 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
 
 
 def _highest_counts(region: xr.Dataset) -> xr.DataArray:
-    """Return the counts of a region, replaced by the highest counts below saturation."""
     counts = region["counts"]
     top = np.ceil(region["saturation_count"].astype(np.float64) - SATURATION_MARGIN_COUNTS) - 1.0
     # masked elements receive no light, and a NaN limit never saturates: keep their counts

@@ -194,7 +194,7 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
 
 
 def _linearity(cube: Mapping[str, Any]) -> Linearity:
-    """Return the linearity curve of a line's counts; the identity for a radiance cube."""
+    # Linearity curve of a line's counts; the identity for a radiance cube
     curve: Linearity = cube.get("linearity") or Linearity()
     if "linear_counts" in cube:
         measured, linear = (np.asarray(cube[name], np.float64) for name in TABLE)
@@ -203,10 +203,8 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
 
 
 def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
-    """Return band and column of masked elements with finite darks (n, 2) int64.
-
-    ``masked`` is (column,), (band, 1) or (band, column).
-    """
+    # Band and column of masked elements with finite darks (n, 2) int64.
+    # `masked` is (column,), (band, 1) or (band, column).
     if "masked" not in cube:
         return np.empty((0, 2), np.int64)
     covered = np.asarray(cube["masked"], bool)
@@ -285,7 +283,6 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
 
 
 def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Array, Array, Array]:
-    """Return the fitted darks at the shortest and the longest exposure, and the place of lines between."""
     if np.ptp(taken) <= SAME_EXPOSURE_SHARE * taken.max():
         exposures_ms = np.unique(exposure.round(9)) * 1e3
         raise SchemaError(
@@ -307,7 +304,7 @@ def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Ar
 
 
 def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
-    """Warn of lines beyond the exposures of the darks; raise SchemaError for those far beyond."""
+    # Warn of lines beyond the exposures of the darks; raise SchemaError for those far beyond
     below, above = taken.min() - exposure.min(), exposure.max() - taken.max()
     spans = max(below, above) / np.ptp(taken)
     if spans <= TRUSTED_DARK_SPANS * (1.0 + SAME_EXPOSURE_SHARE):
@@ -331,7 +328,7 @@ def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
 
 
 def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
-    """Return counts from which a sample is saturated, (1, 1) or (band, column)."""
+    # Counts from which a sample is saturated, (1, 1) or (band, column)
     if "dark_counts" not in cube:
         return np.full((1, 1), np.inf, dtype)
     limit = np.asarray(cube["saturation_count"], np.float64) - SATURATION_MARGIN_COUNTS
@@ -345,7 +342,7 @@ def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
 def _illuminate(
     cube: Mapping[str, Any], light: Mapping[str, Any], time: Array, smile: Smile, tilt: Tilt | None
 ) -> tuple[Floats, LineLight, Array]:
-    """Return the matched series as cubics over the smile, the spectra around every line, and the misfit."""
+    # Matched series as cubics over the smile, the spectra around every line, and the misfit
     spectra = np.asarray(light["irradiance"], np.float64)
     channels = np.asarray(light["irradiance_wavelength"], np.float64)
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
@@ -382,7 +379,7 @@ def _illuminate(
 
 
 def _mean_place(cube: Mapping[str, Any]) -> tuple[float, float]:
-    """Return mean latitude and longitude of the lines [degree]."""
+    # Mean latitude and longitude of the lines [degree]
     place = []
     for name in ("latitude", "longitude"):
         degrees = np.asarray(cube[name], np.float64)
@@ -396,11 +393,9 @@ def _mean_place(cube: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def _levels(spectra: Floats, channels: Floats) -> Floats:
-    """Return sums of each spectrum over intervals of 100 nm; NaN where a usual channel is missing.
-
-    Wavelengths missing in more than a tenth of the spectra that have any do not count: they cost their bands,
-    not the record.
-    """
+    # Sums of each spectrum over intervals of 100 nm; NaN where a usual channel is missing.
+    # Wavelengths missing in more than a tenth of the spectra that have any do not count: they cost their
+    # bands, not the record.
     has_values = np.isfinite(spectra).any(axis=1)
     used = (channels >= 400.0) & (channels <= 1000.0)
     used = used if used.any() else np.ones(channels.size, bool)
@@ -415,8 +410,6 @@ def _levels(spectra: Floats, channels: Floats) -> Floats:
 
 
 class _OnPanels(NamedTuple):
-    """Results of panels in a plan, beside their scale."""
-
     closure: PanelClosure | None = None
     weights: Floats | None = None
     u: Floats | None = None
@@ -429,7 +422,7 @@ def _panel_scale(
     good: Array,
     lines: int,
 ) -> tuple[Floats, _OnPanels]:
-    """Return the scale by panels, as a `Plan` has it; ``inputs`` as of `panels.panel_inputs`."""
+    # Scale by panels, as a `Plan` has it; `inputs` as of `panels.panel_inputs`
     # uncertainty of gain and irradiance together, stated or usual
     wavelength = np.asarray(cube["wavelength"], np.float64)
     stated = {name: np.asarray(value, np.float64) for name, value in inputs["stated"].items()}
@@ -458,7 +451,6 @@ def _panel_scale(
 def _at_panel(
     panel: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, time: Array
 ) -> dict[str, Any]:
-    """Return the time of a panel, and the relative change of its light with direct light."""
     stamps = time[slice(*panel["lines"])]
     stamps = stamps[~np.isnat(stamps)]
     if not stamps.size:

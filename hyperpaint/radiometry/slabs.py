@@ -110,7 +110,7 @@ class Plan:
 
     @functools.cached_property
     def _shared(self) -> str:
-        """Digest of the inputs of every slab; a new field is included until it is excepted here."""
+        # Digest of the inputs of every slab; a new field is included until it is excepted here
         names = {field.name for field in fields(self)} - {*_OF_LINES, *_IN_LIGHT, *_OF_NO_SLAB, "stray"}
         stray = None if self.stray is None else self.stray._replace(smear=np.empty(0))
         return str(tokenize([getattr(self, name) for name in sorted(names)], stray))
@@ -159,10 +159,8 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
 
 
 def _in_slabs(values: Array, lines: int) -> da.Array:
-    """Return values (line, band, column) in memory as a dask array of views.
-
-    Its name is new each time: dask names arrays by hashing them, which takes longer than calibrating them.
-    """
+    # Values (line, band, column) in memory as a dask array of views.
+    # Its name is new each time: dask names arrays by hashing them, which takes longer than calibrating them.
     name = f"lines-{uuid.uuid4().hex}"
     starts = range(0, max(len(values), 1), lines)
     slabs = {(name, number, 0, 0): values[start : start + lines] for number, start in enumerate(starts)}
@@ -217,11 +215,9 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
 
 
 def _flag_floats(plan: Plan, counts: Array, here: slice, quality: Array) -> None:
-    """Flag pixels without counts, and those whose counts, being means, may hide a saturated reading.
-
-    Of at least two readings one may have been full where their mean is half way from the dark to the limit.
-    All bands of a pixel are judged together, since a mean may be a whole number.
-    """
+    # Flag pixels without counts, and those whose counts, being means, may hide a saturated reading.
+    # Of at least two readings one may have been full where their mean is half way from the dark to the limit.
+    # All bands of a pixel are judged together, since a mean may be a whole number.
     watched = np.isfinite(plan.noise_margin)
     if not watched.any():  # radiance
         return

@@ -99,7 +99,7 @@ def direct_share(
 def _split(
     light: Mapping[str, Any], stamps: Array, wavelength: Floats, place: tuple[float, float]
 ) -> tuple[Floats | None, Array]:
-    """Return diffuse fraction (sample, band) and number of the state (sample,); None where unknown."""
+    # Diffuse fraction (sample, band) and number of the state (sample,); None where unknown
     if "diffuse_fraction" in light:
         return _split_of_lines(light, stamps, wavelength.size)
     channels = xr.Variable(
@@ -121,7 +121,7 @@ def _split(
 
 
 def _split_of_lines(light: Mapping[str, Any], stamps: Array, bands: int) -> tuple[Floats | None, Array]:
-    """Return the fraction and state of the line nearest to each sample; None where no line has a time."""
+    # Fraction and state of the line nearest to each sample; None where no line has a time
     fraction = np.atleast_2d(np.asarray(light["diffuse_fraction"], np.float64))
     time = np.asarray(light["time"]).astype("datetime64[ns]")
     if len(fraction) == time.size:

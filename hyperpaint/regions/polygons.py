@@ -81,7 +81,7 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
 
 
 def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
-    """Return the first point beside every edge, and the one after the last (edge,); y ascends."""
+    # First point beside every edge, and the one after the last (edge,); y ascends
     closed = np.concatenate([ring, ring[:1]])[:, 1]
     first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
     last = np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
@@ -89,7 +89,7 @@ def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
 
 
 def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tuple[Bools, Bools]:
-    """Return which points a ring winds around an odd number of times, and which lie on it; y ascends."""
+    # Which points a ring winds around an odd number of times, and which lie on it; y ascends
     within = np.zeros(x.size, bool)
     edge = np.zeros(x.size, bool)
     closed = np.concatenate([ring, ring[:1]])
@@ -107,7 +107,7 @@ def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tupl
 
 
 def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.int8]:
-    """Return 1 for points left of a directed edge, -1 right of it, 0 on its line."""
+    # 1 for points left of a directed edge, -1 right of it, 0 on its line
     along_x, along_y = stop[0] - start[0], stop[1] - start[1]
     off_x, off_y = x - start[0], y - start[1]
     left, right = along_x * off_y, along_y * off_x

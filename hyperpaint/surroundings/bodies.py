@@ -86,7 +86,7 @@ class Paints(NamedTuple):
 
 
 def _relative_colour(spectrum: Floats, light: Light) -> Floats:
-    """Return the colour of spectra relative to their brightness (segment,) [1]."""
+    # Colour of spectra relative to their brightness (segment,) [1]
     level = np.nan_to_num(spectrum).mean(axis=1)
     return np.asarray(coloured(spectrum, light) / np.maximum(level, 1e-6))
 
@@ -172,11 +172,9 @@ def clean_references(
 
 
 def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
-    """Return the mean of a grey body's darkest pixels; None where these may not be free of glint.
-
-    The brightest are brighter by ``most`` at least; half of the body is not much brighter, unlike beside a
-    shadow; and the darkest see as much of the sky as other pixels.
-    """
+    # Mean of a grey body's darkest pixels; None where these may not be free of glint.
+    # The brightest are brighter by `most` at least; half of the body is not much brighter, unlike beside a
+    # shadow; and the darkest see as much of the sky as other pixels.
     if not light.direct.any():
         return None
     level = values @ light.direct / (light.direct @ light.direct)
@@ -198,10 +196,8 @@ def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
 def _additions(
     values: Floats, segment: int, finite_spectrum: Floats, light: Light, neighbours: npt.NDArray[np.int32]
 ) -> tuple[Floats, Floats]:
-    """Return the light added to pixels by glint and neighbours, up to a constant, and their direct light.
-
-    An amount of each is first added to all pixels, so that less than the mean shows as well.
-    """
+    # Light added to pixels by glint and neighbours, up to a constant, and their direct light.
+    # An amount of each is first added to all pixels, so that less than the mean shows as well.
     first = neighbours[:, 0]
     mirrored = np.where(first[:, None] >= 0, finite_spectrum[first], 0.0)
     lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * mirrored
@@ -211,10 +207,8 @@ def _additions(
 
 
 def _common_glint(reference: Floats, places: list[Ints], paints: Paints, light: Light) -> Floats:
-    """Return the mirrored sun, and sky around it, that covers a whole body (segment, 2).
-
-    From a comparison with other parts of the same paint.
-    """
+    # Mirrored sun, and sky around it, that covers a whole body (segment, 2).
+    # From a comparison with other parts of the same paint.
     size = np.array([here.size for here in places])
     large = size[paints.other] >= BODIES.min_part_share * size[paints.one]
     one, other = paints.one[large], paints.other[large]

@@ -245,7 +245,7 @@ def _check(
 
 @contextlib.contextmanager
 def _same_pixels() -> Iterator[None]:
-    """Raise for arrays with other lines or columns than the line; xarray would cut to the common ones."""
+    # xarray would cut arrays of other pixels to the common ones
     try:
         with xr.set_options(arithmetic_join="exact"):
             yield

@@ -287,7 +287,6 @@ def _flag_block(
 
 
 def _shaded(missing: Array, model: SceneModel, lines: slice, limit: float) -> Bools:
-    """Return the pixels of some lines in a cast shadow, from the missing direct light."""
     segment = model.segment[lines]
     on_ground = np.append(model.ground > 0, False)[segment]
     near = on_ground & (model.shade_distance[lines] <= FLAGS.penumbra_px)

@@ -210,7 +210,7 @@ def warn_of_contradiction(states: Any, zenith: float) -> None:
 
 
 def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
-    """Return the declared split of a line, or the split from its record; None without either."""
+    # Declared split of a line, or the split from its record; None without either
     if SIGNATURE in line.dims or ALONG_TRACK not in line.dims:
         # small for paints; without any finite value there is no split
         declared = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
@@ -231,7 +231,7 @@ def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
 
 
 def _held(line: xr.Dataset) -> xr.Dataset:
-    """Return the split declared by a line or a library; raise where it belongs to samples of the record."""
+    # Split declared by a line or a library; raise where it belongs to samples of the record
     dims = line["diffuse_fraction"].dims
     if not set(dims) <= {ALONG_TRACK, SIGNATURE, BAND}:
         raise SchemaError(

@@ -133,7 +133,6 @@ def match_shade(
 
 
 def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
-    """Return the segments that could be in shadow, with the bodies that they touch and the largest bodies."""
     spectrum, size, pairs = scene.spectrum, scene.size, scene.pairs
     count = size.size
     is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
@@ -153,7 +152,7 @@ def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
 
 
 def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
-    """Return the sides (n, 4) on which candidates touch segments that look like their body."""
+    # Sides (n, 4) on which candidates touch segments that look like their body
     pairs, spectrum = scene.pairs, scene.spectrum
     first, last = np.searchsorted(pairs.one, [mixtures.segment, mixtures.segment + 1])
     times = last - first
@@ -167,7 +166,6 @@ def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
 
 
 def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
-    """Return whether segments have similar colour and brightness, pair by pair."""
     level = spectrum.mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         shape = spectrum / level[:, None]
@@ -176,7 +174,7 @@ def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
 
 
 def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[Floats, float] | None:
-    """Return the side (along, across) to which shadows fall, and their agreement; None without any."""
+    # Side (along, across) to which shadows fall, and their agreement; None without any
     sure = _clear(mixtures) & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
     # shadows on the ground take precedence: beside a dark car, its shadow looks like one on its paint
     largest = np.argmax(scene.size)
@@ -191,7 +189,7 @@ def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[F
 
 
 def _clear(mixtures: Mixtures, most_sent: float = SHADOWS.max_sent) -> Bools:
-    """Return whether candidates see much sky and, unlike glass and black paint, almost no other light."""
+    # Whether candidates see much sky and, unlike glass and black paint, almost no other light
     hidden = np.clip(SHADOWS.open_sky - mixtures.sky, 0.0, 1.0)
     little = mixtures.direct < SHADOWS.clear_direct.open + SHADOWS.clear_direct.hidden * hidden
     little &= mixtures.sent < most_sent * (1.0 - mixtures.sky)
@@ -199,7 +197,7 @@ def _clear(mixtures: Mixtures, most_sent: float = SHADOWS.max_sent) -> Bools:
 
 
 def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Floats) -> Bools:
-    """Return whether candidates are clear, and touch their lit body away from the sun, or all around."""
+    # Whether candidates are clear, and touch their lit body away from the sun, or all around
     around = border[mixtures.segment]
     touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure.border * around)
     away = way >= SHADOWS.sure.way * length
@@ -208,7 +206,7 @@ def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Float
 
 
 def _turned_away(mixtures: Mixtures, length: Floats, way: Floats, scene: Scene) -> Bools:
-    """Return whether candidates are a bright object's side without sun: its lit body is towards the sun."""
+    # Whether candidates are a bright object's side without sun: its lit body is towards the sun
     level = np.nan_to_num(scene.spectrum).mean(axis=1)[mixtures.body]
     touches = length >= SHADOWS.min_contact_sides
     touches &= length > SHADOWS.sure.border * scene.border[mixtures.segment]
@@ -220,11 +218,9 @@ def _turned_away(mixtures: Mixtures, length: Floats, way: Floats, scene: Scene) 
 
 
 def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Bools:
-    r"""Return whether candidates are more likely a dark body in the sun whose coat mirrors the sky.
-
-    :math:`\rho (f_{dir} + f_{dif}) + m f_{dif} l_z`, with :math:`\rho` linear in wavelength and m the
-    reflectance of a clear coat: for the zenith, or for the whole sky.
-    """
+    # Whether candidates are more likely a dark body in the sun whose coat mirrors the sky.
+    # `\rho (f_{dir} + f_{dif}) + m f_{dif} l_z`, with `\rho` linear in wavelength and m the reflectance of a
+    # clear coat: for the zenith, or for the whole sky.
     segments, place = np.unique(mixtures.segment, return_inverse=True)
     seen = np.nan_to_num(spectrum[segments])
     ramp = DARK_COATS.slope * np.linspace(-1.0, 1.0, seen.shape[1])
@@ -242,7 +238,6 @@ def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Boo
 
 
 def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]) -> Bools:
-    """Return whether candidates are a body without sun by spectrum and level alone, and lie beside it."""
     from scipy.ndimage import binary_dilation, find_objects
 
     level = np.nan_to_num(scene.spectrum).mean(axis=1)
@@ -297,10 +292,8 @@ def penumbrae(
 
 
 def _ground(scene: Scene, state: Array, body: Array) -> Bools:
-    """Return whether segments are ground (segment,): the largest, and the body of most shadows.
-
-    Except for too bright or too small bodies: white cars with shadows of others on them.
-    """
+    # Whether segments are ground (segment,): the largest, and the body of most shadows.
+    # Except for too bright or too small bodies: white cars with shadows of others on them.
     count = scene.size.size
     area = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
     is_ground = np.zeros(count, bool)
@@ -354,13 +347,13 @@ def _grow(
 
 
 def _touched(which: Bools, scene: Scene) -> Floats:
-    """Return the number of sides of every segment that touch chosen segments (segment,)."""
+    # Number of sides of every segment that touch chosen segments (segment,)
     weight = scene.pairs.length * which[scene.pairs.other]
     return np.bincount(scene.pairs.one, weight, scene.size.size).astype(np.float64)
 
 
 def _assign(mixtures: Mixtures, chosen: Bools, state: Array, body: Array) -> bool:
-    """Assign the best fitting lit body to segments; return whether any changed."""
+    # Assign the best fitting lit body to segments; return whether any changed
     any_assigned = False
     for place in np.flatnonzero(chosen)[np.argsort(mixtures.misfit[chosen], kind="stable")]:
         segment, parent = mixtures.segment[place], body[mixtures.body[place]]

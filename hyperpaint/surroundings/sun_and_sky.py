@@ -76,7 +76,7 @@ def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float |
 
 
 def _mean_angle(degrees: Any) -> float | None:
-    """Return the mean direction [degree]; None without finite values."""
+    # Mean direction [degree]; None without finite values
     angles = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
     if not angles.size:
         return None

@@ -377,7 +377,7 @@ def _shade_distance(
     reference: Floats,
     light: Light,
 ) -> npt.NDArray[np.uint8]:
-    """Return the distance of every pixel from any shadow (line, column) [pixel]."""
+    # Distance of every pixel from any shadow (line, column) [pixel]
     distance = distance_to(np.append(matches.state == SHADED, False)[number])
     shaded = shaded_pixels(channels, number, ground & (matches.state == LIT), reference, light)
     level = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)
@@ -432,7 +432,7 @@ def _source_text(diffuse: Any, split: LightSplit) -> str:
 
 
 def _mean_of(values: Floats, channel: Ints) -> Floats:
-    """Return the means of values (band,) over the bands of every channel (channel,)."""
+    # Means of values (band,) over the bands of every channel (channel,)
     used = channel >= 0
     weight = np.bincount(channel[used])
     return np.asarray(np.bincount(channel[used], values[used]) / weight)

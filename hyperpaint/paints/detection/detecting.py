@@ -225,7 +225,7 @@ def detect(
 def _spectra(
     line: xr.Dataset, wavelength: Array, library: xr.Dataset, others: xr.Dataset | None
 ) -> tuple[Floats, Ints, Floats]:
-    """Return the paints (signature, band), the bands compared, and spectra of other paints (other, band)."""
+    # Paints (signature, band), the bands compared, and spectra of other paints (other, band)
     nm = np.asarray(wavelength, np.float64)
     paints = _on_bands(library, nm, members=False)
     good = np.isfinite(nm)
@@ -256,7 +256,7 @@ def _spectra(
 
 
 def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
-    """Return the spectra of a library (spectrum, band), and its members if wanted, at wavelengths [nm]."""
+    # Spectra of a library (spectrum, band), and its members if wanted, at wavelengths [nm]
     names = [
         "reflectance",
         "wavelength",
@@ -301,7 +301,7 @@ def _lazy_detector(
     settings: DetectorSettings,
     sky: Any,
 ) -> Any:
-    """Return the delayed detector: sums over blocks in their order, then thresholds."""
+    # Delayed detector: sums over blocks in their order, then thresholds
     blocks, masks = cube.to_delayed().ravel(), clear.to_delayed().ravel()
     pixels = max(1, cube.shape[0] * cube.shape[2])
     share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * pixels))
@@ -367,7 +367,7 @@ def _part_of(cube: Array, clear: Bools, bands: Ints, number: int, size: int) -> 
 
 
 def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
-    """Return the sky that a level coat mirrors, up to a factor (band,); None where it is not declared."""
+    # Sky that a level coat mirrors, up to a factor (band,); None where it is not declared
     if not says_its_split(line):
         return None
     split = split_of(line, None, None).mean()

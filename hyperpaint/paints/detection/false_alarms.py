@@ -206,11 +206,9 @@ def make_detector(
 
 
 def _joint_rank(ranks: Ints, allowed: float) -> int:
-    """Return the largest rank that at most ``allowed`` rows reach for any paint.
-
-    Ranks (row, signature) begin at 1; the rank of a row is its best for any paint (Westfall and Young's
-    minP), so that the rate holds for all paints together.
-    """
+    # Largest rank that at most `allowed` rows reach for any paint.
+    # Ranks (row, signature) begin at 1; the rank of a row is its best for any paint (Westfall and Young's
+    # minP), so that the rate holds for all paints together.
     best = np.sort(ranks.min(axis=1))
     count = int(np.floor(allowed + 1e-9))
     if count >= best.size:
@@ -220,7 +218,6 @@ def _joint_rank(ranks: Ints, allowed: float) -> int:
 
 
 def _ranks(values: Floats) -> Ints:
-    """Return the rank of every value in its column, 1 for the smallest."""
     order = np.argsort(values, axis=0, kind="stable")
     ranks = np.empty(values.shape, np.int64)
     np.put_along_axis(ranks, order, np.arange(1, len(values) + 1)[:, None], axis=0)
@@ -228,7 +225,7 @@ def _ranks(values: Floats) -> Ints:
 
 
 def _score_thresholds(values: Floats, rate: float) -> Floats:
-    """Return the score thresholds that a share ``rate`` of the background passes for any paint."""
+    # Score thresholds that a share `rate` of the background passes for any paint
     allowed = rate * (len(values) + 1)
     if allowed < max(DETECTION.min_alarms, values.shape[1] + 1):
         need = int(np.ceil(max(DETECTION.min_alarms, values.shape[1] + 1) / rate))
@@ -267,10 +264,8 @@ def _distance_limits(others: tuple[Array, Array], rate: float) -> Floats:
 
 
 def _checked_rate(values: Floats, block: Ints, rate: float) -> tuple[float, float]:
-    """Return the share of pixels above thresholds drawn from other parts of the line, and its half interval.
-
-    The 95 % interval is Student's over the parts: neighbouring pixels are correlated, parts are not.
-    """
+    # Share of pixels above thresholds drawn from other parts of the line, and its half interval.
+    # The 95 % interval is Student's over the parts: neighbouring pixels are correlated, parts are not.
     from scipy.stats import t
 
     numbers, part_of = np.unique(block, return_inverse=True)

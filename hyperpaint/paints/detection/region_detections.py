@@ -97,12 +97,12 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
 
 
 def _counts(shown: Array, paints: int) -> Ints:
-    """Return the number of pixels of each paint (paint,); pixels of -1 show none."""
+    # Number of pixels of each paint (paint,); pixels of -1 show none
     return np.bincount(shown[shown >= 0], minlength=paints)
 
 
 def _shares_elsewhere(shown: Array, paints: int, taken: Bools, along: Ints, across: Ints) -> Floats:
-    """Return the largest share of a paint in copies of an outline, tiled outside all regions (copy,)."""
+    # Largest share of a paint in copies of an outline, tiled outside all regions (copy,)
     along, across = along - along.min(), across - across.min()
     high, wide = along.max() + 1, across.max() + 1
     shares = [

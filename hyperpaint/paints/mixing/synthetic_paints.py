@@ -109,7 +109,7 @@ def synthetic_library(
 
 
 def _spread(members: Array) -> dict[str, Array]:
-    """Return standard deviation and quantiles of members (signature, member, band); NaN where undefined."""
+    # Standard deviation and quantiles of members (signature, member, band); NaN where undefined
     # one paint after the other: a copy of all members would double the memory
     spreads = [_spread_of_paint(paint[np.isfinite(paint).any(axis=1)]) for paint in members]
     return {
@@ -119,7 +119,7 @@ def _spread(members: Array) -> dict[str, Array]:
 
 
 def _spread_of_paint(members: Array) -> tuple[Array, Array]:
-    """Return standard deviation (band,) and quantiles (quantile, band) of members, band by band."""
+    # Standard deviation (band,) and quantiles (quantile, band) of members, band by band
     finite_count = np.isfinite(members).sum(axis=0)
     sd = np.full(finite_count.size, np.nan)
     quantiles = np.full((len(QUANTILES), finite_count.size), np.nan)
@@ -296,7 +296,7 @@ def draw_variants(
 
 
 def _whole(spectra: Floats) -> tuple[Bools, Floats]:
-    """Return the bands that most members have (band,), and the members with values in all of these."""
+    # Bands that most members have (band,), and the members with values in all of these
     is_finite = np.isfinite(spectra)
     is_finite = is_finite[is_finite.any(axis=1)]
     spectra = spectra[np.isfinite(spectra).any(axis=1)]

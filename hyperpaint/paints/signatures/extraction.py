@@ -284,14 +284,11 @@ class _Options:
 
     @property
     def notes(self) -> dict[str, Any]:
-        """Settings as attributes of the library."""
         return {**asdict(self), "exclude": " ".join(flag_names(self.exclude)) or "none"}
 
 
 @dataclass(frozen=True)
 class _Round:
-    """Some bands of some regions of one flight line, gathered together."""
-
     line: str
     batch: list[int]
     bands: slice
@@ -305,7 +302,7 @@ def _reduce(
     excluded: Sequence[int],
     progress: Progress | None,
 ) -> None:
-    """Gather and reduce the pixels of some regions; ``excluded`` holds the excluded flags of every draft."""
+    # Gather and reduce the pixels of some regions; `excluded` holds the excluded flags of every draft
     batch = [drafts[position] for position in part.batch]
     along, across = (np.concatenate([draft.cells[axis] for draft in batch]) for axis in (0, 1))
     # reading is the first half of the work, reducing the second
@@ -377,7 +374,7 @@ def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, So
 def _rounds(
     source: Source, positions: Sequence[int], places: Sequence[Shown], *, whole: bool
 ) -> Iterator[tuple[list[int], slice]]:
-    """Yield the regions gathered together, and their bands; ``whole``: all bands at once where possible."""
+    # Yield the regions gathered together, and their bands; `whole`: all bands at once where possible
     bands = source.wavelength.size
     pixel = 4 * len(source.cubes) * bands
     batch: list[int] = []
@@ -414,7 +411,6 @@ def _refuse_divided(
 
 
 def _small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> dict[int, str]:
-    """Return a description of every region with too few pixels left, by its position."""
     texts = {}
     for number, (region, draft) in enumerate(zip(regions, drafts, strict=True)):
         if draft.n < min_pixels:

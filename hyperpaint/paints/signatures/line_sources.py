@@ -133,7 +133,7 @@ def mean_view(
 
 
 def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
-    """Return the angle convention of a line, in degrees; None where it is canonical or undeclared."""
+    # Angle convention of a line, in degrees; None where it is canonical or undeclared
     try:
         declared = Convention.from_attrs(line.attrs)
     except SchemaError as error:
@@ -147,10 +147,8 @@ def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
 
 
 def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> list[Floats]:
-    """Return roll (right wing down), pitch (nose up) and heading from true north (pixel,) [degree].
-
-    Headings are NaN where their reference north is unknown.
-    """
+    # Roll (right wing down), pitch (nose up) and heading from true north (pixel,) [degree].
+    # Headings are NaN where their reference north is unknown.
     roll, pitch = lines["roll"], lines["pitch"]
     heading = lines.get("heading", np.full(roll.shape, np.nan))
     if convention is None:
@@ -172,7 +170,7 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
 
 
 def _convergence(convention: Convention, lines: Mapping[str, Array]) -> Floats | None:
-    """Return grid north, east of true north (pixel,) [degree]; None where the map is unknown."""
+    # Grid north, east of true north (pixel,) [degree]; None where the map is unknown
     if convention.grid_crs is None:
         return None
     with contextlib.suppress(MissingExtraError, SchemaError):
@@ -188,10 +186,8 @@ def _from_attitude(
     pitch: Array,
     heading: Array,
 ) -> tuple[Floats, Floats]:
-    """Return zenith angle and azimuth of the direction to the camera [degree]; see `mean_view`.
-
-    ``look`` and ``along`` are angles of the line of sight in the camera's frame, across and along the track.
-    """
+    # Zenith angle and azimuth of the direction to the camera [degree]; see `mean_view`.
+    # `look` and `along` are angles of the line of sight in the camera's frame, across and along the track.
     if along is not None or any(boresight):
         sight = directions(look, np.zeros(look.shape) if along is None else along)
         level = np.zeros(roll.shape)
@@ -379,7 +375,7 @@ def source_of(
 def _light_of(
     line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, needed: bool
 ) -> SplitOfLines | None:
-    """Return the division of the light of each line, in memory; None where the line does not declare it."""
+    # Division of the light of each line, in memory; None where the line does not declare it
     if not needed and (diffuse is None and not says_its_split(line)):
         return None
     with warnings.catch_warnings():  # remove_mirrored_sky has warned already

@@ -78,10 +78,8 @@ def _once(
     at_sample: np.ndarray,
     of_line: np.ndarray | None = None,
 ) -> Shown:
-    """Return every pixel once, from the cells of a window (row, col) that lie in a region.
-
-    In a map of several flight lines, the same line and column are a different pixel of each flight line.
-    """
+    # Every pixel once, from the cells of a window (row, col) that lie in a region.
+    # In a map of several flight lines, the same line and column are a different pixel of each flight line.
     corner = window[ALONG_TRACK].start, window[CROSS_TRACK].start
     inside = np.zeros(line.shape, bool)
     inside[place[0] - corner[0], place[1] - corner[1]] = True

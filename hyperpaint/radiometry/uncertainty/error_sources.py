@@ -184,7 +184,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
 
 
 def _dark_weights(line: xr.Dataset) -> Floats:
-    """Return the weight of each dark reference in every line (line, dark)."""
+    # Weight of each dark reference in every line (line, dark)
     from hyperpaint.radiometry.planning import dark_weights
 
     names = ("time", "dark_time", "dark_exposure_time")

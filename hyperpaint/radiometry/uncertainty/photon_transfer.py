@@ -59,8 +59,7 @@ MIN_RECORD_NOISE = 1e-5
 
 @dataclass(frozen=True)
 class _Points:
-    """Variances with their regressors: the factors of slope and intercept of the photon transfer."""
-
+    # Variances with their regressors: the factors of slope and intercept of the photon transfer
     #: variance, by_signal, by_floor (block, band): mean square, and its regressors: the expected value is
     #: by_signal / k + by_floor x floor; NaN left out
     variance: Floats
@@ -207,7 +206,6 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_Points, float, s
 
 
 def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
-    """Return first lines of blocks, evenly distributed over the line."""
     lines, bands, columns = shape
     problems = Problems("noise cannot be estimated", SchemaError)
     if lines < BLOCK_LINES:
@@ -221,12 +219,12 @@ def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
 
 
 def _by_band(array: Array) -> Array:
-    """Return values (block, band, column) as (block x column, band)."""
+    # Values (block, band, column) as (block x column, band)
     return np.moveaxis(array, 1, 2).reshape(-1, array.shape[1])
 
 
 def _repeated_points(cube: Array) -> _Points:
-    """Return variances (block x column, band) of frames (block, frame, band, column) of one scene."""
+    # Variances (block x column, band) of frames (block, frame, band, column) of one scene
     variance = cube.var(axis=1, ddof=1, dtype=np.float64)
     mean = cube.mean(axis=1, dtype=np.float64)
     variance, signal = _by_band(variance), _by_band(mean)
@@ -234,10 +232,8 @@ def _repeated_points(cube: Array) -> _Points:
 
 
 def _block_points(cube: Array) -> _Points:
-    """Return variances (block x column, band) of bands relative to their neighbours.
-
-    ``cube`` is (block, line, band, column). Bands whose signal is itself uncertain by noise are left out.
-    """
+    # Variances (block x column, band) of bands relative to their neighbours.
+    # `cube` is (block, line, band, column). Bands whose signal is itself uncertain by noise are left out.
     mean = cube.mean(axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
@@ -265,7 +261,7 @@ def _block_points(cube: Array) -> _Points:
 
 
 def _dark_noise(cube: Array, mean: Array) -> float:
-    """Return the spread of a count in the darkest tenth of the samples [count]."""
+    # Spread of a count in the darkest tenth of the samples [count]
     valid = np.isfinite(mean)
     if not valid.any():
         return 0.0
@@ -278,8 +274,7 @@ def _dark_noise(cube: Array, mean: Array) -> float:
 
 @dataclass(frozen=True)
 class _Transfer:
-    """Slope and intercept of the photon transfer, their covariance, and the points of the fit."""
-
+    # Slope and intercept of the photon transfer, their covariance, and the points of the fit
     slope: float
     height: float
     covariance: Floats
@@ -287,7 +282,6 @@ class _Transfer:
 
 
 def _fit(points: _Points) -> _Transfer:
-    """Return the straight line through the variances that contain noise alone."""
     from scipy.stats import chi2
 
     valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
@@ -336,7 +330,6 @@ def _fit(points: _Points) -> _Transfer:
 
 
 def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats) -> tuple[float, float]:
-    """Return slope and intercept of the lower envelope of binned medians."""
     from scipy.stats import chi2
 
     signal = points.by_signal[valid] / points.by_floor[valid]
@@ -360,7 +353,6 @@ def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats)
 def _solve(
     points: _Points, used: npt.NDArray[np.bool_], model: Floats, variance: Floats
 ) -> tuple[float, float, Floats]:
-    """Return slope and intercept by weighted least squares, and their covariance by the jackknife."""
     weight = np.where(used, 1.0 / model**2, 0.0)
     value = np.where(used, variance, 0.0)
     a, b = (np.where(used, v, 0.0) for v in (points.by_signal, points.by_floor))
@@ -389,7 +381,6 @@ def _solve(
 
 
 def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
-    """Return the estimate with its uncertainties and the binned photon transfer."""
     signal, variance, expected = _curve(transfer, points)
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
     chance = np.sqrt(4.0 / (float(points.freedom.mean()) * transfer.used.sum() / variance.size))
@@ -429,7 +420,7 @@ def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source:
 
 
 def _curve(transfer: _Transfer, points: _Points) -> tuple[Floats, Floats, Floats]:
-    """Return mean signals, variances and fitted variances, in bins with equal numbers of points."""
+    # Mean signals, variances and fitted variances, in bins with equal numbers of points
     a, b, v = (array[transfer.used] for array in (points.by_signal, points.by_floor, points.variance))
     order = np.argsort(a / b, kind="stable")
     bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))

@@ -201,7 +201,7 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
 
 
 def _smoothed(values: Array, valid: Bools) -> Floats:
-    """Return means of valid values over a square (line, column); NaN without valid values."""
+    # Means of valid values over a square (line, column); NaN without valid values
     valid = valid & np.isfinite(values)
     total = uniform_filter(
         np.where(valid, values, 0.0).astype(np.float64), SURFACES.square_px, mode="constant"
@@ -212,7 +212,7 @@ def _smoothed(values: Array, valid: Bools) -> Floats:
 
 
 def _brightness(seen: Floats, valid: Bools) -> tuple[Floats, float]:
-    """Return the brightness of pixels relative to the median (line, column), and its largest reflectance."""
+    # Brightness of pixels relative to the median (line, column), and its largest reflectance
     if not valid.any():
         return np.full(valid.shape, np.nan), np.nan
     middle = np.median(seen[valid], axis=0)
@@ -221,7 +221,7 @@ def _brightness(seen: Floats, valid: Bools) -> tuple[Floats, float]:
 
 
 def _largest(mask: Bools) -> Bools:
-    """Return the largest connected part of a mask without parts narrower than three pixels."""
+    # without parts narrower than three pixels
     opened = binary_opening(mask, np.ones((3, 3), bool))
     parts, count = label(opened)
     if not count:

@@ -38,7 +38,7 @@ class Car:
 
 
 def _is_certain(footprint: Footprint, roof: Roof) -> bool:
-    """Return whether a roof lies between windows, or behind a windscreen, on a footprint of one car."""
+    # Whether a roof lies between windows, or behind a windscreen, on a footprint of one car
     return footprint.is_one_car and (roof.complete or roof.sided)
 
 
@@ -80,7 +80,6 @@ class _Seen(NamedTuple):
 
     @property
     def rank(self) -> tuple[int, int]:
-        """Certainty that it is a car, and its pixels."""
         if self.footprint is None:
             return 0, 0
         if isinstance(self.roof, NoRoof):
@@ -90,7 +89,6 @@ class _Seen(NamedTuple):
         return _CERTAIN - int(not _is_certain(self.footprint, self.roof)), self.size
 
     def unless_larger(self, largest: float) -> _Seen:
-        """Return this, or a refusal where it has more pixels than a car."""
         if self.size <= largest:
             return self
         reason = "it is larger than other cars: several of one colour may touch; draw a region by hand"
@@ -106,7 +104,7 @@ class _Lot:
         self._paint = self._whole.copy()
 
     def look(self, waiting: list[_Seen], ways: Sequence[Way], largest: float) -> list[_Seen]:
-        """Add the cars that are certain; return the best candidates around all other pieces."""
+        # Add the cars that are certain; return the best candidates around all other pieces
         unsure = []
         for best in waiting:
             if self.has(best.piece):
@@ -121,7 +119,7 @@ class _Lot:
         return unsure
 
     def drop(self, largest: float) -> list[Piece]:
-        """Remove the cars with more pixels, which are several side by side; return their pieces."""
+        # Remove the cars with more pixels, which are several side by side; return their pieces
         is_kept = [seen.size <= largest for seen in self.certain]
         numbers = np.append(np.where(is_kept, np.cumsum(is_kept) - 1, -1), -1).astype(np.int32)
         self._whole, self._paint = numbers[self._whole], numbers[self._paint]
@@ -131,7 +129,7 @@ class _Lot:
         return [piece for car in dropped for piece in car.pieces]
 
     def has(self, piece: Piece) -> bool:
-        """Assign a piece to the car whose paint or windows it lies on; return whether there is one."""
+        # Assign a piece to the car whose paint or windows it lies on; return whether there is one
         for plane, least in ((self._paint, CARS.min_piece_share), (self._whole, CARS.min_window_share)):
             numbers = plane[piece.window][piece.inside]
             if (numbers >= 0).mean() > least:
@@ -140,7 +138,7 @@ class _Lot:
         return False
 
     def add(self, seen: _Seen) -> bool:
-        """Add a piece to the car at its place, or as a new car; return whether it is new."""
+        # Add a piece to the car at its place, or as a new car; return whether it is new
         footprint, roof = seen.footprint, seen.roof
         number = len(self.cars) if footprint is None else self._same(footprint)
         if number < len(self.cars):
@@ -161,7 +159,6 @@ class _Lot:
         return True
 
     def _same(self, footprint: Footprint) -> int:
-        """Return the number of the car under a footprint, or the next number without one."""
         numbers = self._whole[footprint.window][footprint.whole]
         numbers = numbers[numbers >= 0]
         if not numbers.size:
@@ -174,7 +171,7 @@ class _Lot:
 
 
 def _look_around(best: _Seen, scene: Scene, ways: Sequence[Way], largest: float) -> _Seen:
-    """Return the best car and roof around a piece: the first certain one among all ways to join its parts."""
+    # Best car and roof around a piece: the first certain one among all ways to join its parts
     piece = best.piece
     colour = np.median(scene.without_sky(piece.window)[piece.inside], axis=0)
     for footprint in footprints_of(piece.inside, piece.first, colour, scene, ways):
@@ -213,7 +210,7 @@ def judge_car(car: Car, picture: Picture, limits: Limits) -> list[Judged]:
 
 
 def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limits) -> Judged | None:
-    """Return the verdict on a roof; None where all of it is near edges."""
+    # Verdict on a roof; None where all of it is near edges
     piece = _piece_of(footprint, roof, picture.model, limits.erode)
     if piece is None:
         return None
@@ -257,13 +254,12 @@ def _judge_roof(footprint: Footprint, roof: Roof, picture: Picture, limits: Limi
 
 
 def _holds(mask: Bools, place: tuple[float, float]) -> bool:
-    """Return whether a place (line, column) lies within the lines and columns of a mask."""
+    # Whether a place (line, column) lies within the lines and columns of a mask
     lines, columns = mask.shape
     return bool(-1.0 <= place[0] <= lines and -1.0 <= place[1] <= columns)
 
 
 def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: Picture) -> None:
-    """Object where a window or a bed may be mistaken for a black roof."""
     level = picture.channels[footprint.window].mean(axis=2)
     paint_level = float(np.nanmedian(level[footprint.paint & footprint.whole]))
     step = paint_level - roof.window_level
@@ -284,10 +280,8 @@ def _judge_windows(verdict: Verdict, footprint: Footprint, roof: Roof, picture: 
 
 
 def _piece_of(footprint: Footprint, roof: Roof, model: SceneModel, erode: int) -> Piece | None:
-    """Return the pixels of a roof that are away from other colours.
-
-    Pixels brighter than the paint elsewhere count as paint: they lie in the lobe of flakes, or in glint.
-    """
+    # Pixels of a roof that are away from other colours.
+    # Pixels brighter than the paint elsewhere count as paint: they lie in the lobe of flakes, or in glint.
     paint = footprint.paint | (footprint.brightness >= FOOTPRINTS.brightness[0][1])
     inside = roof.inside & (distance_transform_edt(np.pad(paint, 1))[1:-1, 1:-1] > erode)
     lines, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
@@ -334,7 +328,6 @@ def _judge_part(piece: Piece, car: Car, picture: Picture, limits: Limits) -> Jud
 
 
 def _compare_with_car(verdict: Verdict, measures: Measures, car: Car, picture: Picture) -> None:
-    """Object to a part with another colour than the rest of its car, or far brighter or darker."""
     footprint = car.footprint
     if footprint is None or not measures.pixels:
         return

@@ -113,10 +113,8 @@ def judge_finish(
 
 
 def _judge_colours(verdict: Verdict, difference: Difference, steady: bool) -> None:
-    """State the finish of coloured paint from the difference of its bright and its dark part.
-
-    Takes ``steady``: whether its change with lean is no larger than for a solid paint.
-    """
+    # State the finish of coloured paint from the difference of its bright and its dark part.
+    # Takes `steady`: whether its change with lean is no larger than for a solid paint.
     if difference.contrast < FINISHES.min_contrast:
         return
     share = difference.flat_share

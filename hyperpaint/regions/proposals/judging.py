@@ -117,11 +117,9 @@ def mirrored_sky(picture: Picture) -> float:
 
 
 def _mirror_share_sd(picture: Picture, zenith: float) -> float:
-    """Return the relative standard uncertainty of the mirrored sky [1].
-
-    Skies brighter than a clear one, by haze, are uneven, most of all around the sun; a covered sky is equally
-    bright everywhere.
-    """
+    # Relative standard uncertainty of the mirrored sky [1].
+    # Skies brighter than a clear one, by haze, are uneven, most of all around the sun; a covered sky is
+    # equally bright everywhere.
     direct = direct_share(picture)
     clear = float(diffuse_fraction(picture.model.channel_wavelength, zenith).mean())
     haze = (1.0 - direct) / clear - 1.0

@@ -134,7 +134,6 @@ def measured_lean(
 
 
 def _stands_above_ground(model: HeightModel, window: tuple[slice, slice], roof: Floats) -> bool:
-    """Return whether heights are those of a car's roof, not of the ground below it."""
     around = tuple(
         slice(max(part.start - LEANS.around_px, 0), part.stop + LEANS.around_px) for part in window
     )

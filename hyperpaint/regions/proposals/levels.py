@@ -117,21 +117,19 @@ def level_place(footprint: Footprint, roof: Roof) -> Place:
 
 
 def _from(middle: tuple[float, float], axis: Floats, y: Array, x: Array) -> tuple[Floats, Floats]:
-    """Return distances of places from a middle, along and across a car [pixel]."""
+    # Distances of places from a middle, along and across a car [pixel]
     y, x = np.asarray(y - middle[0], np.float64), np.asarray(x - middle[1], np.float64)
     return y * axis[0] + x * axis[1], y * axis[1] - x * axis[0]
 
 
 def _to(middle: tuple[float, float], axis: Floats, along: Floats, across: Floats) -> tuple[Floats, Floats]:
-    """Return line and column of places along and across a car [pixel]."""
+    # Line and column of places along and across a car [pixel]
     return middle[0] + along * axis[0] + across * axis[1], middle[1] + along * axis[1] - across * axis[0]
 
 
 def _edge(aside: Floats, profile: Floats, half: float) -> float:
-    """Return the distance from the middle to the edge of the paint [pixel]; NaN without a visible edge.
-
-    Takes ``aside``, ``profile`` (sample,): distance from the middle [pixel], and brightness there.
-    """
+    # Distance from the middle to the edge of the paint [pixel]; NaN without a visible edge.
+    # Takes `aside`, `profile` (sample,): distance from the middle [pixel], and brightness there.
     width = round(0.5 * LEVELS.edge_px * LEVELS.steps_per_px)
     logs = np.log(np.maximum(profile, 1e-3))
     fall = np.zeros(logs.size)
@@ -176,15 +174,13 @@ def level_light(brightness: Floats, lit: Bools, place: Place, axis: Floats) -> L
 
 
 class _Surface(NamedTuple):
-    """A surface through the logarithm of brightness."""
-
     terms: Floats  #: (term,): Its value in the middle, its slopes and curvatures.
     rms: float  #: Root mean square of the residuals of the fit [1].
     sd: float  #: Standard error of its value in the middle [1].
 
     @classmethod
     def through(cls, place: Floats, logs: Floats) -> _Surface:
-        """Return the surface through logarithms of brightness (pixel,) at places (pixel, term)."""
+        # Surface through logarithms of brightness (pixel,) at places (pixel, term)
         fitted = np.ones(logs.size, bool)
         for _ in range(LEVELS.rounds):
             terms = np.asarray(np.linalg.lstsq(place[fitted], logs[fitted], rcond=None)[0], np.float64)

@@ -59,7 +59,7 @@ def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple
 
 
 def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
-    """Return the directions from every corner along the edge of a mask, which lies to their right."""
+    # directions from every corner along the edge, with the mask to their right
     wide = np.pad(mask, 1)
     inner = wide[1:-1, 1:-1]
     beside = (wide[:-2, 1:-1], wide[1:-1, 2:], wide[2:, 1:-1], wide[1:-1, :-2])
@@ -72,7 +72,6 @@ def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
 
 
 def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> list[tuple[int, int]]:
-    """Return the corners of the ring from a corner, and remove its sides."""
     ring = []
     here = start
     way = min(sides[start])
@@ -313,10 +312,8 @@ def propose_regions(
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
-    """Return the line in channels (line, column, channel), and the layers `_LAYERS`.
-
-    Both result from one pass over the line.
-    """
+    # Line in channels (line, column, channel), and the layers `_LAYERS`.
+    # Both result from one pass over the line.
     flagged = flag(line, model)
     before = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
