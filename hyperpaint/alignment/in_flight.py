@@ -144,8 +144,7 @@ def align(
 
 
 def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
-    text = f"camera and irradiance record not compared: {reason}"
-    return restated(line, text, state="not compared")
+    return restated(line, f"camera and irradiance record not compared: {reason}", state="not compared")
 
 
 def _numbers(found: Comparison) -> dict[str, float]:

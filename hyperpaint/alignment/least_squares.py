@@ -71,8 +71,7 @@ class _Smooth:
 
     def slope(self, values: Floats) -> Floats:
         # Derivative of the smooth curve (band, column) [nm-1]
-        usable = np.where(self.used, values, 0.0)
-        terms = np.einsum("xbp,bx->xp", self.basis, usable)
+        terms = np.einsum("xbp,bx->xp", self.basis, np.where(self.used, values, 0.0))
         return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms))
 
     def without(self, values: Floats) -> Floats:
@@ -167,8 +166,7 @@ def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
         tilt = ratio.tilt(tilt, shift, factor)
         away = ratio.departure(tilt, shift, factor)
         normal, right = ratio.normal_equations(tilt, shift, factor, away)
-        damping = 1e-12 + 1e-9 * np.trace(normal, axis1=1, axis2=2)
-        normal = normal + damping[:, None, None] * np.eye(2)
+        normal = normal + (1e-12 + 1e-9 * np.trace(normal, axis1=1, axis2=2))[:, None, None] * np.eye(2)
         step = np.clip(np.linalg.solve(normal, right[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
         shift = np.clip(shift + step[:, 0], -max_shift, max_shift)
         factor = np.clip(factor + step[:, 1], FACTORS[0], FACTORS[-1])
@@ -277,8 +275,7 @@ def checked_windows(window: Any) -> list[Window]:
                 expected="a lowest wavelength below the highest",
                 code="window-reversed",
             )
-    in_order = sorted(pairs)
-    for (_, high), (low, _) in itertools.pairwise(in_order):
+    for (_, high), (low, _) in itertools.pairwise(sorted(pairs)):
         if low < high:
             problems.add(f"windows overlap from {low:g} to {high:g} nm", code="windows-overlap")
     problems.raise_if_any()

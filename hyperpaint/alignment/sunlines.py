@@ -130,10 +130,8 @@ def divided(
 def _solved(rows: list[tuple[float, float, float, float]]) -> tuple[list[float], list[float]]:
     table = np.array(rows)
     weighted = table[:, :3] / table[:, 3:]
-    normal = weighted[:, :2].T @ weighted[:, :2]
-    inverse = np.linalg.inv(normal)
-    value = inverse @ weighted[:, :2].T @ weighted[:, 2]
-    return value.tolist(), np.sqrt(np.diag(inverse)).tolist()
+    inverse = np.linalg.inv(weighted[:, :2].T @ weighted[:, :2])
+    return (inverse @ weighted[:, :2].T @ weighted[:, 2]).tolist(), np.sqrt(np.diag(inverse)).tolist()
 
 
 def record_against_sun(
@@ -201,8 +199,7 @@ class _Trials(NamedTuple):
 @functools.lru_cache(maxsize=4)  # the lines of a collect have the same channels
 def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
     nm = np.array(channels)
-    place = (nm - nm.mean()) / (np.ptp(nm) / 2.0)
-    smooth = np.polynomial.legendre.legvander(place, rules.degree)
+    smooth = np.polynomial.legendre.legvander((nm - nm.mean()) / (np.ptp(nm) / 2.0), rules.degree)
     first, last, step = rules.shifts_nm
     shifts = np.arange(first, last + step / 2, step)
     first, last, step = rules.widths_nm

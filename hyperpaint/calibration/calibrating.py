@@ -237,8 +237,7 @@ def _curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) ->
         curve = linearity_of(table.assign_attrs(linearity_on=on))
     else:
         curve = linearity_of(xr.Dataset(attrs={"linearity": linearity, "linearity_on": on}))
-    full = np.inf if lab.saturation is None else float(np.max(lab.saturation))
-    curve.check(problems, full)
+    curve.check(problems, np.inf if lab.saturation is None else float(np.max(lab.saturation)))
     problems.raise_if_any()
     return curve
 

@@ -166,8 +166,7 @@ class Result:
         gain[:, self._unlit] = np.nan
         responsivity = 1.0 / (gain * self.lab.etendue * self.spacing)
         gain[self.bad] = np.nan
-        lit = np.isfinite(gain).any(axis=0)
-        good = np.isfinite(gain[:, lit]).mean(axis=1) > 0.5
+        good = np.isfinite(gain[:, np.isfinite(gain).any(axis=0)]).mean(axis=1) > 0.5
         values: dict[str, Any] = {
             "radiance_gain": gain,
             "responsivity": responsivity,
@@ -357,8 +356,7 @@ class Result:
         }
 
     def _check_plausible(self, gain: Floats) -> None:
-        photon = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9)
-        counts = photon / (gain * self.lab.etendue * self.spacing)
+        counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)
         best = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
         electrons = self.lab.electrons_per_count
         if electrons is None and self.read.noise_source == FROM_FRAMES:

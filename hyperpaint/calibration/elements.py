@@ -35,8 +35,7 @@ class Differences:
 
 def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
     # Camera's own width at every step (step,) [nm]; interpolated without a good lamp line
-    columns = np.arange(lab.shape[2])
-    own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), columns)
+    own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), np.arange(lab.shape[2]))
     count = lines.trusted.sum(axis=1)
     fitted_steps = np.flatnonzero(count >= max(0.5 * count.max(), 1))  # a few at the edge may all be wrong
     middle = row_medians(own, lines.trusted)[fitted_steps]
@@ -154,8 +153,7 @@ def _split(tally: Floats) -> Differences:
         return Differences(0.0, 0.0)
     signal, square, excess = (row[used] / tally[0][used] for row in tally[1:])
     weight = np.sqrt(tally[0][used]) / np.maximum(np.abs(excess), 1e-12)
-    terms = np.column_stack([signal, square])
-    slope, relative = nnls(terms * weight[:, None], excess * weight)[0]
+    slope, relative = nnls(np.column_stack([signal, square]) * weight[:, None], excess * weight)[0]
     return Differences(float(np.sqrt(relative)), float(slope))
 
 
@@ -169,8 +167,7 @@ MAX_WIDTH_DEVIATION = 0.3
 
 def line_wavelengths(lines: Lines, surface: WavelengthMap, pull: Floats) -> Floats:
     """Return the wavelength of the lamp lines' centres in the map (step, cross_track) [nm], less the pull."""
-    columns = np.arange(lines.centre.shape[1])
-    wavelength = surface.at(np.nan_to_num(lines.centre), columns) - pull[:, None]
+    wavelength = surface.at(np.nan_to_num(lines.centre), np.arange(lines.centre.shape[1])) - pull[:, None]
     return np.asarray(np.where(np.isfinite(lines.centre), wavelength, np.nan))
 
 

@@ -216,8 +216,7 @@ def _brightest(light: Floats) -> float:
     levels = np.where(np.isfinite(light), light, 0.0)
     if levels.size < 5:
         return float(levels.max(initial=0.0))
-    stacked = np.lib.stride_tricks.sliding_window_view(levels, 5)
-    return float(np.median(stacked, axis=1).max())
+    return float(np.median(np.lib.stride_tricks.sliding_window_view(levels, 5), axis=1).max())
 
 
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
@@ -266,8 +265,7 @@ def fit_window(
     floor = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
     variance = noise.variance(model, frames) + floor
     fits, used = _fit_twice(window, values, variance, parameters, shape, light)
-    unit = _profiles(window, parameters, shape, light)
-    area, unseen = _area(window, parameters, unit, used)
+    area, unseen = _area(window, parameters, _profiles(window, parameters, shape, light), used)
     area_variance = np.where(used, noise.variance(np.where(used, values, 0.0), frames), 0.0).sum(axis=1)
     area_variance += used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
     area_variance += unseen**2 * fits.covariance[:, AREA, AREA]

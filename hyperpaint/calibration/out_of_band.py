@@ -145,8 +145,7 @@ def stray_light_matrix(
     """
     bands = rows.shape[1]
     distance = np.arange(bands) - centre[:, None]
-    beyond = np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None]
-    usable = (rows != 0) & beyond
+    usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
     wing = _line_spread(distance[usable], rows[usable], bands)
     place = np.arange(bands)
     matrix = wing(place[:, None] - place)
@@ -204,8 +203,7 @@ def wing_uncertainty(rows: Floats, matrix: Floats, centre: Floats, offset: float
     (band, source band) is the result. 1 without any.
     """
     source = _bands_of(centre, len(matrix))
-    outside = rows != 0
-    modelled = np.where(outside, matrix[:, source].T, 0.0).sum(axis=1)
+    modelled = np.where(rows != 0, matrix[:, source].T, 0.0).sum(axis=1)
     scatter = 1.4826 * float(np.median(np.abs(rows.sum(axis=1) - modelled)))
     level = float(np.median(modelled))
     return min(float(np.hypot(scatter, offset)) / level, 1.0) if level > 0 else 1.0

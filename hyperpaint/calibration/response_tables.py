@@ -79,8 +79,7 @@ class MeasuredShape(NamedTuple):
 
     def table(self, fwhm: Floats) -> tuple[Floats, Floats]:
         """Return offsets (srf_offset,) [nm], and the response of bands of widths (band,) [nm] there."""
-        widest = float(fwhm.max())
-        offset = self.offset * widest
+        offset = self.offset * float(fwhm.max())
         return offset, np.stack([np.interp(offset, self.offset * w, self.response, 0.0, 0.0) for w in fwhm])
 
 
@@ -173,7 +172,5 @@ def _effect(offset: Floats, response: Floats, model: Floats, width: float) -> fl
     nm = np.arange(380.0, 1001.0)
     mass = 1.0 / np.cos(np.radians(SHAPE_RULES.sun_zenith_deg))
     direct, diffuse = ClearSky(SHAPE_RULES.sun_zenith_deg, airmass=float(mass)).irradiance(nm)
-    centres = np.arange(420.0, 950.0)
-    places = centres[:, None] + offset * width
-    light = np.interp(places, nm, direct + diffuse)
+    light = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width, nm, direct + diffuse)
     return float(np.abs(light @ response / (light @ model) * model.sum() / response.sum() - 1.0).max())

@@ -122,8 +122,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         window = find_line(net, raw, bad, lab.saturation)
         if window is not None:
             rows[step] = window.out_of_band
-            distance = np.abs(np.arange(bands) - window.band)
-            far = net[distance > 0.25 * bands]
+            far = net[np.abs(np.arange(bands) - window.band) > 0.25 * bands]
             scatter.append(1.4826**2 * np.nanmedian((far - np.nanmedian(far)) ** 2) * lab.frames[step])
         windows.append(window)
         tick()

@@ -110,5 +110,4 @@ def transmitted_share(
     [0.948 0.946]
     """
     normal, sun, leaving = 1.0 - interface_reflectance([0.0, incidence, view], index)
-    entering = (1.0 - fraction) * sun + fraction * (1.0 - sky)
-    return entering / normal * leaving / normal
+    return ((1.0 - fraction) * sun + fraction * (1.0 - sky)) / normal * leaving / normal

@@ -149,8 +149,7 @@ def diffuse_from_record(
 
 def labelled(array: xr.DataArray) -> xr.DataArray:
     """Return a variable of `SPLIT` with its attributes of the table."""
-    words = sky_state_attrs() if array.name == "sky_state" else {}
-    return schema.label(array, str(array.name), **words)
+    return schema.label(array, str(array.name), **sky_state_attrs() if array.name == "sky_state" else {})
 
 
 def sky_state_attrs() -> dict[str, Any]:
@@ -162,8 +161,7 @@ def sky_state_attrs() -> dict[str, Any]:
 def states_of(probability: Floats) -> npt.NDArray[np.int8]:
     """Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`."""
     state = probability.argmax(axis=1)
-    undecided = probability.max(axis=1) < RULES.decided
-    return np.where(undecided, len(SKY_STATES) - 1, state).astype(np.int8)
+    return np.where(probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, state).astype(np.int8)
 
 
 def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
@@ -262,8 +260,7 @@ def split_of_lines(
         shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
         for out, array, shape, dtype in zip(parts, block, shapes, ("f4", "f4", "i1"), strict=True):
             out.append(da.from_delayed(array, shape, dtype))
-    all_dims = ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,))
-    columns = zip(SPLIT, all_dims, parts, strict=True)
+    columns = zip(SPLIT, ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,)), parts, strict=True)
     split = xr.Dataset({name: (dims, da.concatenate(blocks)) for name, dims, blocks in columns})
     return split.assign({name: labelled(split[name]) for name in SPLIT})
 
@@ -293,8 +290,7 @@ def _at_lines(
     place = (stamps - stamps[0]).astype(np.int64)
     after = np.clip(np.searchsorted(place, at), 0, usable.size - 1)
     before = np.maximum(after - (at < place[after]), 0)
-    gap = np.maximum(place[after] - place[before], 1)
-    part = np.clip((at - place[before]) / gap, 0.0, 1.0)[:, None]
+    part = np.clip((at - place[before]) / np.maximum(place[after] - place[before], 1), 0.0, 1.0)[:, None]
     rows = [
         np.where(known[:, None], (1.0 - part) * values[usable[before]] + part * values[usable[after]], np.nan)
         for values in (fraction, u)

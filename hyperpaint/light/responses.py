@@ -113,8 +113,7 @@ class Responses:
             response = np.where(tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
         elif self.shape == "slit":
             pixel = np.asarray(self.spacing)[bands, None]
-            edge = 0.5 * (width + pixel) - np.abs(distance)
-            response = np.clip(edge, 0.0, np.minimum(width, pixel))
+            response = np.clip(0.5 * (width + pixel) - np.abs(distance), 0.0, np.minimum(width, pixel))
         else:
             offset, table = np.asarray(self.offset), np.asarray(self.table)
             rows = zip(distance, table[bands], strict=True)
@@ -301,8 +300,7 @@ def _remembered_operator(
             )
         grid = np.arange(-half[band] - 2 * widest, half[band] + 2 * widest + step, step) + centre
         responses = np.stack([bands.on(grid, band) for bands in moved])
-        inside = (grid >= centres[0]) & (grid <= centres[-1])
-        coverage[:, band] = responses[:, inside].sum(axis=1) * step
+        coverage[:, band] = responses[:, (grid >= centres[0]) & (grid <= centres[-1])].sum(axis=1) * step
         widths = spectrometer.fwhm[order[near]] if near.size else spectrometer.fwhm
         if _has_hole(centres, centre, imager.fwhm[band] + np.ptp(shifts), 2.0 * widths.max()):
             coverage[:, band] = 0.0

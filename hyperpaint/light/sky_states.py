@@ -223,8 +223,7 @@ def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> 
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
     direct, diffuse = scattered_light(_NODES_NM, sun_zenith, air)
     _, fraction = _mixed(draws, _NODES_NM, direct, diffuse)
-    clear = (diffuse / (direct + diffuse))[draws.air]
-    return _Spectra(np.log(whole), fraction, clear)
+    return _Spectra(np.log(whole), fraction, (diffuse / (direct + diffuse))[draws.air])
 
 
 @functools.lru_cache(maxsize=16)
@@ -399,8 +398,7 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
     # between clouds the receiver measures at one moment the light that the ground gets at the next
     apart = fraction - fraction.mean(axis=0)
     square = _averaged(apart**2, evidence.seconds) - _averaged(apart, evidence.seconds) ** 2
-    change = np.maximum(square, 0.0)
-    u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * change)
+    u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * np.maximum(square, 0.0))
     middle = int(np.abs(_NODES_NM - 550.0).argmin())
     cloud = (fraction - clear)[:, middle] / np.maximum(1.0 - clear[:, middle], 1e-6)
     return Explained(fraction, u, probability, np.clip(cloud, 0.0, 1.0), _NODES_NM)
@@ -410,8 +408,7 @@ def _probabilities(share: Floats, turbid: Floats) -> Floats:
     # Probability of the five states (sample, state).
     # From the shares of kinds (sample, width of the level, kind), and the share of turbid air among them.
     # Thin cloud, and a level far from its calibration, count as contradictory.
-    sure = share[:, 0]
-    air, thin, broken, overcast = sure.T
+    air, thin, broken, overcast = share[:, 0].T
     hazy = air * turbid[:, 0, 0]
     return np.stack([air - hazy, hazy, broken, overcast, share[:, 1].sum(axis=1) + thin], axis=1)
 
@@ -426,8 +423,7 @@ def _averaged(values: Floats, seconds: Floats) -> Floats:
     # Means of values (sample, ...) over the window of each sample, whose times increase
     first, last = _near(seconds)
     sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-    count = (last - first).reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((sums[last] - sums[first]) / count)
+    return np.asarray((sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def _variation(evidence: Evidence) -> Floats:

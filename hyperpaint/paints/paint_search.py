@@ -192,8 +192,7 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
     paints = np.asarray(reflectance.values, np.float64)
     both = np.isfinite(paints) & np.isfinite(spectrum)
     x, y = np.where(both, paints, 0.0), np.where(both, spectrum, 0.0)
-    lengths = np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1))
-    usable = (both.sum(axis=1) >= MIN_BANDS) & (lengths > 0.0)
+    usable = (both.sum(axis=1) >= MIN_BANDS) & (np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1)) > 0.0)
     # the chord is exact where the cosine is too close to 1
     unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
     unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)

@@ -57,6 +57,4 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
         sums += block.sum(axis=0, dtype=np.float64)
         highest = np.maximum(highest, block.max(axis=0))
         divisor = int(np.gcd.reduce(block, axis=None, initial=divisor))
-    if not lines:
-        return None
-    return CubeSample(lines, sums / lines, highest, divisor)
+    return None if not lines else CubeSample(lines, sums / lines, highest, divisor)

@@ -97,8 +97,7 @@ def judge_dark(
             f"at most {100 * RULES.zero_share:g} %",
         )
         return
-    light = sample.mean - dark
-    dark_bands, light_bands = np.nanmean(dark, axis=1), np.nanmean(light, axis=1)
+    dark_bands, light_bands = np.nanmean(dark, axis=1), np.nanmean(sample.mean - dark, axis=1)
     over = float(np.mean(light_bands < -np.maximum(RULES.over_counts, RULES.over_level * dark_bands)))
     if over > RULES.over_share:
         yield Finding(
@@ -162,8 +161,7 @@ def _judge_pattern(
     # regression of the scene's on both gives the share of the dark's pattern in it.
     if dark.shape[0] < 3 or dark.shape[1] < 2 or not np.nanmax(dark) - np.nanmin(dark) > RULES.pattern_range:
         return
-    light = sample.mean - dark
-    level = np.nanmedian(np.where(np.isfinite(gain), light * gain, np.nan), axis=1)
+    level = np.nanmedian(np.where(np.isfinite(gain), (sample.mean - dark) * gain, np.nan), axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         expected = level[:, None] / gain
     scene, pattern, lit = _differences(sample.mean), _differences(dark), _differences(expected)
@@ -187,8 +185,7 @@ def _judge_pattern(
     terms = np.stack([pattern[usable], lit[usable]]) * weights
     values = scene[usable] * weights
     for _ in range(2):  # the second fit without outliers
-        moments = terms @ terms.T
-        slopes = np.linalg.lstsq(moments, terms @ values, rcond=None)[0]
+        slopes = np.linalg.lstsq(terms @ terms.T, terms @ values, rcond=None)[0]
         residual = values - slopes @ terms
         near = np.abs(residual) <= 4.0 * (1.4826 * np.median(np.abs(residual)) + 1e-12)
         terms, values, residual = terms[:, near], values[near], residual[near]

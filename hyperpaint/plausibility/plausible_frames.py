@@ -75,8 +75,7 @@ def _jumps(name: str, frame: Ints, stamp: Ints) -> Iterator[Finding]:
     windows = np.median(np.lib.stride_tricks.sliding_window_view(late, wide), axis=1)
     # compare before and after every long step
     for at in np.flatnonzero(steps[wide - 1 : 1 - wide] > (1.0 + RULES.jump) * period) + wide - 1:
-        stays = (windows[at + 1] - windows[at + 1 - wide]) / period
-        if stays > RULES.jump:
+        if (windows[at + 1] - windows[at + 1 - wide]) / period > RULES.jump:
             yield Finding(
                 KINDS["lost-frames"],
                 name,

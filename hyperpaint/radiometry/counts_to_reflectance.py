@@ -278,8 +278,7 @@ def panel_closure(
     >>> panel_closure(line, whole).panel_factor.values.round(3)
     array([[1., 1., 1.]], dtype=float32)
     """
-    line = _reflectance(dataset, irradiance, panels=several_panels(panel), refuses=False)
-    return line[list(CLOSURE)]
+    return _reflectance(dataset, irradiance, panels=several_panels(panel), refuses=False)[list(CLOSURE)]
 
 
 def _reflectance(

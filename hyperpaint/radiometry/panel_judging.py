@@ -340,8 +340,7 @@ def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
         guess = np.where(beyond, mean + spread * hazard, measured)
         variance = np.where(beyond, spread**2 * np.maximum(1.0 + z * hazard - hazard**2, 0.0), 0.0)
         before, mean = mean, np.where(present, guess, 0.0).sum(axis=0) / number
-        square = np.where(present, (guess - mean) ** 2 + variance, 0.0).sum(axis=0) / number
-        spread = np.sqrt(square)
+        spread = np.sqrt(np.where(present, (guess - mean) ** 2 + variance, 0.0).sum(axis=0) / number)
         if (np.abs(mean - before) <= 1e-7 * np.abs(mean)).all():
             break
     return mean, spread

@@ -172,8 +172,7 @@ def panel_inputs(
     problems = Problems("the panel cannot be used", SchemaError)
     for panel in panels:
         for dim in (ALONG_TRACK, CROSS_TRACK):
-            chosen = range(dataset.sizes[dim])[getattr(panel, dim)]
-            if not len(chosen):
+            if not len(range(dataset.sizes[dim])[getattr(panel, dim)]):
                 problems.add(
                     f"{dim}={getattr(panel, dim)} is outside of this line",
                     expected=f"positions below {dataset.sizes[dim]}",

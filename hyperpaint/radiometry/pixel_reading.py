@@ -129,8 +129,7 @@ def _entry_of(line: xr.Dataset) -> Entry:
     inputs = plan_inputs(line, stored, scaling)[1]
     if entry is None:
         (read,) = dask.compute(inputs, scheduler=scheduler_in_force())
-        plan = make_plan(shape, dtype.str, np.zeros(1, np.int64), **read)
-        entry = Entry(Origin(line, options), plan)
+        entry = Entry(Origin(line, options), make_plan(shape, dtype.str, np.zeros(1, np.int64), **read))
     small = [name for name in line.coords if set(line[name].dims) <= set(CUBE) and line[name].ndim < 2]
     smile = {"wavelength_shift"} & set(line.coords)
     notes = {**applied(inputs["cube"]), "panel": "; ".join(map(str, scaling))}
@@ -202,8 +201,7 @@ def _blocks(numbers: Array, times: int) -> list[Array]:
     # Numbers of lines in blocks that share storage chunks: `times` as many lines as usual
     if not numbers.size:
         return [np.zeros(0, np.int64)]
-    first = numbers.min() // CHUNK_LINES * CHUNK_LINES
-    block = (numbers - first) // (BLOCK_LINES * max(1, times))
+    block = (numbers - numbers.min() // CHUNK_LINES * CHUNK_LINES) // (BLOCK_LINES * max(1, times))
     return np.split(numbers, np.flatnonzero(np.diff(block)) + 1)
 
 

@@ -73,8 +73,7 @@ def _form(variable: xr.Variable) -> tuple[Any, ...]:
 
 def _is_lazy(variable: xr.Variable) -> bool:
     data = variable._data
-    is_read = isinstance(data, da.Array) or not variable._in_memory
-    return is_read and not getattr(data, "_copied", False)
+    return (isinstance(data, da.Array) or not variable._in_memory) and not getattr(data, "_copied", False)
 
 
 class Origin:

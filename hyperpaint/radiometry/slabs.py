@@ -224,8 +224,7 @@ def _flag_floats(plan: Plan, counts: Array, here: slice, quality: Array) -> None
     for line, (row, number) in enumerate(zip(counts, range(here.start, here.stop), strict=False)):
         if plan.line_flags[number] & Quality.NO_DATA:
             continue
-        missing = (np.isnan(row) & watched).any(axis=0)
-        quality[line, missing] |= np.uint16(Quality.NO_DATA)
+        quality[line, (np.isnan(row) & watched).any(axis=0)] |= np.uint16(Quality.NO_DATA)
         is_mean = ((np.rint(row) != row) & np.isfinite(row) & watched).any(axis=0)
         if is_mean.any():
             half_way = 0.5 * (plan.dark[plan.dark_index[number]] + plan.saturation_limit)

@@ -87,8 +87,7 @@ class Paints(NamedTuple):
 
 def _relative_colour(spectrum: Floats, light: Light) -> Floats:
     # Colour of spectra relative to their brightness (segment,) [1]
-    level = np.nan_to_num(spectrum).mean(axis=1)
-    return np.asarray(coloured(spectrum, light) / np.maximum(level, 1e-6))
+    return np.asarray(coloured(spectrum, light) / np.maximum(np.nan_to_num(spectrum).mean(axis=1), 1e-6))
 
 
 def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches, light: Light) -> Paints:
@@ -107,8 +106,7 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
         finite_spectrum[one], other, finite_spectrum, light, GLINT.tolerance, AS_GLINT
     )
     one, other = one[misfit < 1.0], other[misfit < 1.0]
-    shape = size.size, size.size
-    joined = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=shape)
+    joined = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(size.size, size.size))
     _, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
     _, first = np.unique(label, return_index=True)
     both_orders = np.concatenate([one, other]), np.concatenate([other, one])

@@ -89,8 +89,7 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     for spot, window in spots:
         rim = _distance(spot) < 1.5
         rim &= ~spot & ~picture.saturated[window] & (picture.body[window] >= 0)
-        enclosed = rim.any() and lobe[window][rim].mean() > LOBES.min_rim
-        if enclosed or lobe[window][spot].any():
+        if rim.any() and lobe[window][rim].mean() > LOBES.min_rim or lobe[window][spot].any():
             layer[window][spot] = SATURATED_IN_LOBE
     return layer
 
@@ -169,8 +168,7 @@ def _add_sharp(
     reach = LOBES.halo_px + LOBES.sharp_halo * _half_width(core)
     if reach > LOBES.max_sharp_px:
         return
-    pad = int(np.ceil(reach)) + LOBES.around_px
-    wide = padded(window, pad)
+    wide = padded(window, int(np.ceil(reach)) + LOBES.around_px)
     seen, body = level[wide], picture.body[wide]
     core = _placed(core, window, wide, seen.shape)
     far = _distance(core)

@@ -241,8 +241,7 @@ class SceneModel:
 
     def bodies(self, start: int, stop: int) -> npt.NDArray[np.int32]:
         """Return the body of the pixels of some lines, (line, column); -1 without data."""
-        segment = self.segment[start:stop]
-        return np.append(self.body, np.int32(-1))[segment]
+        return np.append(self.body, np.int32(-1))[self.segment[start:stop]]
 
     def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
         """Return `two_nearest` of the pixels of some lines (line, column, 2); -1 for none."""

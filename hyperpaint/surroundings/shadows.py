@@ -381,8 +381,7 @@ def shaded_pixels(
     for part, seen in line_parts(channels):
         segment = number[part]
         here = asked[part] & (seen.mean(axis=2) < SHADOWS.max_pixel_level * np.append(bright, 0.0)[segment])
-        body = reference[segment[here]]
-        amount, misfit = solve(seen[here].astype(np.float64), body, None, light)
+        amount, misfit = solve(seen[here].astype(np.float64), reference[segment[here]], None, light)
         bluer = amount[:, 1] > amount[:, 0] + SHADOWS.min_pixel_sky_excess
         missing = (amount[:, 0] < SHADOWS.max_pixel_direct) & bluer & (misfit < SHADOWS.max_pixel_misfit)
         shaded[part][here] = missing

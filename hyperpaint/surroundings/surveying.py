@@ -434,5 +434,4 @@ def _source_text(diffuse: Any, split: LightSplit) -> str:
 def _mean_of(values: Floats, channel: Ints) -> Floats:
     # Means of values (band,) over the bands of every channel (channel,)
     used = channel >= 0
-    weight = np.bincount(channel[used])
-    return np.asarray(np.bincount(channel[used], values[used]) / weight)
+    return np.asarray(np.bincount(channel[used], values[used]) / np.bincount(channel[used]))

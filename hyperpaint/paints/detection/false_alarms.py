@@ -66,8 +66,7 @@ def background_part(cube: Array, is_valid: Bools, number: int, size: int) -> Bac
         spectra = np.where(valid, line, 0.0).astype(np.float64)
         total += spectra.sum(axis=1)
         products += spectra @ spectra.T
-    rng = np.random.default_rng([number, 20])
-    drawn = np.sort(rng.permutation(lines * columns)[:size])
+    drawn = np.sort(np.random.default_rng([number, 20]).permutation(lines * columns)[:size])
     at = drawn[is_valid.ravel()[drawn]]
     sample = np.ascontiguousarray(cube[at // columns, :, at % columns], np.float32)
     return BackgroundPart(int(is_valid.sum()), total, products, sample, np.full(at.size, number, np.int64))
@@ -252,8 +251,7 @@ def _distance_limits(others: tuple[Array, Array], rate: float) -> Floats:
         return np.full(distance.shape[1], np.inf)
     allowed = rate * (len(distance) + 1)
     ordered = np.sort(distance, axis=0)
-    alone = ordered[max(int(allowed), 1) - 1] * min(allowed, 1.0)
-    apart = alone >= DETECTION.min_distance
+    apart = ordered[max(int(allowed), 1) - 1] * min(allowed, 1.0) >= DETECTION.min_distance
     limit = np.zeros(distance.shape[1])
     if apart.any():
         ranks = _ranks(distance[:, apart])

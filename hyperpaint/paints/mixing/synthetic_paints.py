@@ -283,8 +283,7 @@ def draw_variants(
     moved = rng.standard_normal((count, len(spread))) * (spread / np.sqrt(size)) @ components
     chosen = logit[rng.integers(size, size=count)] - mean
     # the covariance of the members is divided by their number less one
-    scale = np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2))
-    varied = mean + scale * (chosen + bandwidth * moved)
+    varied = mean + np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2)) * (chosen + bandwidth * moved)
     share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
     variants = share * (1.0 + below + above) - below
     # near its ends a logit has longer tails than the measured values
@@ -306,8 +305,7 @@ def _whole(spectra: Floats) -> tuple[Bools, Floats]:
 
 def _library(library: xr.Dataset, drawn: Floats32, form: str, seed: int) -> xr.Dataset:
     count = drawn.shape[1]
-    repeats = 1 if form == "members" else count
-    which = np.repeat(np.arange(library.sizes[SIGNATURE]), repeats)
+    which = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
     parents = [str(library[SIGNATURE].values[number]) for number in which]
     if form == "members":
         names = [f"{name} (synthetic)" for name in parents]

@@ -88,8 +88,7 @@ def flop_of(members: Array, good: Array) -> Flop:
     paint; flakes and pearl show their own spectrum in it. Noise of single pixels, which sorting would turn
     into a change, is divided by the root of the number of bands.
     """
-    is_complete = np.isfinite(members[:, good]).all(axis=1)
-    values = members[is_complete].astype(np.float64)
+    values = members[np.isfinite(members[:, good]).all(axis=1)].astype(np.float64)
     if len(values) < MIN_FLOP_MEMBERS or not good.any():
         return Flop(np.full(members.shape[1], np.nan), np.nan)
     middle = np.median(values[:, good], axis=0)

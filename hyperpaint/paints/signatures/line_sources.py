@@ -121,8 +121,7 @@ def mean_view(
     if not zenith.size:
         return np.nan, np.nan
     away = np.sin(np.radians(zenith))
-    turned = np.isfinite(azimuth) | (away < MIN_HORIZONTAL_PART)
-    if not turned.all():
+    if not (np.isfinite(azimuth) | (away < MIN_HORIZONTAL_PART)).all():
         return float(zenith.mean()), np.nan
     angle = np.radians(np.where(np.isfinite(azimuth), azimuth, 0.0))
     north, east = float((away * np.cos(angle)).mean()), float((away * np.sin(angle)).mean())
@@ -200,8 +199,7 @@ def _from_attitude(
     ahead, right = np.sin(tilt) * np.cos(side), np.sin(side)
     down = np.cos(tilt) * np.cos(side)
     zenith = np.degrees(np.arctan2(np.hypot(ahead, right), down))
-    azimuth = (np.degrees(np.arctan2(-right, -ahead)) + heading) % 360.0
-    return zenith, azimuth
+    return zenith, (np.degrees(np.arctan2(-right, -ahead)) + heading) % 360.0
 
 
 def relative_azimuth(first: float, second: float) -> float:

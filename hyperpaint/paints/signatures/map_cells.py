@@ -94,8 +94,7 @@ def _once(
     nearest = order[first]
     nearest = nearest[inside[row[nearest], col[nearest]]]
     cells = row[nearest] + corner[0], col[nearest] + corner[1]
-    lines = None if of_line is None else keys[2][nearest]
-    return Shown(cells, (along[nearest], across[nearest]), lines)
+    return Shown(cells, (along[nearest], across[nearest]), None if of_line is None else keys[2][nearest])
 
 
 def middle_of_map(line: xr.Dataset) -> tuple[float, float] | None:

@@ -178,8 +178,7 @@ class Draft:
             return n_eff
         # a band has as many fewer independent pixels as it has fewer values
         of_band = np.maximum(1.0, n_eff * self._values / max(self.n, 1))
-        square = self.spectra["reflectance_u_random"]
-        self.spectra["reflectance_u_random"] = np.sqrt(square / of_band)
+        self.spectra["reflectance_u_random"] = np.sqrt(self.spectra["reflectance_u_random"] / of_band)
         return n_eff
 
 

@@ -143,8 +143,7 @@ class RegionSums:
         ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
         """
         line, columns = self._line, self._columns
-        bands = len(self._count)
-        onto = _onto(bands, columns, axis)
+        onto = _onto(len(self._count), columns, axis)
         count = onto @ self._count.ravel()
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(count > 0.5, 1.0 / count, np.nan)

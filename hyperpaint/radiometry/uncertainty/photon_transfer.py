@@ -226,8 +226,7 @@ def _by_band(array: Array) -> Array:
 def _repeated_points(cube: Array) -> _Points:
     # Variances (block x column, band) of frames (block, frame, band, column) of one scene
     variance = cube.var(axis=1, ddof=1, dtype=np.float64)
-    mean = cube.mean(axis=1, dtype=np.float64)
-    variance, signal = _by_band(variance), _by_band(mean)
+    variance, signal = _by_band(variance), _by_band(cube.mean(axis=1, dtype=np.float64))
     return _Points(variance, signal, np.ones_like(signal), np.full((1, 1), cube.shape[1] - 1.0))
 
 
@@ -238,8 +237,7 @@ def _block_points(cube: Array) -> _Points:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
         total = np.nansum(np.where(np.isfinite(mean)[:, None], cube, np.nan), axis=2)
-        brightness = total / total.mean(axis=1, keepdims=True)
-        even = np.abs(brightness - 1.0).max(axis=1) < MAX_TEXTURE
+        even = np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < MAX_TEXTURE
     mean[~(even[:, None] & (mean > 0))] = np.nan
     mean[mean < MIN_SIGNAL_SD * _dark_noise(cube, mean)] = np.nan
     # contrast of a band with its neighbours, relative to their signals
@@ -254,8 +252,7 @@ def _block_points(cube: Array) -> _Points:
         # the noise of a weak neighbour would exceed the noise of the band
         near &= (r > 0.5) & (r < 2.0)
     by_signal = middle * (1.0 + 0.25 * (ratio[0] + ratio[1]))
-    by_floor = 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2)
-    values = (np.where(near, variance, np.nan), by_signal, by_floor)
+    values = (np.where(near, variance, np.nan), by_signal, 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2))
     variances, signals, floors = (_by_band(array).astype(np.float64) for array in values)
     return _Points(variances, signals, floors, np.full((1, 1), freedom))
 
@@ -291,8 +288,7 @@ def _fit(points: _Points) -> _Transfer:
             expected=f"{MIN_VARIANCES} or more",
             code="noise-not-estimable",
         )
-    freedom = np.broadcast_to(points.freedom, valid.shape)
-    slope, height = _first_guess(points, valid, freedom)
+    slope, height = _first_guess(points, valid, np.broadcast_to(points.freedom, valid.shape))
     edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
     # the mean of the values below the edge is a little below the mean of all
     loss = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
@@ -305,8 +301,7 @@ def _fit(points: _Points) -> _Transfer:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
             typical = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
-        even = typical < 1.0 + MAX_BLOCK_SD * spread
-        used = valid & even[:, None] & (ratio < edge)
+        used = valid & (typical < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
         if used.sum() < MIN_VARIANCES:
             raise SchemaError(
                 "noise cannot be estimated, since no block is homogeneous",
@@ -343,8 +338,7 @@ def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats)
     y = np.array([np.median(variance[b]) for b in bins if b.any()])
     if x.size < 2 or np.ptp(x) <= 0:
         return float(max(y.mean() / max(x.mean(), 1e-6), 1e-6)), 0.0
-    weight = 1.0 / np.maximum(y, 1e-6)
-    slope, height = np.polyfit(x, y, 1, w=weight)
+    slope, height = np.polyfit(x, y, 1, w=1.0 / np.maximum(y, 1e-6))
     if slope <= 0 or height < 0:
         return float(np.median(y / np.maximum(x, 1.0))), 0.0
     return float(slope), float(height)
@@ -359,8 +353,7 @@ def _solve(
     part = np.arange(len(used)) * _PARTS // len(used)
 
     def sums(product: Floats) -> Floats:
-        total = np.bincount(part, (weight * product).sum(axis=1), minlength=_PARTS)
-        return total.astype(np.float64)
+        return np.bincount(part, (weight * product).sum(axis=1), minlength=_PARTS).astype(np.float64)
 
     normal = np.array([[sums(a * a), sums(a * b)], [sums(a * b), sums(b * b)]])
     right = np.array([sums(a * value), sums(b * value)])
@@ -376,8 +369,7 @@ def _solve(
     whole = solution(None)
     others = np.stack([solution(i) for i in range(_PARTS)])
     departure = others - others.mean(axis=0)
-    covariance = (_PARTS - 1) / _PARTS * departure.T @ departure
-    return float(whole[0]), float(whole[1]), covariance
+    return float(whole[0]), float(whole[1]), (_PARTS - 1) / _PARTS * departure.T @ departure
 
 
 def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
@@ -390,8 +382,7 @@ def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source:
             "within blocks, or the light flickers; look at 'transfer_variance'"
         )
         warnings.warn(PaintWarning(text, code="transfer-misfit"), stacklevel=3)
-    excess = transfer.height - quantisation
-    noise = float(np.sqrt(max(excess, 0.0)))
+    noise = float(np.sqrt(max(transfer.height - quantisation, 0.0)))
     # at zero noise only its square has an uncertainty
     noise_u = float(np.sqrt(transfer.covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
     limit = float(transfer.covariance[1, 1]) ** 0.25

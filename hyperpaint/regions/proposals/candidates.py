@@ -45,8 +45,7 @@ class Surfaces:
                 np.abs(np.log(np.maximum(level, 1e-9))) < SURFACES.max_ground_log_ratio
             )
             ground = np.asarray(like | (model.body == largest))
-        leaves = is_vegetation(model.spectrum, model.channel_wavelength)
-        return cls(spectrum.mean(axis=1), ground, leaves)
+        return cls(spectrum.mean(axis=1), ground, is_vegetation(model.spectrum, model.channel_wavelength))
 
 
 def largest_body(model: SceneModel) -> int:
@@ -129,8 +128,7 @@ def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
     """Yield the connected parts of bodies with at least ``least`` pixels, in order of bodies and lines."""
     body = np.append(model.body, np.int32(-1))[model.segment]
     shaded = np.append(model.state == SHADED, False)[model.segment]
-    inside = (model.edge_distance > erode) & ~shaded & (body >= 0)
-    named = np.where(inside, body + 1, 0)
+    named = np.where((model.edge_distance > erode) & ~shaded & (body >= 0), body + 1, 0)
     large = np.bincount(named.ravel(), minlength=model.segments + 1) >= least
     for number, place in enumerate(find_objects(named, max_label=model.segments)):
         if place is None or not large[number + 1]:

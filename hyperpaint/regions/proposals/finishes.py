@@ -108,8 +108,7 @@ def judge_finish(
         verdict.reasons.append(f"solid: {changes}; flakes' would by more so near the sun's mirror image")
     elif difference is not None and measures.spectrum.std() > FINISHES.min_colour * measures.spectrum.mean():
         steady = across < FINISHES.max_coloured[0] * solid and along < FINISHES.max_coloured[1] * solid
-        near = picture.zenith <= FINISHES.max_coloured_zenith_deg
-        _judge_colours(verdict, difference, near and steady)
+        _judge_colours(verdict, difference, picture.zenith <= FINISHES.max_coloured_zenith_deg and steady)
 
 
 def _judge_colours(verdict: Verdict, difference: Difference, steady: bool) -> None:

@@ -159,12 +159,10 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
     # around the seed.
     square = np.ones((3, 3), bool)
     gap = FOOTPRINTS.max_gap_px
-    padded = np.pad(like.paint | seed, gap)
-    closed = binary_closing(padded, square, iterations=gap)[gap:-gap, gap:-gap]
+    closed = binary_closing(np.pad(like.paint | seed, gap), square, iterations=gap)[gap:-gap, gap:-gap]
     if way.apart:
         closed = binary_opening(closed, square, iterations=FOOTPRINTS.bridge_px) | seed
-    joined = closed | like.dark if way.windows else closed
-    parts, _ = label(joined, square)
+    parts, _ = label(closed | like.dark if way.windows else closed, square)
     seed_parts = np.unique(parts[seed])
     filled = binary_fill_holes(closed & np.isin(parts, seed_parts[seed_parts > 0]))
     depth = distance_transform_edt(filled)

@@ -121,8 +121,7 @@ def _mirror_share_sd(picture: Picture, zenith: float) -> float:
     # Skies brighter than a clear one, by haze, are uneven, most of all around the sun; a covered sky is
     # equally bright everywhere.
     direct = direct_share(picture)
-    clear = float(diffuse_fraction(picture.model.channel_wavelength, zenith).mean())
-    haze = (1.0 - direct) / clear - 1.0
+    haze = (1.0 - direct) / float(diffuse_fraction(picture.model.channel_wavelength, zenith).mean()) - 1.0
     uneven = direct * float(np.hypot(JUDGING.mirror_share_sd, haze))
     return uneven + (1.0 - direct) * JUDGING.covered_share_sd
 

@@ -321,8 +321,7 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     blocks = [
         dask.delayed(to_channels, pure=True)(block, numbers) for block in np.ravel(cube.data.to_delayed())
     ]
-    planes = [flagged[name].data for name in _LAYERS[:3]]
-    results = dask.compute(*blocks, *planes)
+    results = dask.compute(*blocks, *[flagged[name].data for name in _LAYERS[:3]])
     channels = np.concatenate(results[: len(blocks)])
     layers = dict(zip(_LAYERS, results[len(blocks) :], strict=False))
     layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if before is None else before.values

@@ -334,8 +334,7 @@ def _runs(crossed: Bools, strip: float) -> list[_Run]:
     ]
     merged: list[_Run] = []
     for number, run in enumerate(stretches):
-        inner = 0 < number < len(stretches) - 1
-        least = strip if inner and not run.window else ROOFS.min_window_px
+        least = strip if 0 < number < len(stretches) - 1 and not run.window else ROOFS.min_window_px
         if merged and (run.length < least or merged[-1].window == run.window):
             merged[-1] = _Run(merged[-1].first, run.last, merged[-1].window)
         else:
