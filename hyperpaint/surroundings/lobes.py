@@ -89,7 +89,7 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     for spot, window in spots:
         rim = _distance(spot) < 1.5
         rim &= ~spot & ~picture.saturated[window] & (picture.body[window] >= 0)
-        if rim.any() and lobe[window][rim].mean() > LOBES.min_rim or lobe[window][spot].any():
+        if (rim.any() and lobe[window][rim].mean() > LOBES.min_rim) or lobe[window][spot].any():
             layer[window][spot] = SATURATED_IN_LOBE
     return layer
 
