@@ -11,7 +11,7 @@ import xarray as xr
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.paints.detection import false_alarms
+from hyperpaint.paints.detection import detecting as false_alarms
 from hyperpaint.paints.detection.detectors import distances, projection, scores
 
 NM = np.linspace(405.0, 995.0, 30)
