@@ -10,7 +10,7 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece
-from hyperpaint.regions.proposals.finishes import Difference, difference_of, judge_finish
+from hyperpaint.regions.proposals.cars import Difference, difference_of, judge_finish
 from hyperpaint.regions.proposals.judging import Level, Verdict, change_with_lean, direct_share
 from hyperpaint.surroundings import SceneModel
 
