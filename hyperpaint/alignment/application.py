@@ -172,10 +172,11 @@ def _replaced(
     def over_bands(values: Floats) -> Floats:
         return np.asarray(np.interp(wavelength, centres[order], values[order]))
 
-    if len(order) == 1:
-        shift = xr.DataArray(correction[0], dims=CROSS_TRACK)
-    else:
-        shift = xr.DataArray(np.apply_along_axis(over_bands, 0, correction), dims=(BAND, CROSS_TRACK))
+    shift = (
+        xr.DataArray(correction[0], dims=CROSS_TRACK)
+        if len(order) == 1
+        else xr.DataArray(np.apply_along_axis(over_bands, 0, correction), dims=(BAND, CROSS_TRACK))
+    )
     if "wavelength_shift" in variables:
         declared = variables["wavelength_shift"]
         shift = shift + xr.DataArray(declared.values, dims=declared.dims)

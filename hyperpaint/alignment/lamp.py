@@ -103,10 +103,9 @@ class Declared:
         return np.broadcast_to(shift, (self.wavelength.size, columns))
 
     def bands(self, inside: Array) -> Responses:
-        names = ("wavelength", "fwhm", "spacing", "slope", "table")
         parts: dict[str, Any] = {
             name: np.asarray(values)[inside]
-            for name in names
+            for name in ("wavelength", "fwhm", "spacing", "slope", "table")
             if (values := getattr(self.imager, name)) is not None
         }
         return replace(self.imager, **parts)

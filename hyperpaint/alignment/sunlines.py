@@ -103,9 +103,8 @@ def divided(
         (1.0, 0.0, 0.0, rules.record_prior_nm),
         (0.0, 1.0, 0.0, rules.camera_prior_nm),
     ]
-    known = (record * width[0]) ** 2
     squares = [
-        (1.0, -1.0, known, 2.0 * record**2 * width[0] * width[1]),
+        (1.0, -1.0, (record * width[0]) ** 2, 2.0 * record**2 * width[0] * width[1]),
         (0.0, 1.0, 0.0, 2.0 * camera**2 * rules.camera_width_prior),
     ]
     if sun is not None:

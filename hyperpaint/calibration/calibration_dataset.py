@@ -161,10 +161,11 @@ def measured_shape(
 def _convolution(place: Floats, offset: Floats, width: float, *, triangular: bool) -> Floats:
     # Matrix from a response (offset,) to a curve at places (place,) through a line of a width
     apart = place[:, None] - offset
-    if triangular:
-        line = np.clip(1.0 - np.abs(apart) / width, 0.0, None) / width
-    else:
-        line = np.exp(-4.0 * np.log(2.0) * (apart / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
+    line = (
+        np.clip(1.0 - np.abs(apart) / width, 0.0, None) / width
+        if triangular
+        else np.exp(-4.0 * np.log(2.0) * (apart / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
+    )
     return np.asarray(line * SHAPE_RULES.step)
 
 
@@ -321,9 +322,8 @@ def stray_light_matrix(
     ``second`` (step,) is the result; ``centre`` (step,) are the bands of the lamp lines.
     """
     bands = rows.shape[1]
-    distance = np.arange(bands) - centre[:, None]
     usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
-    wing = _line_spread(distance[usable], rows[usable], bands)
+    wing = _line_spread((np.arange(bands) - centre[:, None])[usable], rows[usable], bands)
     place = np.arange(bands)
     matrix = wing(place[:, None] - place)
     has_second = np.isfinite(second)
@@ -763,12 +763,11 @@ class Result:
                     self.wavelength[:, column], self.lab.wavelength[used], self.lines.area_u[used, column]
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
-        missed = self._missed
         total = np.sqrt(
             self.budget.total**2
             + (slope * self.surface.residual) ** 2
             + self.off_lines.counted_u**2
-            + missed**2
+            + self._missed**2
         )
         random = np.hypot(random, self.differences)
         return {
@@ -805,7 +804,6 @@ class Result:
         used = self.placed.any(axis=1)
         second = np.full(steps, np.nan)
         second[used] = self.off_lines.second_order
-        out_of_band = np.where(used, self.read.rows.sum(axis=1), np.nan)
         return {
             "line_band": lines.centre,
             "line_centre": self.line_wavelength,
@@ -817,7 +815,7 @@ class Result:
             "line_trusted": self.used,
             "beam_centre": beam[:, 0],
             "beam_fwhm": beam[:, 1],
-            "out_of_band": out_of_band,
+            "out_of_band": np.where(used, self.read.rows.sum(axis=1), np.nan),
             "second_order": second,
             "stray_light": self.off_lines.stray_light * self.off_lines.counted,
             "stray_light_u": self.off_lines.relative,

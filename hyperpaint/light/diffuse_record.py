@@ -253,9 +253,8 @@ def split_of_lines(
     check_irradiance_times(samples.astype("datetime64[ns]"))
     numbers = (*place, calibration_uncertainty, 101_325.0)
     whole = dask.delayed(_split)(record.data, samples, channels, wavelength, numbers, sun_zenith)
-    time = variables["time"].values
     parts: list[list[Any]] = [[], [], []]
-    for rows in np.split(time, _block_starts(line)):
+    for rows in np.split(variables["time"].values, _block_starts(line)):
         block = dask.delayed(_at_lines, nout=3)(whole, samples, rows)
         shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
         for out, array, shape, dtype in zip(parts, block, shapes, ("f4", "f4", "i1"), strict=True):

@@ -174,9 +174,7 @@ def band_spacing(wavelength: npt.ArrayLike) -> Floats:
     array([2. , 2.5, 3. ])
     """
     wavelength = np.asarray(wavelength, np.float64)
-    if wavelength.size < 2:
-        return np.ones_like(wavelength)
-    return np.asarray(np.abs(np.gradient(wavelength)))
+    return np.ones_like(wavelength) if wavelength.size < 2 else np.asarray(np.abs(np.gradient(wavelength)))
 
 
 def mean_responsivity(gain: npt.ArrayLike) -> Floats:

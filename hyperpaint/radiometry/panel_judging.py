@@ -313,9 +313,8 @@ def _means(
         pattern = brightness / float(np.nanmean(brightness[on_panel[:, 0, :]]))
     pixels = on_panel[:, 0, :] & np.isfinite(pattern)
     weight = pattern[pixels][:, None]
-    values = np.moveaxis(observed[:, cut], 1, 2)[pixels] / weight
     limits = np.moveaxis(np.where(saturated, ceiling, np.nan)[:, cut], 1, 2)[pixels] / weight
-    mean[cut], spread = _censored_mean(values, limits)
+    mean[cut], spread = _censored_mean(np.moveaxis(observed[:, cut], 1, 2)[pixels] / weight, limits)
     total[cut] = mean[cut] * number[cut]
     error[cut] = spread / np.sqrt(number[cut])
     return number, total, error, full

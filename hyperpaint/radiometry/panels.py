@@ -195,10 +195,11 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
     # the panel cancels the scale of the gain
     region = without_panels(region).assign_attrs(absolute_scale="of the panel")
     wavelength = slabs.small(dataset["wavelength"])
-    if dataset["wavelength"].chunks is not None:
-        expected = wavelength.map_blocks(panel.at, dtype=np.float64)
-    else:
-        expected = panel.at(wavelength)
+    expected = (
+        wavelength.map_blocks(panel.at, dtype=np.float64)
+        if dataset["wavelength"].chunks is not None
+        else panel.at(wavelength)
+    )
     lines = range(dataset.sizes[ALONG_TRACK])[panel.along_track]
     inputs = {
         "observed": reflectance(region, tilt=panel.tilt)["reflectance"].isel(columns).data,

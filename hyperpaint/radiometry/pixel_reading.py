@@ -154,10 +154,11 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
         selected = slice(None), slice(None) if isinstance(columns, slice) else columns - read[1].start
         plan = _part(plan, *read)
     # the cube, which was compared with the plan's
-    if is_from_counts:
-        cube = line.variables["counts"].transpose(*CUBE)
-    else:
-        cube = schema.require(line, ["radiance"], "reflectance")["radiance"].variable
+    cube = (
+        line.variables["counts"].transpose(*CUBE)
+        if is_from_counts
+        else schema.require(line, ["radiance"], "reflectance")["radiance"].variable
+    )
     cubes, flags = [], []
     samples = sizes[BAND] * sizes[CROSS_TRACK]
     for numbers in _blocks(np.arange(sizes[ALONG_TRACK])[lines], samples // max(1, plan.gain.size)):

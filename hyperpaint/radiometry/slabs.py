@@ -118,10 +118,11 @@ class Plan:
     def light(self, start: int, stop: int) -> Array:
         """Return the kernel's factors or divisors of lines, (line, band, cell, 1 or 4), float32."""
         rate = self.rate[start:stop, None, None, None]
-        if self.panel_weights is None:
-            scale = self.scale[None, :, None, None]
-        else:
-            scale = scale_of_lines(self.scale, self.panel_weights[start:stop])[:, :, None, None]
+        scale = (
+            self.scale[None, :, None, None]
+            if self.panel_weights is None
+            else scale_of_lines(self.scale, self.panel_weights[start:stop])[:, :, None, None]
+        )
         if self.series is None or self.lines is None:
             return np.ascontiguousarray(rate * scale, np.float32)
         # in place: copies would cost half of the kernel's time

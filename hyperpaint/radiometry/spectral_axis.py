@@ -140,10 +140,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     first, weights = nominal_axis(dataset)
     nominal = dataset[_without_bands(dataset)].drop_vars("wavelength_shift", errors="ignore")
     for name in products:
-        cube = line_chunked(arrays[name])
         flat = xr.apply_ufunc(
             _resample,
-            cube,
+            line_chunked(arrays[name]),
             kwargs={"first": first, "weights": weights},
             input_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
             output_core_dims=[[schema.BAND, schema.CROSS_TRACK]],

@@ -250,9 +250,8 @@ def channel_numbers(wavelength: Array, good: Array) -> Ints:
     of a 400-1000 nm camera are 25 nm wide.
     """
     order = np.flatnonzero(good)[np.argsort(wavelength[good], kind="stable")]
-    count = min(SURVEY.channels, order.size)
     numbers = np.full(wavelength.size, -1, np.int64)
-    numbers[order] = np.arange(order.size) * count // max(order.size, 1)
+    numbers[order] = np.arange(order.size) * min(SURVEY.channels, order.size) // max(order.size, 1)
     return numbers
 
 
@@ -538,12 +537,13 @@ def survey(
     coated = coloured_bodies(reference, light)
     # ground without any cast shadow may be a bonnet that fills the picture
     bare = ground & ground[matches.body[matches.state == SHADED]].any()
-    if light.direct.mean() < SURVEY.min_direct:
-        lobe = np.zeros(saturated.shape, np.uint8)
-    else:
-        lobe = mirror_lobes(
+    lobe = (
+        np.zeros(saturated.shape, np.uint8)
+        if light.direct.mean() < SURVEY.min_direct
+        else mirror_lobes(
             Picture(channels, saturated, Shown(segments.number, matches.body), bare, reference, coated, light)
         )
+    )
     noise = channel_noise(channels, segments.number, is_inside)
     del is_inside
     trim_memory()

@@ -176,10 +176,11 @@ def make_detector(
     covariance = (part.products - part.pixels * np.outer(mean, mean)) / (part.pixels - 1)
     shrunk = (1.0 - settings.shrinkage) * covariance + settings.shrinkage * np.diag(np.diag(covariance))
     try:
-        if settings.method == "spectral_angle":
-            project = projection(paints, sky)
-        else:
-            project = projection(paints, sky, mean, shrunk)
+        project = (
+            projection(paints, sky)
+            if settings.method == "spectral_angle"
+            else projection(paints, sky, mean, shrunk)
+        )
     except np.linalg.LinAlgError as error:
         raise SchemaError(
             "the covariance of the background is singular: some bands depend linearly on others",
@@ -482,9 +483,8 @@ def detect(
         DetectorSettings(method, false_alarm_rate, rate, shrinkage, background is None),
         sky,
     )
-    names = [str(name) for name in library[SIGNATURE].values]
     attrs = {"method": method, "false_alarm_rate": false_alarm_rate, "unknown_rate": rate}
-    return _search(line, cube, clear, detector, names, attrs)
+    return _search(line, cube, clear, detector, [str(name) for name in library[SIGNATURE].values], attrs)
 
 
 def _spectra(

@@ -141,6 +141,4 @@ def _of_shadow(brightness: Array, body: Array, shaded: Bools) -> float | None:
         return None
     ground = int(np.bincount(body[inside]).argmax())
     dark, lit = brightness[inside & (body == ground)], brightness[~shaded & (body == ground)]
-    if min(dark.size, lit.size) < GAPS.min_px:
-        return None
-    return float(np.median(dark) / np.median(lit))
+    return None if min(dark.size, lit.size) < GAPS.min_px else float(np.median(dark) / np.median(lit))

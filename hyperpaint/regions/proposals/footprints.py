@@ -170,9 +170,7 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
     thick = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
     cores, count = label(depth > thick, square)
     sizes = np.bincount(cores[seed & (cores > 0)], minlength=count + 1)
-    if not sizes.any():
-        return None
-    return _gathered(cores, int(np.argmax(sizes)), thick, depth, filled, like)
+    return None if not sizes.any() else _gathered(cores, int(np.argmax(sizes)), thick, depth, filled, like)
 
 
 def _gathered(

@@ -147,11 +147,10 @@ def judge_pixels(verdict: Verdict, measures: Measures, limits: Limits) -> None:
 
 def score_of(measures: Measures) -> float:
     """Return area x homogeneity / (1 + adjacency + glint + tilt), each over the value that halves it."""
-    area = min(1.0, measures.pixels / JUDGING.enough_px)
     homogeneity = 1.0 / (1.0 + (measures.angle / JUDGING.half_angle_deg) ** 2)
     against = (
         measures.adjacency / JUDGING.half_adjacency
         + measures.glint / JUDGING.half_glint
         + measures.spread / JUDGING.half_spread
     )
-    return float(area * homogeneity / (1.0 + against))
+    return float(min(1.0, measures.pixels / JUDGING.enough_px) * homogeneity / (1.0 + against))

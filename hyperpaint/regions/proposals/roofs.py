@@ -177,9 +177,8 @@ def _judge_run(
         return None
     if share < ROOFS.min_roof:
         return None
-    slender = frame.length / frame.width
     least = ROOFS.min_slenderness if ends == 2 and sided > ROOFS.surely_sided else FOOTPRINTS.slenderness[0]
-    if not least < slender < FOOTPRINTS.slenderness[1]:
+    if not least < frame.length / frame.width < FOOTPRINTS.slenderness[1]:
         return None
     evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
