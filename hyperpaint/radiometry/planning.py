@@ -32,9 +32,8 @@ from hyperpaint.light.synchrony import LineLight, line_light
 
 from .linear_counts import TABLE, Linearity
 from .panel_judging import REFUSED, RULES as PANEL_RULES, PanelClosure, PanelContext, judge_panels
-from .panel_scale import panel_correction, scale_of_factors, usable_panels
 from .plausible_light import check_light, warn_of_lost_bands
-from .slabs import Plan
+from .slabs import Plan, panel_correction, scale_of_factors, usable_panels
 from .stray_light import check_stray_light, stray_light_of
 from .uncertainty.irradiance_noise import at_bands
 from .uncertainty.propagation import error_terms

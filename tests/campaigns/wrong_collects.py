@@ -88,7 +88,6 @@ def judge_real(data: Path) -> dict[str, list[str]]:
     from hyperpaint.base.errors import PaintWarning
     from hyperpaint.io.envi.envi_cubes import open_envi
     from hyperpaint.io.navigation.navigation_opening import open_navigation
-    from hyperpaint.plausibility.cube_sample import sample_cube
     from hyperpaint.plausibility.line_judging import (
         judge_bands,
         judge_dark,
@@ -97,6 +96,7 @@ def judge_real(data: Path) -> dict[str, list[str]]:
         judge_irradiance,
         judge_layout,
         judge_navigation,
+        sample_cube,
     )
 
     said: dict[str, list[str]] = {}

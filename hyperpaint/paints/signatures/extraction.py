@@ -26,8 +26,7 @@ from hyperpaint.surroundings.coat_correction import correct_coat
 from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
 
 from .coat_strength import with_coat_strength
-from .line_sources import Smoothing, Source, lines_of, source_of
-from .map_cells import Shown, shown_pixels
+from .line_sources import Shown, Smoothing, Source, lines_of, shown_pixels, source_of
 from .pixel_gathering import gather
 from .pixel_statistics import CENTRES, excluded_of
 from .signature_library import Draft, paint_library

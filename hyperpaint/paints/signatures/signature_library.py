@@ -28,8 +28,7 @@ from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINT
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import Pixels
 
-from .line_sources import Source, mean_view, relative_azimuth
-from .map_cells import Shown
+from .line_sources import Shown, Source, mean_view, relative_azimuth
 from .pixel_statistics import QUANTILES, chosen_members, effective_pixels, summarise
 
 #: Number of good bands, spread over all, in which the correlation of pixels is computed.

@@ -26,9 +26,8 @@ from hyperpaint.surroundings.surveying import to_channels
 
 from .between_clouds import sunny_lines
 from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pieces
-from .cars import find_cars, judge_car
+from .cars import Judged, Verdict, find_cars, judge_car
 from .footprints import Scene
-from .judging import Judged, Verdict
 from .leans import height_model_of
 from .proposal_rules import SURFACES
 
