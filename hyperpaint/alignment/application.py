@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
@@ -123,7 +122,7 @@ def _by_window(alignment: xr.Dataset) -> xr.Dataset:
     return windows.transpose(_WINDOW, ...)
 
 
-def _check(windows: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[int, int], degree: int) -> None:
+def _check(windows: xr.Dataset, reliable: Bools, shape: tuple[int, int], degree: int) -> None:
     problems = Problems("the alignment cannot be applied", SchemaError)
     bands, columns = shape
     if windows.sizes[BAND] != bands or not -0.5 < float(windows["column"].max()) <= columns - 1:

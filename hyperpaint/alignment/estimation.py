@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats, Progress
+from hyperpaint.base.arrays import Array, Floats, Ints, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
@@ -562,8 +561,8 @@ def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: f
 
 
 def _grouped(
-    spectrum: Floats, pixels: npt.NDArray[np.int64], shift: Floats, group: int
-) -> tuple[Floats, npt.NDArray[np.int64], Floats, Floats]:
+    spectrum: Floats, pixels: Ints, shift: Floats, group: int
+) -> tuple[Floats, Ints, Floats, Floats]:
     # Spectra, pixels, shifts and column numbers of groups of neighbouring columns
     columns = np.arange(pixels.size, dtype=np.float64)
     if group == 1:
@@ -586,9 +585,7 @@ def _grouped(
     )
 
 
-def _labelled(
-    estimates: list[Estimate], pixels: npt.NDArray[np.int64], column: Floats, max_uncertainty: float
-) -> xr.Dataset:
+def _labelled(estimates: list[Estimate], pixels: Ints, column: Floats, max_uncertainty: float) -> xr.Dataset:
     # Estimates as a Dataset (window, cross_track), with flags of noise and of few pixels
     value, covariance, flag = (stacked(estimates, name) for name in ("value", "covariance", "flag"))
     spread = np.sqrt(np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1))

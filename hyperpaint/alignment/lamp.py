@@ -8,11 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.responses import (
@@ -49,7 +48,7 @@ class Declared:
     # wavelength, fwhm (band,): [nm]
     wavelength: Floats
     fwhm: Floats
-    good: npt.NDArray[np.bool_]  # (band,), bool: all True by default
+    good: Bools  # (band,), bool: all True by default
     wavelength_shift: Floats  # () or (column,) or (band, column): [nm]; 0 by default
     imager: Responses  # Responses of all bands
     light: Light  # The irradiance record

@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import (
@@ -65,9 +64,9 @@ class Light:
 class Window:
     """The bands around the lamp line of one step, column by column."""
 
-    columns: npt.NDArray[np.int64]  #: (line,): lit columns
+    columns: Ints  #: (line,): lit columns
     #: (line,): band of the first sample; negative where the window begins before the array
-    first: npt.NDArray[np.int64]
+    first: Ints
     #: (line, sample): counts less dark and background; NaN outside the array and at bad elements
     values: Floats
     #: background, background_variance (line,): what was taken off [count], and the variance of it in units

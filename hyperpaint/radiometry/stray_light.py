@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.arguments import StrayLight
 
@@ -87,9 +86,7 @@ def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, pro
         )
 
 
-def stray_light_of(
-    cube: Mapping[str, Any], exposure: Floats, gain: Array, masked: npt.NDArray[np.int64]
-) -> StrayLight | None:
+def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, masked: Ints) -> StrayLight | None:
     """Return the terms of stray light to subtract from lines; None where the line declares none.
 
     ``exposure`` (line,) [s]; ``gain`` (band, column), NaN for bad elements, which are replaced by the nearest
@@ -147,7 +144,7 @@ def _filled(values: Array, axis: int) -> Array:
     return np.ascontiguousarray(np.pad(values, pad), np.float32)
 
 
-def _stand_ins(bad: Bools, masked: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _stand_ins(bad: Bools, masked: Ints) -> Ints:
     # Column, band and replacement band of every bad element (n, 3); -1 without a replacement
     lit = ~bad
     dark = np.zeros(bad.shape, bool)

@@ -124,8 +124,8 @@ def match_segments(
 
     Takes ``spectrum`` (segment, channel): reflectance [1]; ``size`` (segment,): pixels; ``pairs``: touching
     segments; ``light``: parts of the irradiance; ``shade``: segments in shadow, from
-    `hyperpaint.surroundings.shadows.match_shade`; ``step`` (pair,): mean difference of neighbouring pixels on
-    the two sides of a border [1]; ``zenith``: of the sun [degree]; NaN where unknown.
+    `hyperpaint.surroundings.surveying.match_shade`; ``step`` (pair,): mean difference of neighbouring
+    pixels on the two sides of a border [1]; ``zenith``: of the sun [degree]; NaN where unknown.
     """
     most = GLINT.max_tilt / max(np.cos(np.radians(np.nan_to_num(zenith, nan=45.0))), 0.2)
     # a mirror image fades out, a body has an edge

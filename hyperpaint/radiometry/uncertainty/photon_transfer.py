@@ -15,11 +15,10 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import (
@@ -205,7 +204,7 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_Points, float, s
     return points, quantisation, f"{len(starts)} x {BLOCK_LINES} lines: {source}"
 
 
-def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
+def _block_starts(shape: tuple[int, ...]) -> Ints:
     lines, bands, columns = shape
     problems = Problems("noise cannot be estimated", SchemaError)
     if lines < BLOCK_LINES:
@@ -275,7 +274,7 @@ class _Transfer:
     slope: float
     height: float
     covariance: Floats
-    used: npt.NDArray[np.bool_]
+    used: Bools
 
 
 def _fit(points: _Points) -> _Transfer:
@@ -324,7 +323,7 @@ def _fit(points: _Points) -> _Transfer:
     return _Transfer(slope, height, covariance, used)
 
 
-def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats) -> tuple[float, float]:
+def _first_guess(points: _Points, valid: Bools, freedom: Floats) -> tuple[float, float]:
     from scipy.stats import chi2
 
     signal = points.by_signal[valid] / points.by_floor[valid]
@@ -344,9 +343,7 @@ def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats)
     return float(slope), float(height)
 
 
-def _solve(
-    points: _Points, used: npt.NDArray[np.bool_], model: Floats, variance: Floats
-) -> tuple[float, float, Floats]:
+def _solve(points: _Points, used: Bools, model: Floats, variance: Floats) -> tuple[float, float, Floats]:
     weight = np.where(used, 1.0 / model**2, 0.0)
     value = np.where(used, variance, 0.0)
     a, b = (np.where(used, v, 0.0) for v in (points.by_signal, points.by_floor))

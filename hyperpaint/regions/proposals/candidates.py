@@ -13,7 +13,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.schema import Quality
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
-from hyperpaint.surroundings.vegetation import is_vegetation
+from hyperpaint.surroundings.surveying import is_vegetation
 
 from .between_clouds import FreeSun
 from .leans import HeightModel
