@@ -44,9 +44,9 @@ from .paints.signatures import extract_signatures as extract_signatures
 from .radiometry.counts_to_reflectance import (
     radiance as radiance,
     reflectance as reflectance,
+    slab as slab,
 )
 from .radiometry.panels import Panel as Panel
-from .radiometry.whole_lines import slab as slab
 from .regions import (
     Region as Region,
     Regions as Regions,

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pint
 import xarray as xr
 
-from hyperpaint.alignment.least_squares import Window
+from hyperpaint.alignment.estimation import Window
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.schema import Quality

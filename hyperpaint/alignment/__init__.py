@@ -8,9 +8,8 @@ differences. Called by users, the accessor, `validation` and `workflows`.
 from __future__ import annotations
 
 from .application import apply_alignment
-from .comparison import compared
+from .comparison import align, compared
 from .estimation import align_to_irradiance
-from .in_flight import align
 from .oxygen import oxygen_depth, oxygen_residual
 
 __all__ = ["align", "align_to_irradiance", "apply_alignment", "compared", "oxygen_depth", "oxygen_residual"]

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
@@ -103,7 +102,7 @@ def apply_alignment(
 
 
 def _by_window(alignment: xr.Dataset) -> xr.Dataset:
-    """Return an alignment with a leading dim of windows; SchemaError for another dataset."""
+    # An alignment with a leading dim of windows; SchemaError for another dataset
     problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
     for name in _NEEDED:
         if name not in alignment.variables:
@@ -123,7 +122,7 @@ def _by_window(alignment: xr.Dataset) -> xr.Dataset:
     return windows.transpose(_WINDOW, ...)
 
 
-def _check(windows: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[int, int], degree: int) -> None:
+def _check(windows: xr.Dataset, reliable: Bools, shape: tuple[int, int], degree: int) -> None:
     problems = Problems("the alignment cannot be applied", SchemaError)
     bands, columns = shape
     if windows.sizes[BAND] != bands or not -0.5 < float(windows["column"].max()) <= columns - 1:
@@ -142,7 +141,7 @@ def _check(windows: xr.Dataset, reliable: npt.NDArray[np.bool_], shape: tuple[in
 
 
 def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, float]:
-    """Return the shift's correction of all columns (column,) [nm] and the mean width factor of one window."""
+    # Shift's correction of all columns (column,) [nm] and the mean width factor of one window
     scale = max((columns - 1) / 2.0, 1.0)
     basis = np.polynomial.legendre.legvander(window["column"].values / scale - 1.0, degree)
     value, spread = window["shift_correction"].values, np.maximum(window["wavelength_shift_u"].values, 1e-6)
@@ -166,17 +165,17 @@ def _replaced(
     correction: Floats,
     factor: Any,
 ) -> xr.Dataset:
-    """Return the line with corrected shifts and widths, and a sentence that describes them."""
     centres, wavelength = np.atleast_1d(alignment["window_centre"].values), variables["wavelength"].values
     order = np.argsort(centres)
 
     def over_bands(values: Floats) -> Floats:
         return np.asarray(np.interp(wavelength, centres[order], values[order]))
 
-    if len(order) == 1:
-        shift = xr.DataArray(correction[0], dims=CROSS_TRACK)
-    else:
-        shift = xr.DataArray(np.apply_along_axis(over_bands, 0, correction), dims=(BAND, CROSS_TRACK))
+    shift = (
+        xr.DataArray(correction[0], dims=CROSS_TRACK)
+        if len(order) == 1
+        else xr.DataArray(np.apply_along_axis(over_bands, 0, correction), dims=(BAND, CROSS_TRACK))
+    )
     if "wavelength_shift" in variables:
         declared = variables["wavelength_shift"]
         shift = shift + xr.DataArray(declared.values, dims=declared.dims)

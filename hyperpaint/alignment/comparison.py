@@ -8,6 +8,7 @@ instruments is not as declared. A few slabs of lines are read; the same whatever
 from __future__ import annotations
 
 import itertools
+import warnings
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -16,14 +17,18 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.base.constants import ALIGNMENTS, Alignment
+from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
+from hyperpaint.base.facts import documented
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM
 from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.uncertainty.irradiance_noise import noise_of_record
 
+from .application import restated, without_products
 from .lamp import Declared, responses_table, shares_of_samples, variance_of_responses
 from .oxygen import mean_over_lines, radiance_of_bands
-from .sunlines import RecordAgainstSun, record_against_sun
+from .sunlines import Instruments, RecordAgainstSun, divided, record_against_sun
 
 
 @dataclass(frozen=True)
@@ -152,8 +157,7 @@ class Comparison(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _WindowFit:
-    """One window: means of groups of pixels, and the light matched to its bands."""
-
+    # One window: means of groups of pixels, and the light matched to its bands
     wavelength: Floats  # (band,)
     log: Floats  # (band, group): of radiance
     shift: Floats  # (band, group): declared [nm]
@@ -168,7 +172,7 @@ class _WindowFit:
     by_width: dict[float, Floats] = field(default_factory=dict)  # (node, band): cache of light at a width
 
     def light_at(self, shift: Floats, width: float) -> Floats:
-        """Return the light (band, group) at shifts (band, group) [nm], by polynomials in both."""
+        # Light (band, group) at shifts (band, group) [nm], by polynomials in both
         # many shifts are tried with the same widths
         at_width = self.by_width.get(float(width))
         if at_width is None:
@@ -196,15 +200,13 @@ class _WindowFit:
         return np.asarray(sum(w * values[first + k * shift.shape[0]] for k, w in enumerate(weights)))
 
     def lines(self, shift: Floats, width: float) -> Floats:
-        """Return the logarithm of the light (band, group) without its smooth part."""
+        # Logarithm of the light (band, group) without its smooth part
         light = self.light_at(self.shift + shift[:, None], width)
         return np.asarray(light - self.basis @ (self.basis.T @ light))
 
     def departure(self, shift: Floats, width: float) -> Floats:
-        """Return the logarithm of radiance over light (band, group) without its smooth part.
-
-        A surface of slope g seen by a band of variance v acts as a shift g v; g is the smooth curve's.
-        """
+        # Logarithm of radiance over light (band, group) without its smooth part.
+        # A surface of slope g seen by a band of variance v acts as a shift g v; g is the smooth curve's.
         place = self.shift + shift[:, None]
         ratio = self.log - self.light_at(place, width)
         tilt = (self.slopes @ (self.basis.T @ ratio)) * self.variance[:, None]
@@ -253,7 +255,6 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
 
 
 def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, float]]:
-    """Return the windows with enough bands for the polynomial and three parameters."""
     channels = declared.light.wavelength
     fewest = rules.degree + 1 + 6
     return [
@@ -266,8 +267,6 @@ def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, fl
 
 
 class _Block(NamedTuple):
-    """Means over the lines of a slab."""
-
     radiance: Floats  # (band, column), all bands; NaN of those that were not read
     pixels: Array  # (column,)
 
@@ -279,7 +278,7 @@ def _block_means(
     windows: list[tuple[float, float]],
     rules: ComparisonRules,
 ) -> tuple[list[_Block], Floats]:
-    """Return the means of slabs evenly over the line, and the weights of samples (sample,) in their light."""
+    # Means of slabs evenly over the line, and the weights of samples (sample,) in their light
     lines = dataset.sizes[ALONG_TRACK]
     size = min(rules.block_lines, lines)
     starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
@@ -299,7 +298,7 @@ def _block_means(
 def _group_means(
     declared: Declared, chosen: Array, blocks: list[_Block], rules: ComparisonRules
 ) -> tuple[Floats, Floats]:
-    """Return spectra and declared shifts (band, group) of a window; NaN spectra where pixels are too few."""
+    # Spectra and declared shifts (band, group) of a window; NaN spectra where pixels are too few
     columns = blocks[0].pixels.size
     shift = declared.shift(columns)[chosen]
     edges = np.unique(np.linspace(0, columns, rules.column_groups + 1).astype(np.int64))
@@ -325,7 +324,7 @@ def _window_fit(
     record: tuple[Floats, Floats],
     rules: ComparisonRules,
 ) -> _WindowFit | None:
-    """Return a window ready for the fit; None where record or pixels cover too little of it."""
+    # A window ready for the fit; None where record or pixels cover too little of it
     light, noise = record  # (channel,): mean of the light, and its noise
     spectrum, own = _group_means(declared, chosen, blocks, rules)
     valid = np.asarray(np.isfinite(spectrum).all(axis=0))
@@ -368,15 +367,13 @@ def _window_fit(
 
 
 def _shifts(fit: _WindowFit, numbers: Floats) -> Floats:
-    """Return the shift (band,) [nm] of ``numbers``: shift at the centre, tilt, width."""
+    # Shift (band,) [nm] of `numbers`: shift at the centre, tilt, width
     return np.asarray(numbers[0] + numbers[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
 def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
-    """Return shift, tilt and width at which all windows of all groups are smoothest.
-
-    A fourth parameter is the air below the camera, which deepens the air's absorption in radiance alone.
-    """
+    # Shift, tilt and width at which all windows of all groups are smoothest.
+    # A fourth parameter is the air below the camera, which deepens the air's absorption in radiance alone.
     prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
     numbers = np.append(_coarse(fits, rules), 0.0)
     limits = np.array([rules.max_shift_nm, 0.3, np.inf, 0.1])
@@ -416,7 +413,7 @@ def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
 
 
 def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
-    """Return the best of a grid of shifts and widths for the mean group: solar lines cause several minima."""
+    # Best of a grid of shifts and widths for the mean group: solar lines cause several minima
     steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
     shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
     # one group a shift
@@ -439,7 +436,7 @@ def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
 def _linear(
     fits: list[_WindowFit], numbers: Floats, rules: ComparisonRules
 ) -> tuple[list[Floats], list[Floats]]:
-    """Return departures (band, group) and their derivatives (parameter, band, group) of every window."""
+    # Departures (band, group) and their derivatives (parameter, band, group) of every window
     away, slopes = [], []
     for fit in fits:
         at, width = _shifts(fit, numbers), float(numbers[2])
@@ -457,7 +454,7 @@ def _linear(
 
 
 def _weights(fits: list[_WindowFit], away: list[Floats]) -> list[Floats]:
-    """Return inverse variances (band, group): half of a group's own departures, half of its window's."""
+    # Inverse variances (band, group): half of a group's own departures, half of its window's
     weights = []
     for fit, r in zip(fits, away, strict=True):
         own = (r**2).mean(axis=0)
@@ -500,6 +497,204 @@ def _covariance(
 
 
 def _rms(fits: list[_WindowFit], away: list[Floats]) -> float:
-    """Return the root mean square of the mean departures over groups."""
     shared = [r[:, fit.valid].mean(axis=1) for fit, r in zip(fits, away, strict=True)]
     return float(np.sqrt(np.mean(np.concatenate(shared) ** 2)))
+
+
+# -- Compare camera and irradiance record of a flight line, and correct significant differences.
+
+_OXYGEN_NM, _BLUE_NM = 760.0, 450.0
+#: Upper end of the silicon detector of field spectrometers [nm]; results below do not hold for others.
+VNIR_END_NM = 1000.0
+
+
+@documented()
+def align(
+    line: xr.Dataset,
+    *,
+    apply: Alignment = "auto",
+    rules: ComparisonRules = COMPARISON,
+) -> xr.Dataset:
+    r"""Compare camera and irradiance record in flight, and correct significant differences.
+
+    Eager, except for the cubes: 128 lines are read, evenly over the line; the same whatever the chunks.
+
+    Parameters
+    ----------
+    line
+        A flight line with the variables that `hyperpaint.reflectance` needs.
+    apply
+        ``"auto"``: correct where camera and record differ significantly, and irradiance changes enough to
+        matter (``significance`` and ``least_effect`` of the rules). ``"never"``: report only. ``"always"``:
+        correct any difference.
+    rules
+
+    Returns
+    -------
+    Dataset
+        The line; cubes stay lazy. Where a correction is applied, ``irradiance_wavelength`` and
+        ``irradiance_fwhm`` are corrected, ``wavelength_shift`` holds the camera's share where that is
+        significant (``camera_significance``), and reflectance, which held for other wavelengths, is removed.
+        Channels of detectors beyond 1000 nm, which the comparison does not cover, keep their declared widths.
+        The attributes:
+
+        * ``alignment``: a sentence, after those of earlier corrections; ``alignment_state``: ``"applied"``,
+          ``"not significant"``, ``"not applied"`` or ``"not compared"``.
+        * ``alignment_shift``, ``alignment_shift_slope``: wavelength of the camera minus wavelength of the
+        record,
+          relative to their declarations, at 600 nm [nm], and its change over 100 nm [nm];
+          ``alignment_width``: width of the record over the declared one [1], if all of it is the record's.
+          Each with ``_u``.
+        * ``alignment_departure``: joint departure of these from agreement, in standard uncertainties;
+          ``alignment_effect``: largest relative change of irradiance [1].
+        * ``alignment_residual``, ``alignment_residual_declared``: rms of the light's structure left in
+        radiance
+          over irradiance on average, relative, corrected and as declared [1].
+        * ``alignment_record_shift``, ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm],
+          ``alignment_camera_width`` [1]: the share of each instrument, by the solar lines in the record.
+          Each with ``_u``.
+
+    Raises
+    ------
+    SchemaError
+        ``apply`` is another word.
+
+    Warns
+    -----
+    PaintWarning
+        Camera and record differ, and it was not to be applied, or is beyond the search.
+
+    Notes
+    -----
+    With :math:`\bar L_{bg}` the mean radiance of a band over the pixels of a group (columns and lines beside
+    each other) and :math:`\bar E_b` the record's mean, shift :math:`\delta(\lambda)`, a straight line, and
+    the record's width :math:`w` minimise
+
+    .. math:: \sum_{g, b} \frac{1}{\sigma_g^2}
+              \big( (1 - P) \ln (\bar L_{bg} / \bar E_b(\delta, w)) \big)^2
+
+    over the windows of the rules, in which :math:`P` projects onto polynomials. Surfaces differ between
+    groups: their scatter, and that between bands, is the uncertainty.
+
+    Only the difference of the two affects reflectance. Solar lines in the record attribute it to one of them,
+    with much larger uncertainty; the camera's ``wavelength_shift`` takes its share where that is significant,
+    the record the rest. A record that is wider than declared and a camera that is narrower look alike; the
+    record, whose width is seldom measured, takes the correction.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation import simulate_line
+    >>> line = simulate_line(lines=32, columns=32, smile_nm=0.0, irradiance_fwhm_nm=4.0)
+    >>> line["irradiance_fwhm"] = line.irradiance_fwhm - 1.0
+    >>> aligned = align(line.assign_coords(irradiance_wavelength=line.irradiance_wavelength - 0.3))
+    >>> aligned.attrs["alignment_state"], round(aligned.attrs["alignment_shift"], 1)
+    ('applied', -0.3)
+    """
+    if apply not in ALIGNMENTS:
+        raise SchemaError(
+            f"apply={apply!r}", expected=f"one of {', '.join(map(repr, ALIGNMENTS))}", code="choice-unknown"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PaintWarning)  # computing the line itself warns
+            comparison = compared(line, rules)
+    except (PaintError, OSError) as error:  # processing of the line itself raises it
+        return _not_compared(line, str(error).splitlines()[0])
+    if comparison is None:
+        return _not_compared(line, "too few bands, pixels or channels where daylight has lines")
+    numbers = _numbers(comparison)
+    is_significant = comparison.is_significant(rules)
+    if comparison.at_limit:
+        text = f"camera and irradiance record differ by more than can be corrected ({_sentence(comparison)})"
+        warning = PaintWarning(f"{text}; check wavelengths and widths of both", code="alignment-at-limit")
+        warnings.warn(warning, stacklevel=2)
+        return restated(line, text, numbers=numbers, state="not applied")
+    if apply == "always" or (apply == "auto" and is_significant):
+        # the camera's wavelengths move only where its share is significant
+        parts = _instruments(comparison)
+        is_camera = abs(parts.camera_shift) > rules.camera_significance * parts.camera_shift_u
+        camera = float(f"{parts.camera_shift:.3f}") if is_camera else 0.0
+        moved = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
+        text = f"irradiance record corrected in flight{moved}: {_sentence(comparison)}"
+        return restated(_corrected(line, comparison, camera), text, numbers=numbers, state="applied")
+    if is_significant:
+        text = f"camera and irradiance record differ: {_sentence(comparison)}"
+        mend = (
+            "correct fwhm_nm and wavelengths of the collect, or correct them automatically: "
+            "hp.alignment.align(line) in Python, --alignment auto on the command line, "
+            '[alignment] apply = "auto" in collect.toml'
+        )
+        warnings.warn(PaintWarning(f"{text}; {mend}", code="alignment-differs"), stacklevel=2)
+        return restated(line, text, numbers=numbers, state="not applied")
+    text = f"camera and irradiance record agree: {_sentence(comparison)}"
+    return restated(line, text, numbers=numbers, state="not significant")
+
+
+def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
+    return restated(line, f"camera and irradiance record not compared: {reason}", state="not compared")
+
+
+def _numbers(found: Comparison) -> dict[str, float]:
+    spread = np.sqrt(np.diag(found.covariance))
+    values = {
+        "shift": found.shift,
+        "shift_u": spread[0],
+        "shift_slope": found.tilt,
+        "shift_slope_u": spread[1],
+        "width": found.width,
+        "width_u": spread[2],
+        "effect": np.nanmax(np.abs(found.effect)),
+        "departure": found.departure,
+        "residual": found.residual,
+        "residual_declared": found.residual_declared,
+    }
+    values |= _instruments(found)._asdict()
+    return {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
+
+
+def _instruments(found: Comparison) -> Instruments:
+    spread = np.sqrt(np.diag(found.covariance))
+    shift, width = (found.shift, float(spread[0])), (found.width, float(spread[2]))
+    return divided(shift, width, found.sun, found.declared_fwhm)
+
+
+def _sentence(found: Comparison) -> str:
+    spread = np.sqrt(np.diag(found.covariance))
+    places = ", ".join(
+        f"{float(found.effect[near]):+.2%} at {found.wavelength[near]:.0f} nm"
+        for near in (int(np.abs(found.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
+    )
+    return (
+        f"camera minus record {found.shift:+.3f} +- {spread[0]:.3f} nm at 600 nm, changing by "
+        f"{found.tilt:+.3f} +- {spread[1]:.3f} nm over 100 nm; width of the record {found.width:.3f} +- "
+        f"{spread[2]:.3f} of that declared; irradiance changes by {places}, at most "
+        f"{np.nanmax(np.abs(found.effect)):.2%}"
+    )
+
+
+def _corrected(line: xr.Dataset, found: Comparison, camera: float) -> xr.Dataset:
+    # Line with corrected channels of the record; `camera`: the camera's share [nm]
+    dataset = schema.rename_to_roles(line)
+    arrays = schema.require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
+    channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
+    # the shift is constant beyond the compared bands
+    reached = np.clip(channels, found.wavelength.min(), found.wavelength.max())
+    shifted = channels - found.shift_at(reached) + camera
+    width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
+    same_detector = channels <= max(VNIR_END_NM, found.wavelength.max())
+    widths = xr.DataArray(np.where(same_detector, width * found.width, width), dims=IRRADIANCE_WAVELENGTH)
+    coordinate = xr.DataArray(shifted, dims=IRRADIANCE_WAVELENGTH)
+    aligned = (
+        without_products(dataset)
+        .drop_vars("irradiance_fwhm")
+        .assign_coords({IRRADIANCE_WAVELENGTH: schema.label(coordinate, IRRADIANCE_WAVELENGTH)})
+    )
+    if camera:
+        # the columns' wavelengths move; ``wavelength`` stays, the axis of all lines
+        names = [name for name in ("wavelength_shift",) if name in aligned.variables]
+        declared = schema.require(aligned, names, "the alignment")
+        zero = xr.DataArray(np.zeros(aligned.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
+        shift = declared.get("wavelength_shift", zero) + camera
+        plain = xr.DataArray(shift.values, dims=shift.dims)
+        aligned = aligned.assign_coords(wavelength_shift=schema.label(plain, "wavelength_shift"))
+    return aligned.assign(irradiance_fwhm=schema.label(widths, "irradiance_fwhm"))

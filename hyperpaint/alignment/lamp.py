@@ -8,11 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.responses import (
@@ -49,7 +48,7 @@ class Declared:
     # wavelength, fwhm (band,): [nm]
     wavelength: Floats
     fwhm: Floats
-    good: npt.NDArray[np.bool_]  # (band,), bool: all True by default
+    good: Bools  # (band,), bool: all True by default
     wavelength_shift: Floats  # () or (column,) or (band, column): [nm]; 0 by default
     imager: Responses  # Responses of all bands
     light: Light  # The irradiance record
@@ -103,10 +102,9 @@ class Declared:
         return np.broadcast_to(shift, (self.wavelength.size, columns))
 
     def bands(self, inside: Array) -> Responses:
-        names = ("wavelength", "fwhm", "spacing", "slope", "table")
         parts: dict[str, Any] = {
             name: np.asarray(values)[inside]
-            for name in names
+            for name in ("wavelength", "fwhm", "spacing", "slope", "table")
             if (values := getattr(self.imager, name)) is not None
         }
         return replace(self.imager, **parts)
@@ -193,7 +191,7 @@ def shares_of_samples(
 
 
 def _level(light: Light, low: float, high: float) -> Floats:
-    """Return the mean irradiance of every sample between two wavelengths; NaN where it is not positive."""
+    # Mean irradiance of every sample between two wavelengths; NaN where it is not positive
     inside = (light.wavelength >= low) & (light.wavelength <= high)
     # leave out channels that are missing in a tenth of the spectra, and spectra that lack others
     has_values = np.isfinite(light.spectra).any(axis=1)
@@ -254,7 +252,7 @@ def irradiance_table(
 
 
 def _log_of_seen(matching: Matching, spectrum: Floats) -> Floats:
-    """Return the logarithm of a spectrum (channel,) matched to bands (shift, band); NaN without channels."""
+    # Logarithm of a spectrum (channel,) matched to bands (shift, band); NaN without channels
     missing = ~np.isfinite(spectrum)
     matched = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
     touched = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
@@ -280,7 +278,7 @@ def responses_table(
 def _operators_of_widths(
     spectrometer: Responses, imager: Responses, shifts: tuple[float, ...], widths: tuple[float, ...]
 ) -> list[Matching]:
-    """Return the operators of spectrometers of several widths; once for all flight lines of a camera."""
+    # Operators of spectrometers of several widths; once for all flight lines of a camera
     return [
         matching_operator(replace(spectrometer, fwhm=spectrometer.fwhm * width), imager, shifts)
         for width in widths
@@ -288,7 +286,7 @@ def _operators_of_widths(
 
 
 def _shift_nodes(limits: tuple[float, float]) -> Floats:
-    """Return even shifts [nm] around the limits."""
+    # Even shifts [nm] around the limits
     first, last = np.floor(limits[0] / SHIFT_STEP) - 1, np.ceil(limits[1] / SHIFT_STEP) + 1
     return np.asarray(np.arange(first, last + 1) * SHIFT_STEP)
 
@@ -297,14 +295,14 @@ def _shift_nodes(limits: tuple[float, float]) -> Floats:
 def _operators(
     spectrometer: Responses, imager: Responses, limits: tuple[float, float]
 ) -> tuple[Floats, list[Matching]]:
-    """Return the shifts, and the operators at every width; once for all flight lines of a camera."""
+    # Shifts, and the operators at every width; once for all flight lines of a camera
     shifts = _shift_nodes(limits)
     widened = [_widened(imager, float(factor)) for factor in FACTORS]
     return shifts, [matching_operator(spectrometer, bands, shifts) for bands in widened]
 
 
 def _widened(imager: Responses, factor: float) -> Responses:
-    """Return responses of another width; the pixel width of a slit response does not change."""
+    # Responses of another width; the pixel width of a slit response does not change
     if imager.shape == "tabulated":
         return replace(imager, offset=np.asarray(imager.offset) * factor)
     return replace(imager, fwhm=imager.fwhm * factor)

@@ -139,7 +139,6 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
 
 
 def _parts(wavelength: Floats) -> tuple[npt.NDArray[np.bool_], Floats]:
-    """Return whether bands are on the shoulders, and their weights in the oxygen band itself."""
     shoulders = np.logical_or.reduce([(wavelength >= low) & (wavelength <= high) for low, high in SHOULDERS])
     return shoulders, np.clip(1.0 - np.abs(wavelength - CENTRE) / REACH, 0.0, None)
 

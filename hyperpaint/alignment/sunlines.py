@@ -103,9 +103,8 @@ def divided(
         (1.0, 0.0, 0.0, rules.record_prior_nm),
         (0.0, 1.0, 0.0, rules.camera_prior_nm),
     ]
-    known = (record * width[0]) ** 2
     squares = [
-        (1.0, -1.0, known, 2.0 * record**2 * width[0] * width[1]),
+        (1.0, -1.0, (record * width[0]) ** 2, 2.0 * record**2 * width[0] * width[1]),
         (0.0, 1.0, 0.0, 2.0 * camera**2 * rules.camera_width_prior),
     ]
     if sun is not None:
@@ -128,13 +127,10 @@ def divided(
 
 
 def _solved(rows: list[tuple[float, float, float, float]]) -> tuple[list[float], list[float]]:
-    """Return two unknowns and their uncertainties from rows of factors, value and uncertainty."""
     table = np.array(rows)
     weighted = table[:, :3] / table[:, 3:]
-    normal = weighted[:, :2].T @ weighted[:, :2]
-    inverse = np.linalg.inv(normal)
-    value = inverse @ weighted[:, :2].T @ weighted[:, 2]
-    return value.tolist(), np.sqrt(np.diag(inverse)).tolist()
+    inverse = np.linalg.inv(weighted[:, :2].T @ weighted[:, :2])
+    return (inverse @ weighted[:, :2].T @ weighted[:, 2]).tolist(), np.sqrt(np.diag(inverse)).tolist()
 
 
 def record_against_sun(
@@ -165,7 +161,7 @@ def record_against_sun(
 def _window(
     channels: Floats, spectrum: Floats, low: float, high: float, rules: SunLineRules
 ) -> tuple[float, float, float, float] | None:
-    """Return shift and width of one window, each with its uncertainty [nm]; None without a minimum."""
+    # Shift and width of one window, each with its uncertainty [nm]; None without a minimum
     used = (channels >= low) & (channels <= high) & (spectrum > 0)
     if used.sum() < rules.degree + 1 + 12:
         return None
@@ -193,8 +189,6 @@ def _window(
 
 
 class _Trials(NamedTuple):
-    """Sunlight matched to a window's channels at every shift and width."""
-
     shifts: Floats  # (shift,) [nm]
     widths: Floats  # (width,) [nm]
     seen: Floats  # (shift, width, channel): logarithm of the sun above the air
@@ -204,8 +198,7 @@ class _Trials(NamedTuple):
 @functools.lru_cache(maxsize=4)  # the lines of a collect have the same channels
 def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
     nm = np.array(channels)
-    place = (nm - nm.mean()) / (np.ptp(nm) / 2.0)
-    smooth = np.polynomial.legendre.legvander(place, rules.degree)
+    smooth = np.polynomial.legendre.legvander((nm - nm.mean()) / (np.ptp(nm) / 2.0), rules.degree)
     first, last, step = rules.shifts_nm
     shifts = np.arange(first, last + step / 2, step)
     first, last, step = rules.widths_nm
@@ -224,10 +217,8 @@ def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
 
 
 def _seen(nm: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:
-    """Return logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width.
-
-    First of the sun above the air, then (gas, shift, channel) the change by two gases.
-    """
+    # Logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width.
+    # First of the sun above the air, then (gas, shift, channel) the change by two gases.
     table = sunlight_table()
     away = np.abs(table.wavelength - nm.mean(axis=1, keepdims=True))
     near = away < np.ptp(nm, axis=1, keepdims=True) / 2.0 + 3.0 * width  # (shift, cell)

@@ -223,7 +223,6 @@ def anchor_to_radiance(
 def _with_gain(
     calibration: xr.Dataset, gain: Floats, anchor: str, uncertainty: float, *, same_shape: bool = False
 ) -> xr.Dataset:
-    """Return the calibration with another gain, and all that belongs to its scale."""
     good = np.isfinite(gain).mean(axis=1) > 0.5
     systematic = np.where(good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
     stale = ["radiance_gain_u_systematic", "quantum_efficiency", "responsivity"]
@@ -241,7 +240,7 @@ def _with_gain(
 
 
 def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
-    """Return linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure [s]."""
+    # Linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure [s]
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
     for name in ("counts", "dark_counts", "exposure_time"):
         if name not in frames.variables:
@@ -296,7 +295,7 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
 
 
 def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: float) -> Floats | float:
-    """Return the correction of the frames' dark to their exposure [count]; 0 for a dark at that exposure."""
+    # Correction of the frames' dark to their exposure [count]; 0 for a dark at that exposure
     if "dark_exposure_time" not in frames.variables:
         return 0.0
     taken = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
@@ -314,7 +313,7 @@ def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: flo
 
 
 def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectrum: xr.DataArray) -> Floats:
-    """Return the mean of a spectrum over the response of every element (band, cross_track)."""
+    # Mean of a spectrum over the response of every element (band, cross_track)
     if spectrum.ndim != 1:
         raise SchemaError(
             f"the source's radiance has dims {tuple(map(str, spectrum.dims))}",
@@ -363,7 +362,7 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
 
 
 def _slope(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats | None:
-    """Return the slope of the log responsivity over a band (band,) [nm-1]; None without a gain."""
+    # Slope of the log responsivity over a band (band,) [nm-1]; None without a gain
     if "radiance_gain" not in calibration.variables:
         return None
     gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)

@@ -224,7 +224,7 @@ def calibrate(
 
 
 def _curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) -> Linearity:
-    """Return the linearity curve of the arguments; SchemaError for an invalid one."""
+    # Linearity curve of the arguments; SchemaError for an invalid one
     problems = Problems("linearity= cannot be applied", SchemaError)
     if isinstance(linearity, xr.DataArray):
         if linearity.dims != ("linearity_counts",) or "linearity_counts" not in linearity.coords:
@@ -238,8 +238,7 @@ def _curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) ->
         curve = linearity_of(table.assign_attrs(linearity_on=on))
     else:
         curve = linearity_of(xr.Dataset(attrs={"linearity": linearity, "linearity_on": on}))
-    full = np.inf if lab.saturation is None else float(np.max(lab.saturation))
-    curve.check(problems, full)
+    curve.check(problems, np.inf if lab.saturation is None else float(np.max(lab.saturation)))
     problems.raise_if_any()
     return curve
 
@@ -247,7 +246,6 @@ def _curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: LabSweep) ->
 def _with_differences(
     lab: LabSweep, read: Read, lines: Lines, surface: WavelengthMap, shape: int, fits: list[Fits | None]
 ) -> tuple[Read, Lines, Differences]:
-    """Return the differences of elements, with fits whose noise is derived from them where it is unknown."""
     is_noise_known = read.noise_source != FROM_SCATTER
     differences = element_differences(lab, read, lines, surface, shape, known_noise=is_noise_known)
     if is_noise_known:
@@ -299,7 +297,7 @@ def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callabl
 
 
 def _bad_at_the_door(lab: LabSweep, declared: xr.DataArray | None) -> Bools:
-    """Return the elements (band, cross_track) that are bad before any lamp line is fitted."""
+    # Elements (band, cross_track) that are bad before any lamp line is fitted
     bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
     if declared is not None:
         is_whole = set(declared.dims) == {BAND, CROSS_TRACK}
@@ -316,7 +314,6 @@ def _bad_at_the_door(lab: LabSweep, declared: xr.DataArray | None) -> Bools:
 
 
 def _check_lines(lab: LabSweep, read: Read) -> None:
-    """Refuse a sweep with too few lamp lines above the noise, and warn of the steps that are left out."""
     dark = [float(w) for w, window in zip(lab.wavelength, read.windows, strict=True) if window is None]
     if len(dark) > len(read.windows) - MIN_LINES:
         raise refused(
@@ -334,7 +331,6 @@ def _check_lines(lab: LabSweep, read: Read) -> None:
 
 
 def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None:
-    """Refuse a sweep with too few reliable lamp lines, and give the reasons."""
     trusted = int(lines.trusted.any(axis=1).sum())
     if trusted >= MIN_LINES:
         return
@@ -358,7 +354,7 @@ def _need_trusted(read: Read, lines: Lines, fits: Sequence[Fits | None]) -> None
 
 
 def _map(lines: Lines, lab: LabSweep, wavelength: Floats, degree: int | None) -> WavelengthMap:
-    """Return the wavelength map through the reliable lamp lines at the wavelengths (step,) of their light."""
+    # Wavelength map through the reliable lamp lines at the wavelengths (step,) of their light
     step, column = np.nonzero(lines.trusted)
     return fit_wavelength_map(
         lines.centre[step, column],
@@ -371,7 +367,6 @@ def _map(lines: Lines, lab: LabSweep, wavelength: Floats, degree: int | None) ->
 
 
 def _misfits(by_shape: Mapping[str, Lines]) -> dict[str, float]:
-    """Return the mean log of chi2 per degree of freedom of each shape, over lines that all of them fit."""
     common = np.logical_and.reduce([lines.trusted for lines in by_shape.values()])
     if not common.any():
         return dict.fromkeys(by_shape, 0.0)
@@ -397,7 +392,7 @@ def _warn_of_saturation(lab: LabSweep, read: Read) -> None:
 def _map_through(
     lines: Lines, lab: LabSweep, read: Read, rough: WavelengthMap, shape: str, degree: int | None
 ) -> tuple[WavelengthMap, Floats, Floats]:
-    """Return the wavelength map, the slope of the log responsivity [nm-1] and the pull [nm] at the steps."""
+    # Wavelength map, the slope of the log responsivity [nm-1] and the pull [nm] at the steps
     nothing = np.zeros(lab.shape[0])
     lit_steps = np.flatnonzero(lines.trusted.any(axis=1))
     level = line_level(lines, lab, rough)
@@ -457,7 +452,6 @@ def beam_problem(wavelength: Floats, areas: Floats, tolerance: float) -> str | N
 
 
 def _profiles(areas: Floats) -> tuple[Floats, Floats]:
-    """Return smooth log profiles of areas over columns about their medians, and their standard deviations."""
     lit = np.flatnonzero(np.isfinite(areas).any(axis=0))
     level = np.full((len(areas), lit.size), np.nan)
     spread = level.copy()

@@ -3,32 +3,500 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
-from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2
+from hyperpaint.base.constants import MAX_STRAY_LIGHT_U, QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
+from hyperpaint.light.clear_sky import ClearSky
+from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, RAW, Linearity
 
 from .detector import row_medians
 from .elements import at_steps, line_wavelengths
-from .fringes import FRINGES, Between, error_between_lines, level_scatter
 from .lab_sweep import LabSweep, refused
-from .line_fits import fit_beam
-from .out_of_band import OffLines, dark_off_lines, light_off_lines
-from .response_tables import MeasuredShape, measured_shape
+from .line_fits import Window, fit_beam
 from .responsivity import element_gain, second_order_factor, shape_variance
 from .steps import FROM_FRAMES, Lines, Read
 from .views import PLANCK_TIMES_LIGHT
 from .wavelength_map import WavelengthMap
+
+# -- Measure the camera's response from all lamp lines of a sweep, where neither line model fits.
+# Every lamp line is the monochromator's line convolved with the camera's response, sampled at as many
+# places as columns and steps put bands beside it. In units of the width all lines are one curve; the
+# monochromator's line is deconvolved by least squares without negative response.
+
+
+@dataclass(frozen=True)
+class ShapeRules:
+    """Thresholds between a line model and a table.
+
+    Attributes
+    ----------
+    reach
+        Half support of the table in widths; beyond lie 2e-7 of a Gaussian.
+    step
+        Of the table in widths.
+    smoothing
+        Weight of the table's second differences against the curve: keeps noise of 1e-3 from ringing where the
+        monochromator is as wide as the camera's response.
+    least_samples
+        Least mean number of samples at a place of the curve.
+    least_misfit
+        Distance of curve and model, relative to the model, from which a table is used [1]: the right model
+        leaves 0.0006, a slit with a tail of a tenth of its width 0.024.
+    widest_light
+        Width of the monochromator over the camera's from which its line hides the response [1].
+    sun_zenith_deg
+        Zenith angle of the sun in the daylight for which the effect is stated [degree].
+    """
+
+    reach: float = 2.0
+    step: float = 0.04
+    smoothing: float = 1e-4
+    least_samples: float = 4.0
+    least_misfit: float = 0.012
+    widest_light: float = 0.7
+    sun_zenith_deg: float = 48.2
+
+
+SHAPE_RULES = ShapeRules()
+
+
+class MeasuredShape(NamedTuple):
+    """The response in units of its width.
+
+    ``offset`` (place,): wavelength minus that of the band, over the width; ``response`` (place,), of unit
+    area; ``misfit``: distance of the lamp lines from the best model, relative [1]; ``effect``: largest
+    relative change of matched daylight by the model instead of the response [1]; ``is_resolved``: whether the
+    light was narrow enough.
+    """
+
+    offset: Floats
+    response: Floats
+    misfit: float
+    effect: float
+    is_resolved: bool
+
+    @property
+    def is_another(self) -> bool:
+        """Whether the response fits neither model."""
+        return self.misfit > SHAPE_RULES.least_misfit
+
+    def table(self, fwhm: Floats) -> tuple[Floats, Floats]:
+        """Return offsets (srf_offset,) [nm], and the response of bands of widths (band,) [nm] there."""
+        offset = self.offset * float(fwhm.max())
+        return offset, np.stack([np.interp(offset, self.offset * w, self.response, 0.0, 0.0) for w in fwhm])
+
+
+def measured_shape(
+    lab: LabSweep,
+    read: Read,
+    lines: Lines,
+    surface: WavelengthMap,
+    placed: Bools,
+    own: Floats,
+    shape: str,
+) -> MeasuredShape | None:
+    """Return the response measured from the lamp lines; None where they are too few.
+
+    ``placed`` (step, cross_track): lines that are used; ``own`` (step,): the camera's width there [nm];
+    ``shape``: the best line model.
+    """
+    rules = SHAPE_RULES
+    edges = np.arange(-rules.reach - rules.step / 2, rules.reach + rules.step, rules.step)
+    # area, area times place, area times height of what falls between two edges
+    sums, light, spacing, count = np.zeros((3, edges.size - 1)), [], [], 0
+    for step, window in enumerate(read.windows):
+        if window is None:
+            continue
+        used = placed[step, window.columns] & ~window.saturated
+        columns = window.columns[used]
+        if not columns.size:
+            continue
+        places, centre = window.places[used], lines.centre[step, columns][:, None]
+        apart = (surface.at(centre, columns[:, None]) - surface.at(places, columns[:, None])) / own[step]
+        pitch = surface.spacing(places, columns[:, None]) / own[step]
+        density = window.values[used] / (lines.area[step, columns][:, None] * pitch)
+        there = np.isfinite(density)
+        bins = np.digitize(apart[there], edges) - 1
+        inside = (bins >= 0) & (bins < edges.size - 1)
+        # noise is that of light counted: the brighter a line, the more it says
+        area = np.broadcast_to(lines.area[step, columns][:, None], density.shape)[there][inside]
+        for row, value in zip(sums, (1.0, apart[there][inside], density[there][inside]), strict=True):
+            row += np.bincount(bins[inside], area * value, row.size)
+        light.append(float(lab.width[step] / own[step]))
+        spacing.append(float(np.median(pitch)))
+        count += int(inside.sum())
+    if count < rules.least_samples * (edges.size - 1):
+        return None
+    offset, width = 0.5 * (edges[1:] + edges[:-1]), float(np.median(light))
+    # steps and bands repeat their distances: where nothing falls, nothing is known but by its neighbours
+    weight = sums[0, sums[0] > 0]
+    place, seen = sums[1:, sums[0] > 0] / weight
+    source = _convolution(place, offset, width, triangular=lab.triangular)
+    pitch_of_all = np.array([np.median(spacing)])
+    model = Responses(np.zeros(1), np.ones(1), shape, spacing=pitch_of_all).on(offset, 0)
+    ideal = source @ model
+    share = np.sqrt(weight)
+    misfit = float(np.linalg.norm(share * (seen - ideal)) / np.linalg.norm(share * ideal))
+    response = _without_light(source, seen, weight)
+    return MeasuredShape(
+        offset=offset,
+        response=response,
+        misfit=misfit,
+        effect=_effect(offset, response, model, float(np.median(own))),
+        is_resolved=width <= rules.widest_light,
+    )
+
+
+def _convolution(place: Floats, offset: Floats, width: float, *, triangular: bool) -> Floats:
+    # Matrix from a response (offset,) to a curve at places (place,) through a line of a width
+    apart = place[:, None] - offset
+    line = (
+        np.clip(1.0 - np.abs(apart) / width, 0.0, None) / width
+        if triangular
+        else np.exp(-4.0 * np.log(2.0) * (apart / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
+    )
+    return np.asarray(line * SHAPE_RULES.step)
+
+
+def _without_light(source: Floats, seen: Floats, weight: Floats) -> Floats:
+    # Response (offset,), not negative and of unit area, whose convolution fits a curve
+    from scipy.optimize import nnls
+
+    size = source.shape[1]
+    share = np.sqrt(weight / weight.mean())
+    bend = np.diff(np.eye(size), 2, axis=0) * np.sqrt(SHAPE_RULES.smoothing) / SHAPE_RULES.step
+    response, _ = nnls(
+        np.vstack([share[:, None] * source, bend]), np.concatenate([share * seen, np.zeros(size - 2)])
+    )
+    return np.asarray(response / (response.sum() * SHAPE_RULES.step))
+
+
+def _effect(offset: Floats, response: Floats, model: Floats, width: float) -> float:
+    # Largest relative change of daylight in a band, 420 to 950 nm, by a model of its response
+    nm = np.arange(380.0, 1001.0)
+    mass = 1.0 / np.cos(np.radians(SHAPE_RULES.sun_zenith_deg))
+    direct, diffuse = ClearSky(SHAPE_RULES.sun_zenith_deg, airmass=float(mass)).irradiance(nm)
+    light = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width, nm, direct + diffuse)
+    return float(np.abs(light @ response / (light @ model) * model.sum() / response.sum() - 1.0).max())
+
+
+# -- Light where it does not belong: scattered into wings over all bands, and the second order of the grating.
+# The bands of a sweep outside of its lines are the stray-light matrix, one column a step. Between steps it
+# is filled by what hardly changes from step to step: the wings as a function of the distance from the line,
+# the second order as a share of the line at twice its wavelength.
+
+#: Least bands outside a lamp line from which scattered light is known.
+MIN_BANDS_OUTSIDE = 4
+#: Bins of distance beside a lamp line from which its wing is extrapolated, exponentially, by e at most.
+_NEAREST_BINS = 3
+#: Relative standard uncertainty of the wing inside a line's window, extrapolated from outside [1].
+_WING_U = 0.25
+
+
+class OffLines(NamedTuple):
+    """Light off the lamp lines of a sweep."""
+
+    second_order: Floats  #: (step,): counts at twice the wavelength over those of the line [1]
+    stray_light: Floats  #: (band, source band): share of each band's counts that every other sees [1]
+    relative: float  #: Relative standard uncertainty of that [1]
+    wing: float  #: Share of the lines' areas that is light scattered into their windows [1]
+
+    @property
+    def is_known(self) -> bool:
+        """Whether stray light is known well enough to be subtracted from a flight."""
+        return self.relative < MAX_STRAY_LIGHT_U
+
+    @property
+    def counted(self) -> float:
+        """Measured areas of the lamp lines over their areas without scattered light [1]."""
+        return 1.0 / (1.0 - self.wing) if self.is_known else 1.0
+
+    @property
+    def counted_u(self) -> float:
+        """Relative standard uncertainty of the areas by scattered light [1]."""
+        return self.wing * (_WING_U if self.is_known else 1.0)
+
+
+def light_off_lines(
+    rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats,
+    dark_check: dict[str, float],
+) -> OffLines:  # fmt: skip
+    """Return the light off the lamp lines; arguments as of `stray_light_matrix` and `dark_off_lines`."""
+    second = second_order_share(rows, step_wavelength, wavelength, width)
+    matrix = stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second)
+    offset = abs(dark_check.get("dark_offset_count", 0.0)) * dark_check.get("out_of_band_of_one_count", 0.0)
+    relative = wing_uncertainty(rows, matrix, centre, offset)
+    return OffLines(second, matrix, relative, wing_in_window(rows, matrix, centre))
+
+
+def dark_off_lines(
+    windows: Sequence[Window | None], area: Floats, placed: Bools, rows: Floats
+) -> dict[str, float]:
+    """Return the offset of the dark, and the effect of one count of it on the light off the lamp lines.
+
+    ``windows`` (step,); ``area`` of the lines [count] and whether they are in place (step, column); ``rows``
+    (step, band) as of `second_order_share`. Empty where no step has a background.
+    """
+    level, areas, bands = np.full(len(rows), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows))
+    for step, window in enumerate(windows):
+        if window is not None and placed[step].any() and (window.background_variance > 0).any():
+            level[step] = np.median(window.background[window.background_variance > 0])
+            areas[step] = np.median(area[step, placed[step]])
+            bands[step] = np.count_nonzero(rows[step])
+    has_level = np.isfinite(level)
+    if not has_level.any():
+        return {}
+    checks = {"out_of_band_of_one_count": float(np.median(bands[has_level] / areas[has_level]))}
+    offset = common_offset(level, areas)
+    return checks | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
+
+
+def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
+    """Return counts at twice the wavelength over counts of the lamp line (step,) [1].
+
+    ``rows`` (step, band) are counts outside the lines relative to the lines' areas, 0 inside their windows;
+    ``step_wavelength`` (step,) and ``wavelength`` (band,) [nm]; ``width`` (step,) is the measured full width
+    at half maximum of the line [nm]. The second order is up to twice as wide.
+    """
+    share = np.full(len(rows), np.nan)
+    for step, (centre, fwhm) in enumerate(zip(2.0 * step_wavelength, width, strict=True)):
+        distance = np.abs(wavelength - centre)
+        near, ring = distance <= 2.0 * fwhm, (distance > 3.0 * fwhm) & (distance <= 6.0 * fwhm)
+        inside = wavelength.min() + 2.0 * fwhm <= centre <= wavelength.max() - 2.0 * fwhm
+        if inside and ring.sum() >= 4 and (rows[step][near] != 0).all():
+            share[step] = (rows[step][near] - np.median(rows[step][ring])).sum()
+    return share
+
+
+def common_offset(level: Floats, area: Floats) -> float:
+    """Return the offset of the dark: counts off the lamp lines that do not follow their light [count].
+
+    ``level`` and ``area`` (step,) are the counts of a band off the line and the area of the line, medians of
+    the lit columns [count].
+    """
+    usable = np.isfinite(level) & np.isfinite(area) & (area > 0)
+    if usable.sum() < 4 or np.ptp(area[usable]) < 0.2 * area[usable].max():
+        return float("nan")
+    terms = np.column_stack([np.ones(int(usable.sum())), area[usable]])
+    return float(np.linalg.lstsq(terms, level[usable], rcond=None)[0][0])
+
+
+def wing_in_window(rows: Floats, matrix: Floats, centre: Floats) -> float:
+    """Return the share of a line's area that is light scattered into its window, beyond the background [1].
+
+    ``rows`` and ``centre`` as in `stray_light_matrix`, of which ``matrix`` (band, source band) is the result.
+    """
+    shares = []
+    for row, source in zip(rows, _bands_of(centre, len(matrix)), strict=True):
+        outside = row != 0
+        if outside.sum() >= MIN_BANDS_OUTSIDE:
+            # the background that is subtracted from a line: the clipped mean of the bands outside
+            middle = np.median(row[outside])
+            spread = 1.4826 * np.median(np.abs(row[outside] - middle))
+            background = row[outside & (np.abs(row - middle) <= 4.0 * spread)].mean()
+            shares.append((matrix[~outside, source] - background).sum())
+    return max(float(np.median(shares)), 0.0) if shares else 0.0
+
+
+def _bands_of(centre: Floats, bands: int) -> npt.NDArray[np.int64]:
+    return np.clip(np.round(centre), 0, bands - 1).astype(np.int64)
+
+
+def stray_light_matrix(
+    rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats, second: Floats
+) -> Floats:
+    """Return the share of each band's light that every other band receives (band, source_band) [1].
+
+    ``rows``, ``step_wavelength``, ``wavelength`` and ``width`` as in `second_order_share`, of which
+    ``second`` (step,) is the result; ``centre`` (step,) are the bands of the lamp lines.
+    """
+    bands = rows.shape[1]
+    usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
+    wing = _line_spread((np.arange(bands) - centre[:, None])[usable], rows[usable], bands)
+    place = np.arange(bands)
+    matrix = wing(place[:, None] - place)
+    has_second = np.isfinite(second)
+    if has_second.any():
+        matrix += _second_order(
+            step_wavelength[has_second], second[has_second], wavelength, float(np.median(width))
+        )
+    return np.asarray(matrix)
+
+
+def _line_spread(distance: Floats, share: Floats, bands: int) -> Any:
+    # Wings as a function of the distance in bands: medians of bins that widen with distance
+    edges = np.unique(np.round(np.geomspace(1.0, bands, 25)))
+    edges = np.concatenate([-edges[::-1], edges])
+    bins = np.digitize(distance, edges)
+    centres, levels = [], []
+    for index in range(1, len(edges)):
+        inside = bins == index
+        if inside.sum() >= 8:
+            centres.append(float(distance[inside].mean()))
+            levels.append(float(np.median(share[inside])))
+    if not centres:
+        return lambda at: np.zeros(np.shape(at))
+
+    near = float(np.abs(distance).min())
+    sides = [_side(np.array(centres) * sign, np.array(levels)) for sign in (-1.0, 1.0)]
+
+    def wing(at: npt.NDArray[Any]) -> Floats:
+        # within the window of a line scattered light is hidden: extrapolate its rise from outside
+        level = np.interp(at, centres, levels)
+        for sign, (first, rise) in zip((-1.0, 1.0), sides, strict=True):
+            within = np.maximum(near - sign * at, 0.0) * (sign * at >= 0) * rise
+            level = np.where((np.abs(at) < near) & (sign * at >= 0), first * np.exp(within), level)
+        return np.asarray(np.maximum(level, 0.0))
+
+    return wing
+
+
+def _side(distance: Floats, levels: Floats) -> tuple[float, float]:
+    # Wing nearest to its lamp line on one side, and its rise towards the line [band-1]
+    order = np.argsort(np.where(distance > 0, distance, np.inf))[:_NEAREST_BINS]
+    at, level = distance[order], levels[order]
+    if not ((at > 0) & (level > 0)).all() or level.size < _NEAREST_BINS:
+        return float(max(level[0], 0.0)), 0.0
+    rise = -float(np.polyfit(at, np.log(level), 1)[0])
+    return float(level[0]), float(np.clip(rise, 0.0, 1.0 / at[0]))
+
+
+def wing_uncertainty(rows: Floats, matrix: Floats, centre: Floats, offset: float) -> float:
+    """Return the relative standard uncertainty of the light off the lamp lines in a matrix [1].
+
+    From the difference of its sums to those of single steps, and from the ``offset`` of the dark that is in
+    them, relative to a line's area. ``rows`` and ``centre`` as in `stray_light_matrix`, of which ``matrix``
+    (band, source band) is the result. 1 without any.
+    """
+    source = _bands_of(centre, len(matrix))
+    modelled = np.where(rows != 0, matrix[:, source].T, 0.0).sum(axis=1)
+    scatter = 1.4826 * float(np.median(np.abs(rows.sum(axis=1) - modelled)))
+    level = float(np.median(modelled))
+    return min(float(np.hypot(scatter, offset)) / level, 1.0) if level > 0 else 1.0
+
+
+def _second_order(step_wavelength: Floats, share: Floats, wavelength: Floats, width: float) -> Floats:
+    inside = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
+    level = np.interp(wavelength, step_wavelength, np.maximum(share, 0.0), left=share[0], right=share[-1])
+    level = np.where(inside, np.maximum(level, 0.0), 0.0)
+    shape = np.exp(-4.0 * np.log(2.0) * ((wavelength[:, None] - 2.0 * wavelength) / (1.5 * width)) ** 2)
+    return np.asarray(level * shape / np.maximum(shape.sum(axis=0), 1.0))
+
+
+# -- Structure of the responsivity between the lamp lines of a sweep: fringes and etalons that its steps miss.
+# The areas of the lamp lines show a ripple, but not whether the steps resolve it: a fringe of 8 nm sampled
+# every 10 nm looks like one of 40. The places of the lamp lines do: light of variance v moves by v g where
+# the responsivity rises by g per nanometre, wherever the next line is.
+
+
+@dataclass(frozen=True)
+class FringeRules:
+    """Thresholds beyond which the steps of a sweep are too wide.
+
+    Attributes
+    ----------
+    least_error
+        Relative error of the gain from which it is reported [1].
+    window_steps
+        Steps over which departures are averaged: structure need not be everywhere.
+    degree
+        Of the polynomial of the logarithm over the whole sweep, around which areas ripple: detectors and
+        gratings change over some 60 nm and more.
+    spread
+        Error between lamp lines over the root mean square of the ripple, where they are independent:
+        root mean squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over
+        the residual of such a ripple after the polynomial, sqrt(1 - 10 / 61) = 0.91 for 61 lines. The largest
+        error is up to twice that, less where bands average over fringes.
+    """
+
+    least_error: float = 0.01
+    window_steps: int = 9
+    degree: int = 9
+    spread: float = 1.5
+
+    @property
+    def scatters(self) -> float:
+        """Error from which it is reported, in units of the scatter of the columns' median.
+
+        That scatter ripples like missed structure, by `spread`; twice that exceeds chance.
+        """
+        return 2.0 * self.spread
+
+
+FRINGES = FringeRules()
+
+
+class Between(NamedTuple):
+    """Relative error of the gain between lines where it is largest [1], and the wavelength there [nm]."""
+
+    error: float
+    wavelength: float
+
+
+def error_between_lines(wavelength: Floats, level: Floats, moved: Floats, source: Floats) -> Between | None:
+    r"""Return the largest error of the gain between lamp lines; None where they are too few.
+
+    ``level`` (step,): responsivity by the lines' areas, any scale, NaN where unknown; ``moved``
+    (step,): distance of the lines from the wavelengths of their light [nm]; ``source`` (step,): variance of
+    the monochromator's line [nm2].
+
+    With :math:`r` the ripple of the areas, :math:`r'` its slope and :math:`g` the difference of that slope to
+    the slope that moves lines, the error is :math:`s\,r \min(1, g^2 / r'^2)`, root mean squares over some
+    steps, with :math:`s` the ``spread`` of `FringeRules`. A ripple that the steps resolve has the slope that
+    moves the lines; a ripple that they miss, or the scatter of a power meter, is unrelated to it. Noise of
+    places counts as such.
+    """
+    from scipy.interpolate import CubicSpline
+
+    rules = FRINGES
+    at = np.flatnonzero(np.isfinite(level) & (level > 0) & np.isfinite(moved))
+    if at.size < 2 * rules.window_steps:
+        return None
+    nm, log = wavelength[at], np.log(level[at])
+    place = 2.0 * (nm - nm[0]) / (nm[-1] - nm[0]) - 1.0
+    rippling = log - np.polynomial.chebyshev.Chebyshev.fit(place, log, rules.degree)(place)
+    slope = CubicSpline(nm, rippling).derivative()(nm)
+    lacking = moved[at] / source[at] - CubicSpline(nm, log).derivative()(nm)
+    for values in (slope, lacking):  # a spline's slope at its ends is a guess
+        values[:2], values[-2:] = np.nan, np.nan
+    missed = (_running(lacking) / np.maximum(_running(slope), 1e-12)) ** 2
+    error = rules.spread * _running(rippling) * np.minimum(1.0, missed)
+    worst = int(error.argmax())
+    return Between(float(error[worst]), float(nm[worst]))
+
+
+def level_scatter(nodes: Floats) -> float:
+    """Return the relative uncertainty of the columns' median, from differences of columns (step, column) [1].
+
+    Differences that a column has at all steps are its own; NaN marks unknown values.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of columns and steps that are all NaN
+        away = np.log(nodes)
+        away = away - np.nanmedian(away, axis=0)
+        away = away - np.nanmedian(away, axis=1, keepdims=True)
+        number = np.maximum(np.isfinite(away).sum(axis=1), 1)
+        scatter = 1.25 * 1.4826 * np.nanmedian(np.abs(away), axis=1) / np.sqrt(number)
+    return float(np.nan_to_num(np.nanmax(scatter, initial=0.0)))
+
+
+def _running(values: Floats) -> Floats:
+    # Root mean square over some steps; near the ends over the existing ones
+    there, window = np.isfinite(values), np.ones(FRINGES.window_steps)
+    total = np.convolve(np.where(there, values, 0.0) ** 2, window, "same")
+    return np.asarray(np.sqrt(total / np.maximum(np.convolve(there, window, "same"), 1.0)))
+
 
 #: Width of the monochromator over the camera's above which fwhm is ill-conditioned [1].
 MAX_SLIT_SHARE = 0.7
@@ -166,8 +634,7 @@ class Result:
         gain[:, self._unlit] = np.nan
         responsivity = 1.0 / (gain * self.lab.etendue * self.spacing)
         gain[self.bad] = np.nan
-        lit = np.isfinite(gain).any(axis=0)
-        good = np.isfinite(gain[:, lit]).mean(axis=1) > 0.5
+        good = np.isfinite(gain[:, np.isfinite(gain).any(axis=0)]).mean(axis=1) > 0.5
         values: dict[str, Any] = {
             "radiance_gain": gain,
             "responsivity": responsivity,
@@ -225,7 +692,7 @@ class Result:
 
     @cached_property
     def _missed(self) -> float:
-        """Error of the gain between lamp lines [1]; 0 if negligible, or explained by column differences."""
+        # Error of the gain between lamp lines [1]; 0 if negligible, or explained by column differences
         shape_is_off = self.measured is not None and self.measured.is_another and not self.is_shape_free
         if self.between is None or shape_is_off:
             return 0.0
@@ -234,7 +701,6 @@ class Result:
         return self.between.error if self.between.error > least else 0.0
 
     def _warnings(self) -> Iterator[tuple[str, str]]:
-        """Yield texts and codes of the sweep's faults that do not stop the calibration."""
         wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
         if wide.any():
             share = float(np.max(self.lab.width / self.fwhm_at_steps))
@@ -271,7 +737,6 @@ class Result:
             )
 
     def _table(self) -> tuple[Floats, Floats] | None:
-        """Return offsets and responses of the bands where the lamp lines resolve another response."""
         measured = self.measured
         if measured is None or not measured.is_another:
             return None
@@ -298,12 +763,11 @@ class Result:
                     self.wavelength[:, column], self.lab.wavelength[used], self.lines.area_u[used, column]
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
-        missed = self._missed
         total = np.sqrt(
             self.budget.total**2
             + (slope * self.surface.residual) ** 2
             + self.off_lines.counted_u**2
-            + missed**2
+            + self._missed**2
         )
         random = np.hypot(random, self.differences)
         return {
@@ -340,7 +804,6 @@ class Result:
         used = self.placed.any(axis=1)
         second = np.full(steps, np.nan)
         second[used] = self.off_lines.second_order
-        out_of_band = np.where(used, self.read.rows.sum(axis=1), np.nan)
         return {
             "line_band": lines.centre,
             "line_centre": self.line_wavelength,
@@ -352,16 +815,14 @@ class Result:
             "line_trusted": self.used,
             "beam_centre": beam[:, 0],
             "beam_fwhm": beam[:, 1],
-            "out_of_band": out_of_band,
+            "out_of_band": np.where(used, self.read.rows.sum(axis=1), np.nan),
             "second_order": second,
             "stray_light": self.off_lines.stray_light * self.off_lines.counted,
             "stray_light_u": self.off_lines.relative,
         }
 
     def _check_plausible(self, gain: Floats) -> None:
-        """Refuse a scale at which a photon frees more than one electron, or almost none."""
-        photon = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9)
-        counts = photon / (gain * self.lab.etendue * self.spacing)
+        counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)
         best = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
         electrons = self.lab.electrons_per_count
         if electrons is None and self.read.noise_source == FROM_FRAMES:
@@ -385,7 +846,7 @@ class Result:
 
     @cached_property
     def _unlit(self) -> Bools:
-        """Columns (cross_track,) beyond the outer lit ones, where the map is held constant."""
+        # Columns (cross_track,) beyond the outer lit ones, where the map is held constant
         first, last = self.surface.lit
         column = np.arange(self.lab.shape[2])
         return np.asarray((column < first) | (column > last))

@@ -34,9 +34,8 @@ class Differences:
 
 
 def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
-    """Return the camera's own width at every step (step,) [nm]; interpolated without a good lamp line."""
-    columns = np.arange(lab.shape[2])
-    own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), columns)
+    # Camera's own width at every step (step,) [nm]; interpolated without a good lamp line
+    own = lines.own_width * surface.spacing(np.nan_to_num(lines.centre), np.arange(lab.shape[2]))
     count = lines.trusted.sum(axis=1)
     fitted_steps = np.flatnonzero(count >= max(0.5 * count.max(), 1))  # a few at the edge may all be wrong
     middle = row_medians(own, lines.trusted)[fitted_steps]
@@ -46,7 +45,7 @@ def _widths(lab: LabSweep, lines: Lines, surface: WavelengthMap) -> Floats:
 def _unit_lines(
     lab: LabSweep, window: Window, step: int, surface: WavelengthMap, centre: Floats, width: float, shape: int
 ) -> Floats:
-    """Return lamp lines of unit area (line, sample) at given centres (line,) [band]."""
+    # Lamp lines of unit area (line, sample) at given centres (line,) [band]
     spacing = surface.spacing(centre, window.columns)
     unit = np.empty(window.values.shape)
     profiles(
@@ -135,10 +134,8 @@ def element_differences(
 
 
 def _of_free_height_and_place(values: Floats, unit: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return lamp lines of fitted height, residuals without a small move, and each sample's freedom.
-
-    For independent scatter of variances d, the expected sum of squared residuals is sum(d x freedom).
-    """
+    # Lamp lines of fitted height, residuals without a small move, and each sample's freedom.
+    # For independent scatter of variances d, the expected sum of squared residuals is sum(d x freedom).
     first = unit / np.sqrt((unit**2).sum(axis=1, keepdims=True))
     second = slope - (slope * first).sum(axis=1, keepdims=True) * first
     second /= np.sqrt(np.maximum((second**2).sum(axis=1, keepdims=True), 1e-300))
@@ -149,7 +146,6 @@ def _of_free_height_and_place(values: Floats, unit: Floats, slope: Floats) -> tu
 
 
 def _split(tally: Floats) -> Differences:
-    """Return the parts of the scatter that grow as the signal and as its square, from sums over bins."""
     from scipy.optimize import nnls
 
     used = tally[0] >= MIN_BIN_SAMPLES
@@ -157,8 +153,7 @@ def _split(tally: Floats) -> Differences:
         return Differences(0.0, 0.0)
     signal, square, excess = (row[used] / tally[0][used] for row in tally[1:])
     weight = np.sqrt(tally[0][used]) / np.maximum(np.abs(excess), 1e-12)
-    terms = np.column_stack([signal, square])
-    slope, relative = nnls(terms * weight[:, None], excess * weight)[0]
+    slope, relative = nnls(np.column_stack([signal, square]) * weight[:, None], excess * weight)[0]
     return Differences(float(np.sqrt(relative)), float(slope))
 
 
@@ -172,8 +167,7 @@ MAX_WIDTH_DEVIATION = 0.3
 
 def line_wavelengths(lines: Lines, surface: WavelengthMap, pull: Floats) -> Floats:
     """Return the wavelength of the lamp lines' centres in the map (step, cross_track) [nm], less the pull."""
-    columns = np.arange(lines.centre.shape[1])
-    wavelength = surface.at(np.nan_to_num(lines.centre), columns) - pull[:, None]
+    wavelength = surface.at(np.nan_to_num(lines.centre), np.arange(lines.centre.shape[1])) - pull[:, None]
     return np.asarray(np.where(np.isfinite(lines.centre), wavelength, np.nan))
 
 

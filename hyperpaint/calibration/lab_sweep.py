@@ -204,8 +204,7 @@ def _check_positive(
     wrong = ~(np.isfinite(values) & (values > 0) & (values <= high))
     if dims == (STEP, CROSS_TRACK):
         # columns that the beam does not reach have no flux; counts show whether one is lit
-        dark = wrong & ((values == 0) | np.isnan(values))
-        wrong &= ~dark | wrong.all(axis=1, keepdims=True)
+        wrong &= ~(wrong & ((values == 0) | np.isnan(values))) | wrong.all(axis=1, keepdims=True)
     if not wrong.any():
         return
     expected = "positive and finite" if high == np.inf else f"above 0 and at most {high:g}"

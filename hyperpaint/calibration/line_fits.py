@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.kernels.arguments import LineFits, LineSamples
 from hyperpaint.kernels.line_fits import (
@@ -65,9 +64,9 @@ class Light:
 class Window:
     """The bands around the lamp line of one step, column by column."""
 
-    columns: npt.NDArray[np.int64]  #: (line,): lit columns
+    columns: Ints  #: (line,): lit columns
     #: (line,): band of the first sample; negative where the window begins before the array
-    first: npt.NDArray[np.int64]
+    first: Ints
     #: (line, sample): counts less dark and background; NaN outside the array and at bad elements
     values: Floats
     #: background, background_variance (line,): what was taken off [count], and the variance of it in units
@@ -172,7 +171,7 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
 
 
 def _mean(values: Floats, axis: int) -> Floats:
-    """Return the mean of finite values; NaN without any."""
+    # Mean of finite values; NaN without any
     is_finite = np.isfinite(values)
     count = is_finite.sum(axis=axis)
     total = np.where(is_finite, values, 0.0).sum(axis=axis)
@@ -180,7 +179,7 @@ def _mean(values: Floats, axis: int) -> Floats:
 
 
 def _rough_width(spectrum: Floats, peak: int) -> float:
-    """Return the full width of a peak from area over height, at least one band [band]."""
+    # Full width of a peak from area over height, at least one band [band]
     half = 3
     for _ in range(6):
         part = spectrum[max(peak - half, 0) : peak + half + 1]
@@ -195,10 +194,8 @@ def _rough_width(spectrum: Floats, peak: int) -> float:
 
 
 def _background(outside: Floats) -> tuple[Floats, Floats]:
-    """Return the clipped mean of each column beyond its window, and its variance relative to one band's.
-
-    A dark that has drifted lifts all bands alike; uncorrected, it would add to the area band by band.
-    """
+    # Clipped mean of each column beyond its window, and its variance relative to one band's.
+    # A dark that has drifted lifts all bands alike; uncorrected, it would add to the area band by band.
     is_finite = np.isfinite(outside)
     mean, variance = np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
     covered = np.flatnonzero(is_finite.sum(axis=0) >= _FEWEST_BESIDE)
@@ -214,12 +211,11 @@ def _background(outside: Floats) -> tuple[Floats, Floats]:
 
 
 def _brightest(light: Floats) -> float:
-    """Return the light of the brightest columns, insensitive to a single one."""
+    # Light of the brightest columns, insensitive to a single one
     levels = np.where(np.isfinite(light), light, 0.0)
     if levels.size < 5:
         return float(levels.max(initial=0.0))
-    stacked = np.lib.stride_tricks.sliding_window_view(levels, 5)
-    return float(np.median(stacked, axis=1).max())
+    return float(np.median(np.lib.stride_tricks.sliding_window_view(levels, 5), axis=1).max())
 
 
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
@@ -268,8 +264,7 @@ def fit_window(
     floor = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
     variance = noise.variance(model, frames) + floor
     fits, used = _fit_twice(window, values, variance, parameters, shape, light)
-    unit = _profiles(window, parameters, shape, light)
-    area, unseen = _area(window, parameters, unit, used)
+    area, unseen = _area(window, parameters, _profiles(window, parameters, shape, light), used)
     area_variance = np.where(used, noise.variance(np.where(used, values, 0.0), frames), 0.0).sum(axis=1)
     area_variance += used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
     area_variance += unseen**2 * fits.covariance[:, AREA, AREA]
@@ -292,7 +287,7 @@ def fit_window(
 def _fit_twice(
     window: Window, values: Floats, variance: Floats, parameters: Floats, shape: int, light: Light
 ) -> tuple[LineFits, Bools]:
-    """Fit in place, and again without an outlying worst sample; return the fits and the samples used."""
+    # Fit in place, and again without an outlying worst sample; return the fits and the samples used
     used = np.isfinite(window.values)
     begin = parameters.copy()
     for last in (False, True):
@@ -347,12 +342,10 @@ def _peaks(parameters: Floats, shape: int, light: Light) -> Floats:
 
 
 def _area(window: Window, parameters: Floats, unit: Floats, used: Bools) -> tuple[Floats, Floats]:
-    """Return the sum over all bands of each line, and the share of it that only the fit knows.
-
-    What the bands that were read do not hold of a line lies beyond the edge of the array, or on bad elements.
-    Bands far apart, more than half a line's width, sum to a little more or less than the light, depending on
-    where between them it falls; the profile says how much.
-    """
+    # Sum over all bands of each line, and the share of it that only the fit knows.
+    # What the bands that were read do not hold of a line lies beyond the edge of the array, or on bad
+    # elements. Bands far apart, more than half a line's width, sum to a little more or less than the light,
+    # depending on where between them it falls; the profile says how much.
     measured = np.where(used, window.values, 0.0).sum(axis=1)
     total = np.maximum(unit.sum(axis=1), 1e-300)
     unseen = np.clip(1.0 - np.where(used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)

@@ -179,7 +179,7 @@ def _fitted(
     offset: Floats, light: Floats, own: float, source: float, lab: LabSweep, noise: NoiseModel, *,
     frames: float, amplitude: float, shape: int,
 ) -> float:  # fmt: skip
-    """Return the fitted centre of a lamp line whose light is centred at zero [band]."""
+    # Fitted centre of a lamp line whose light is centred at zero [band]
     half = int(np.ceil(2.2 * np.hypot(own, source) + 2.0))
     place = np.arange(-half, half + 1, dtype=np.float64)
     parts = np.empty((len(offset), place.size))

@@ -122,8 +122,7 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         window = find_line(net, raw, bad, lab.saturation)
         if window is not None:
             rows[step] = window.out_of_band
-            distance = np.abs(np.arange(bands) - window.band)
-            far = net[distance > 0.25 * bands]
+            far = net[np.abs(np.arange(bands) - window.band) > 0.25 * bands]
             scatter.append(1.4826**2 * np.nanmedian((far - np.nanmedian(far)) ** 2) * lab.frames[step])
         windows.append(window)
         tick()
@@ -142,7 +141,7 @@ def binned(signal: Floats, *values: Floats) -> Floats:
 
 
 def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[NoiseModel, str]:
-    """Return the photon transfer of the sweep, else the stated noise, else the scatter off the lamp lines."""
+    # Photon transfer of the sweep, else the stated noise, else the scatter off the lamp lines
     dark = lab.dark.spread**2 * lab.dark.leverage(float(np.median(lab.exposure)))
     alone = lab.dark.leverage(float(np.median(lab.exposure))) / (lab.dark_frames or np.median(lab.frames))
     used = tally[0] > 50
@@ -164,7 +163,7 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
 
 
 def _check_flux(lab: LabSweep, windows: list[Window | None]) -> None:
-    """Refuse lit columns of which flux or capture fraction is zero or NaN."""
+    # Refuse lit columns of which flux or capture fraction is zero or NaN
     missing_flux = [
         f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
         for step, window in enumerate(windows)
@@ -179,7 +178,7 @@ def _check_flux(lab: LabSweep, windows: list[Window | None]) -> None:
 
 
 def _warn_of_clipping(highest: Floats) -> None:
-    """Warn where the highest counts of the elements (band, cross_track) repeat one value along a column."""
+    # Warn where the highest counts of the elements (band, cross_track) repeat one value along a column
     top = float(highest.max())
     same = highest >= top - _SAME_COUNT
     if (same.sum(axis=0) >= _CLIPPED).any():

@@ -201,7 +201,7 @@ def fitted_lines(
 
 
 def _profile(attrs: Mapping[Any, Any], own: float, source: float) -> Callable[[Floats], Floats]:
-    """Return the profile of a line of unit height over the distance from its centre; all in bands."""
+    # Profile of a line of unit height over the distance from its centre; all in bands
     shape, triangular = SHAPES[str(attrs["srf_shape"])], attrs["monochromator_shape"] == "triangle"
 
     def of_unit_area(place: Floats) -> Floats:
@@ -214,7 +214,6 @@ def _profile(attrs: Mapping[Any, Any], own: float, source: float) -> Callable[[F
 
 
 def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> tuple[Floats, Floats]:
-    """Return the bands about a line of one column, and their counts above dark and background."""
     raw = lab.frame(step)
     dark = lab.dark.at(float(lab.exposure[step]))
     net = linearity_of(calibration).net(raw, dark)

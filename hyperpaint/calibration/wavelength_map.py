@@ -139,8 +139,7 @@ def _biweight(z: Floats) -> Floats:
 
 def _weighted(terms: Floats, values: Floats, weight: Floats) -> Floats:
     normal = np.einsum("ni,n,nj->ij", terms, weight, terms, optimize=True)
-    right = terms.T @ (weight * values)
-    return np.asarray(np.linalg.lstsq(normal, right, rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(normal, terms.T @ (weight * values), rcond=None)[0])
 
 
 def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:

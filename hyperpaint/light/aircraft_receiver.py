@@ -54,8 +54,6 @@ MAX_SKY_SAMPLES = 200
 
 
 class _Sensor(NamedTuple):
-    """Attitude of the sensor at every sample, and its response to light."""
-
     normal: Floats  # (sample, 3) to the east, the north and up; NaN where unknown
     zenith: Floats  # (sample,) of the sun [degree]
     azimuth: Floats
@@ -65,24 +63,24 @@ class _Sensor(NamedTuple):
 
     @property
     def tilt(self) -> Floats:
-        """Angle of the normal from the zenith (sample,) [degree]."""
+        # Angle of the normal from the zenith (sample,) [degree]
         return np.asarray(np.degrees(np.arccos(np.clip(self.normal[:, 2], -1.0, 1.0))))
 
     def of_sky(self) -> float:
-        """Return the sensor's mean response to an isotropic sky, relative to the cosine law [1]."""
+        # Sensor's mean response to an isotropic sky, relative to the cosine law [1]
         incidence = np.linspace(0.0, 90.0, 181)
         weight = np.sin(np.radians(2.0 * incidence))
         return float((np.interp(incidence, *self.response) * weight).sum() / weight.sum())
 
     @property
     def lean(self) -> Floats:
-        """Part of the normal towards the sun, times the tangent of the sun's zenith angle (sample,) [1]."""
+        # Part of the normal towards the sun, times the tangent of the sun's zenith angle (sample,) [1]
         turn = np.radians(self.azimuth)
         sunward = self.normal[:, 0] * np.sin(turn) + self.normal[:, 1] * np.cos(turn)
         return np.asarray(sunward * np.tan(np.radians(self.zenith)))
 
     def bright_side(self, channels: Floats) -> Floats:
-        """Return the relative gain of clear-sky diffuse light per unit of `lean` (sample, channel) [1]."""
+        # Relative gain of clear-sky diffuse light per unit of `lean` (sample, channel) [1]
         # one gain for suns within half a degree
         rounded, which = np.unique(np.round(2.0 * self.zenith) / 2.0, return_inverse=True)
         return np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in rounded])[which]
@@ -243,7 +241,7 @@ def level_irradiance(
 def _factor(
     spectra: Floats, stamps: Array, channels: Floats, sensor: _Sensor, usable: Array
 ) -> tuple[Floats, str]:
-    """Return the factor of all samples (sample, channel), from ``usable`` ones, and the sky's name."""
+    # Factor of all samples (sample, channel), from `usable` ones, and the sky's name
     sampled = usable[:: max(1, -(-usable.size // MAX_SKY_SAMPLES))]
     _, state = _split(spectra[sampled], stamps[sampled], channels, sensor.place)
     if np.mean(state == _OVERCAST) > 0.5:
@@ -281,11 +279,10 @@ def _factor(
 def _left_by_lean(
     spectra: Floats, factor: Floats, lean: Floats, seconds: Floats, channels: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the change of ``factor`` per unit of lean, and per unit of its square, each (channel,).
-
-    A robust fit of the changes from sample to sample, in which the light itself changes little: logarithm of
-    spectra over factors against lean, with a prior of zero. Intervals of wavelength without light get zero.
-    """
+    # Change of `factor` per unit of lean, and per unit of its square, each (channel,).
+    # A robust fit of the changes from sample to sample, in which the light itself changes little: logarithm
+    # of spectra over factors against lean, with a prior of zero. Intervals of wavelength without light get
+    # zero.
     change = np.diff(seconds)
     near = change <= 5.0 * np.median(change) if change.size else np.zeros(0, bool)
     powers = np.stack([lean, lean**2], axis=1)
@@ -314,7 +311,7 @@ def _left_by_lean(
 def _split(
     spectra: Floats, stamps: Array, channels: Floats, place: tuple[float, float]
 ) -> tuple[Floats, Array]:
-    """Return diffuse fraction (sample, channel) and the number of the state (sample,)."""
+    # Diffuse fraction (sample, channel) and the number of the state (sample,)
     nm = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
     record = xr.DataArray(
         spectra,
@@ -334,7 +331,6 @@ def _sensor(
     cosine_response: xr.DataArray | None,
     ground: float,
 ) -> _Sensor:
-    """Return the sensor at every sample, from the attitude of the aircraft."""
     problems = Problems("the light sensor cannot be levelled", SchemaError)
     missing = [name for name in (*_ANGLES, *_PLACE) if name not in attitude.variables]
     clock = next((name for name in _TIMES if name in attitude.variables), None)
@@ -386,7 +382,7 @@ def _sensor(
 
 
 def _response(cosine_response: Any, problems: Problems) -> tuple[Floats, Floats]:
-    """Return incidence [degree] and response relative to the cosine law [1]."""
+    # Incidence [degree] and response relative to the cosine law [1]
     if cosine_response is None:
         return np.array([0.0, 90.0]), np.ones(2)
     if not hasattr(cosine_response, "coords") or "incidence" not in cosine_response.coords:

@@ -49,7 +49,7 @@ def _reflectance(cosine: Floats, index: float) -> Floats:
 
 @functools.lru_cache(maxsize=64)
 def _of_functions(sun_zenith: float, index: float) -> tuple[Floats, float]:
-    """Return the mean reflectance for the functions of a clear sky (3,), and for CIE's overcast sky."""
+    # mean reflectance for the functions of a clear sky (3,), and for CIE's overcast sky
     sky = dome()
     reflected = sky.level * _reflectance(sky.cosine, index)
     from_sun = scattering_cosine(sky.cosine, sky.azimuth, sun_zenith)
@@ -110,5 +110,4 @@ def transmitted_share(
     [0.948 0.946]
     """
     normal, sun, leaving = 1.0 - interface_reflectance([0.0, incidence, view], index)
-    entering = (1.0 - fraction) * sun + fraction * (1.0 - sky)
-    return entering / normal * leaving / normal
+    return ((1.0 - fraction) * sun + fraction * (1.0 - sky)) / normal * leaving / normal

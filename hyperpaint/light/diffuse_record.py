@@ -150,8 +150,7 @@ def diffuse_from_record(
 
 def labelled(array: xr.DataArray) -> xr.DataArray:
     """Return a variable of `SPLIT` with its attributes of the table."""
-    words = sky_state_attrs() if array.name == "sky_state" else {}
-    return schema.label(array, str(array.name), **words)
+    return schema.label(array, str(array.name), **sky_state_attrs() if array.name == "sky_state" else {})
 
 
 def sky_state_attrs() -> dict[str, Any]:
@@ -163,8 +162,7 @@ def sky_state_attrs() -> dict[str, Any]:
 def states_of(probability: Floats) -> npt.NDArray[np.int8]:
     """Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`."""
     state = probability.argmax(axis=1)
-    undecided = probability.max(axis=1) < RULES.decided
-    return np.where(undecided, len(SKY_STATES) - 1, state).astype(np.int8)
+    return np.where(probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, state).astype(np.int8)
 
 
 def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
@@ -188,11 +186,9 @@ def _split(
     place: tuple[float, float, float, float],
     sun_zenith: float | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
-
-    ``place``: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
-    ``sun_zenith`` replaces the zenith angle from clock and place [degree].
-    """
+    # Fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
+    # `place`: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
+    # `sun_zenith` replaces the zenith angle from clock and place [degree].
     latitude, longitude, level_u, pressure = place
     spectra = np.asarray(spectra, np.float64)
     # leave out channels that most samples lack: a sample is used only where all its intervals are known
@@ -258,21 +254,19 @@ def split_of_lines(
     check_irradiance_times(samples.astype("datetime64[ns]"))
     numbers = (*place, calibration_uncertainty, 101_325.0)
     whole = dask.delayed(_split)(record.data, samples, channels, wavelength, numbers, sun_zenith)
-    time = variables["time"].values
     parts: list[list[Any]] = [[], [], []]
-    for rows in np.split(time, _block_starts(line)):
+    for rows in np.split(variables["time"].values, _block_starts(line)):
         block = dask.delayed(_at_lines, nout=3)(whole, samples, rows)
         shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
         for out, array, shape, dtype in zip(parts, block, shapes, ("f4", "f4", "i1"), strict=True):
             out.append(da.from_delayed(array, shape, dtype))
-    all_dims = ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,))
-    columns = zip(SPLIT, all_dims, parts, strict=True)
+    columns = zip(SPLIT, ((ALONG_TRACK, BAND), (ALONG_TRACK, BAND), (ALONG_TRACK,)), parts, strict=True)
     split = xr.Dataset({name: (dims, da.concatenate(blocks)) for name, dims, blocks in columns})
     return split.assign({name: labelled(split[name]) for name in SPLIT})
 
 
 def _block_starts(line: xr.Dataset) -> list[int]:
-    """Return where blocks of lines begin, except the first: the chunks of the cube."""
+    # Where blocks of lines begin, except the first: the chunks of the cube
     for name in ("reflectance", "radiance", "counts"):
         if name in line.variables and line[name].chunks is not None:
             sizes = line[name].variable.chunksizes.get(ALONG_TRACK, ())
@@ -283,7 +277,7 @@ def _block_starts(line: xr.Dataset) -> list[int]:
 def _at_lines(
     split: tuple[Floats, Floats, Floats, Floats], samples: Array, time: Array
 ) -> tuple[Array, Array, Array]:
-    """Return fraction, uncertainty (line, band) and state (line,) between the samples around every line."""
+    # Fraction, uncertainty (line, band) and state (line,) between the samples around every line
     fraction, u, probability, _ = split
     usable = np.flatnonzero(np.isfinite(fraction).any(axis=1))
     shape = (time.size, fraction.shape[1])
@@ -296,8 +290,7 @@ def _at_lines(
     place = (stamps - stamps[0]).astype(np.int64)
     after = np.clip(np.searchsorted(place, at), 0, usable.size - 1)
     before = np.maximum(after - (at < place[after]), 0)
-    gap = np.maximum(place[after] - place[before], 1)
-    part = np.clip((at - place[before]) / gap, 0.0, 1.0)[:, None]
+    part = np.clip((at - place[before]) / np.maximum(place[after] - place[before], 1), 0.0, 1.0)[:, None]
     rows = [
         np.where(known[:, None], (1.0 - part) * values[usable[before]] + part * values[usable[after]], np.nan)
         for values in (fraction, u)

@@ -120,12 +120,13 @@ class Tilt:
         # direct light relative to level ground; 1 where the sun is at the horizon
         beam = np.where(height > 1e-3, np.clip(incidence, 0.0, None) / np.maximum(height, 1e-3), 1.0)
         view = (1.0 + np.cos(slope)) / 2.0 if self.sky_view_factor is None else self.sky_view_factor
-        if self.diffuse_fraction is None:
-            diffuse = np.stack([diffuse_fraction(wavelength, float(np.degrees(z))) for z in zenith])
-        else:
-            diffuse = np.broadcast_to(
+        diffuse = (
+            np.stack([diffuse_fraction(wavelength, float(np.degrees(z))) for z in zenith])
+            if self.diffuse_fraction is None
+            else np.broadcast_to(
                 np.asarray(self.diffuse_fraction, np.float64), (zenith.size, wavelength.size)
             )
+        )
         gain = np.zeros(diffuse.shape)
         if self.sky == "clear" and self.angle > 0.0:
             turns = np.degrees(np.radians(self.azimuth) - sun_azimuth)
@@ -368,10 +369,8 @@ def _warn_of_bands(matching: Matching, channels: Floats, imager: Mapping[str, An
 
 
 def _apply(matching: Matching, spectra: Array, order: Array | None = None) -> Floats:
-    """Return spectra (..., channel) as (..., node, band); NaN where a missing channel has a weight.
-
-    ``order``: channels of the spectra in the order of the weights; None for the same.
-    """
+    # Spectra (..., channel) as (..., node, band); NaN where a missing channel has a weight.
+    # `order`: channels of the spectra in the order of the weights; None for the same.
     # most channels of the spectrometer lie outside the camera's range and have no weight
     used = matching.used
     spectra = np.asarray(spectra[..., used if order is None else order[used]], np.float64)

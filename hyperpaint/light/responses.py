@@ -113,8 +113,7 @@ class Responses:
             response = np.where(tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
         elif self.shape == "slit":
             pixel = np.asarray(self.spacing)[bands, None]
-            edge = 0.5 * (width + pixel) - np.abs(distance)
-            response = np.clip(edge, 0.0, np.minimum(width, pixel))
+            response = np.clip(0.5 * (width + pixel) - np.abs(distance), 0.0, np.minimum(width, pixel))
         else:
             offset, table = np.asarray(self.offset), np.asarray(self.table)
             rows = zip(distance, table[bands], strict=True)
@@ -155,7 +154,6 @@ def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -
 
 
 def _even_spacing(wavelength: Floats) -> Floats:
-    """Return the spacing of contiguous bands; SchemaError for a selection of bands."""
     steps = np.abs(np.diff(wavelength))
     jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
     if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
@@ -176,9 +174,7 @@ def band_spacing(wavelength: npt.ArrayLike) -> Floats:
     array([2. , 2.5, 3. ])
     """
     wavelength = np.asarray(wavelength, np.float64)
-    if wavelength.size < 2:
-        return np.ones_like(wavelength)
-    return np.asarray(np.abs(np.gradient(wavelength)))
+    return np.ones_like(wavelength) if wavelength.size < 2 else np.asarray(np.abs(np.gradient(wavelength)))
 
 
 def mean_responsivity(gain: npt.ArrayLike) -> Floats:
@@ -277,7 +273,7 @@ def matching_operator(
 def _remembered_operator(
     spectrometer: Responses, imager: Responses, nodes: tuple[float, ...], ridge: float
 ) -> Matching:
-    """Compute an operator once for all flight lines of a camera, and for every recomputation."""
+    # computed once for all flight lines of a camera
     shifts = np.array(nodes)
     order = np.argsort(spectrometer.wavelength, kind="stable")
     centres, reach = spectrometer.wavelength[order], spectrometer.reach()[order]
@@ -302,8 +298,7 @@ def _remembered_operator(
             )
         grid = np.arange(-half[band] - 2 * widest, half[band] + 2 * widest + step, step) + centre
         responses = np.stack([bands.on(grid, band) for bands in moved])
-        inside = (grid >= centres[0]) & (grid <= centres[-1])
-        coverage[:, band] = responses[:, inside].sum(axis=1) * step
+        coverage[:, band] = responses[:, (grid >= centres[0]) & (grid <= centres[-1])].sum(axis=1) * step
         widths = spectrometer.fwhm[order[near]] if near.size else spectrometer.fwhm
         if _has_hole(centres, centre, imager.fwhm[band] + np.ptp(shifts), 2.0 * widths.max()):
             coverage[:, band] = 0.0
@@ -360,7 +355,7 @@ def _has_hole(centres: Floats, centre: float, half: float, widest: float) -> boo
 
 
 def _constrained_ridge(channels: Floats, responses: Floats, ridge: float) -> Floats:
-    """Return ridge weights (node, channel) that combine channels into responses, each row summing to 1."""
+    # Ridge weights (node, channel) that combine channels into responses, each row summing to 1
     # einsum: threads of a BLAS that wait for busy cores make products this small ten times slower
     gram = np.einsum("ig,jg->ij", channels, channels)
     gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)

@@ -53,7 +53,7 @@ def _tables() -> _Tables:
 
 
 def _between(nodes: Floats, values: Floats, at: float) -> Floats:
-    """Return values (node, ...) at one place, linear between nodes, held beyond."""
+    # Values (node, ...) at one place, linear between nodes, held beyond
     place = float(np.interp(at, nodes, np.arange(nodes.size)))
     low = min(int(place), nodes.size - 2)
     part = place - low
@@ -258,5 +258,4 @@ def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from
     shapes = function_shapes(float(sun_zenith))
     gains = np.array([1.0, *((weight * relative_radiance(shape, cosine, to_sun)).sum() for shape in shapes)])
     # written as a departure from 1, so that a level surface gives 1 to the last bit
-    shares = clear_sky_shares(wavelength, sun_zenith)
-    return np.asarray(1.0 + (gains - 1.0) @ shares)
+    return np.asarray(1.0 + (gains - 1.0) @ clear_sky_shares(wavelength, sun_zenith))

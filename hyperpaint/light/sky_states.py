@@ -125,7 +125,7 @@ class _Draws(NamedTuple):
 
 @functools.cache
 def _draws() -> _Draws:
-    """Return the skies that are compared: the same ones in every run."""
+    # Skies that are compared: the same ones in every run
     rng = np.random.default_rng(19_590)
     # one stratum for each draw, so that a few hundred fill the range
     strata = (np.argsort(rng.random((6, _AIRS)), axis=1) + rng.random((6, _AIRS))) / _AIRS
@@ -192,7 +192,7 @@ class _Spectra(NamedTuple):
 
 
 def _mixed(draws: _Draws, nm: Floats, direct: Floats, diffuse: Floats) -> tuple[Floats, Floats]:
-    """Return irradiance and its diffuse fraction of all draws (draw, wavelength)."""
+    # Irradiance and its diffuse fraction of all draws (draw, wavelength)
     beam, blue, returned, cloud, tint = (amount[:, None] for amount in draws[2:7])
     direct, diffuse = direct[draws.air], diffuse[draws.air]
     colour = 1.0 - tint + tint * (nm / 490.0) ** -4.0
@@ -202,14 +202,14 @@ def _mixed(draws: _Draws, nm: Floats, direct: Floats, diffuse: Floats) -> tuple[
 
 
 def _points_of(centres: tuple[float, ...]) -> Floats:
-    """Return the wavelengths at which the model is evaluated, `POINTS_PER_WINDOW` for each interval [nm]."""
+    # Wavelengths at which the model is evaluated, `POINTS_PER_WINDOW` for each interval [nm]
     steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
     return np.asarray((np.array(centres)[:, None] + steps).ravel())
 
 
 @functools.lru_cache(maxsize=64)
 def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> _Spectra:
-    """Return the spectra of all draws under a sun at one zenith angle [degree]."""
+    # Spectra of all draws under a sun at one zenith angle [degree]
     draws = _draws()
     aerosol, exponent, ozone, relative, ground, water = (state[:, None] for state in draws.states)
     at = np.array(centres)
@@ -223,13 +223,11 @@ def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> 
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
     direct, diffuse = scattered_light(_NODES_NM, sun_zenith, air)
     _, fraction = _mixed(draws, _NODES_NM, direct, diffuse)
-    clear = (diffuse / (direct + diffuse))[draws.air]
-    return _Spectra(np.log(whole), fraction, clear)
+    return _Spectra(np.log(whole), fraction, (diffuse / (direct + diffuse))[draws.air])
 
 
 @functools.lru_cache(maxsize=16)
 def _whitening(centres: tuple[float, ...], level_u: float) -> tuple[Floats, float]:
-    """Return the matrix that whitens misfits of intervals, and half their covariance's log determinant."""
     at = np.array(centres)
     covariance = RULES.shape_u**2 * np.eye(at.size) + level_u**2
     covariance += RULES.colour_u**2 * np.exp(-0.5 * ((at[:, None] - at) / RULES.colour_nm) ** 2)
@@ -257,8 +255,7 @@ class Explained(NamedTuple):
 
 
 class _Weighed(NamedTuple):
-    """Posterior of each kind of sky and sample, for both widths of the level (sample, width, kind ...)."""
-
+    # Posterior of each kind of sky and sample, for both widths of the level (sample, width, kind ...)
     log: Floats  # logarithm of the evidence
     mean: Floats  # (..., node) of the diffuse fraction
     square: Floats  # (..., node) of its square
@@ -306,8 +303,7 @@ def _weighed(evidence: Evidence, windows: Windows, pressure: float) -> _Weighed:
 
 
 class _Elsewhere(NamedTuple):
-    """Posterior of clear air for each sample with the sun at other zenith angles (sample, ...)."""
-
+    # Posterior of clear air for each sample with the sun at other zenith angles (sample, ...)
     log: Floats  # logarithm of the evidence
     mean: Floats  # (sample, node) of the diffuse fraction
     square: Floats  # (sample, node) of its square
@@ -318,7 +314,7 @@ _OTHER_SUNS_DEG = np.arange(5.0, 85.1, 2.5)
 
 @functools.lru_cache(maxsize=64)
 def _clear_air(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> tuple[Floats, Floats]:
-    """Return level (air, window) and diffuse fraction (air, node) of every fourth state of clear air."""
+    # Level (air, window) and diffuse fraction (air, node) of every fourth state of clear air
     aerosol, exponent, ozone, relative, ground, water = (state[::4, None] for state in _draws().states)
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
     sky = ClearSky(
@@ -402,41 +398,36 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
     # between clouds the receiver measures at one moment the light that the ground gets at the next
     apart = fraction - fraction.mean(axis=0)
     square = _averaged(apart**2, evidence.seconds) - _averaged(apart, evidence.seconds) ** 2
-    change = np.maximum(square, 0.0)
-    u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * change)
+    u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * np.maximum(square, 0.0))
     middle = int(np.abs(_NODES_NM - 550.0).argmin())
     cloud = (fraction - clear)[:, middle] / np.maximum(1.0 - clear[:, middle], 1e-6)
     return Explained(fraction, u, probability, np.clip(cloud, 0.0, 1.0), _NODES_NM)
 
 
 def _probabilities(share: Floats, turbid: Floats) -> Floats:
-    """Return the probability of the five states (sample, state).
-
-    From the shares of kinds (sample, width of the level, kind), and the share of turbid air among them. Thin
-    cloud, and a level far from its calibration, count as contradictory.
-    """
-    sure = share[:, 0]
-    air, thin, broken, overcast = sure.T
+    # Probability of the five states (sample, state).
+    # From the shares of kinds (sample, width of the level, kind), and the share of turbid air among them.
+    # Thin cloud, and a level far from its calibration, count as contradictory.
+    air, thin, broken, overcast = share[:, 0].T
     hazy = air * turbid[:, 0, 0]
     return np.stack([air - hazy, hazy, broken, overcast, share[:, 1].sum(axis=1) + thin], axis=1)
 
 
 def _near(seconds: Floats) -> tuple[Ints, Ints]:
-    """Return the first sample within the window of each sample, and the first after it (sample,)."""
+    # First sample within the window of each sample, and the first after it (sample,)
     first = np.searchsorted(seconds, seconds - RULES.window_s, side="left")
     return first, np.searchsorted(seconds, seconds + RULES.window_s, side="right")
 
 
 def _averaged(values: Floats, seconds: Floats) -> Floats:
-    """Return the means of values (sample, ...) over the window of each sample, whose times increase."""
+    # Means of values (sample, ...) over the window of each sample, whose times increase
     first, last = _near(seconds)
     sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-    count = (last - first).reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((sums[last] - sums[first]) / count)
+    return np.asarray((sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def _variation(evidence: Evidence) -> Floats:
-    """Return the log likelihood of the level's changes under each kind of sky (sample, kind)."""
+    # Log likelihood of the level's changes under each kind of sky (sample, kind)
     height = np.maximum(np.cos(np.radians(np.minimum(evidence.sun_zenith, 88.0))), 1e-3)
     level = evidence.level.mean(axis=1) - np.log(height)
     level = level - level.mean()

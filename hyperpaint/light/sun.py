@@ -69,9 +69,7 @@ def solar_position(
     up = np.sin(phi) * np.sin(declination) + np.cos(phi) * np.cos(declination) * np.cos(hour_angle)
     north = np.cos(phi) * np.sin(declination) - np.sin(phi) * np.cos(declination) * np.cos(hour_angle)
     east = -np.cos(declination) * np.sin(hour_angle)
-    zenith = np.degrees(np.arctan2(np.hypot(east, north), up))
-    azimuth = np.degrees(np.arctan2(east, north)) % 360.0
-    return zenith, azimuth
+    return np.degrees(np.arctan2(np.hypot(east, north), up)), np.degrees(np.arctan2(east, north)) % 360.0
 
 
 def air_mass(zenith: npt.ArrayLike) -> Floats:
@@ -202,5 +200,4 @@ def scattered_light(
     )
     rayleigh, scattering, absorption = transmittances(1.8)
     sky = absorption * (0.5 * (1 - rayleigh) + (1 - forward(1 / 1.8)) * rayleigh * (1 - scattering))
-    twice = (direct + once) * sky * air.ground / (1 - sky * air.ground)
-    return direct, (once + twice) * short
+    return direct, (once + (direct + once) * sky * air.ground / (1 - sky * air.ground)) * short

@@ -54,8 +54,7 @@ def colour_matching(wavelength: npt.ArrayLike) -> Array:
 
     x = 1.056 * lobe(599.8, 37.9, 31.0) + 0.362 * lobe(442.0, 16.0, 26.7) - 0.065 * lobe(501.1, 20.4, 26.2)
     y = 0.821 * lobe(568.8, 46.9, 40.5) + 0.286 * lobe(530.9, 16.3, 31.1)
-    z = 1.217 * lobe(437.0, 11.8, 36.0) + 0.681 * lobe(459.0, 26.0, 13.8)
-    return np.stack([x, y, z])
+    return np.stack([x, y, 1.217 * lobe(437.0, 11.8, 36.0) + 0.681 * lobe(459.0, 26.0, 13.8)])
 
 
 def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:

@@ -147,7 +147,6 @@ def _is_named(name: str, wanted: str) -> bool:
 
 
 def _spellings(text: str) -> tuple[str, str]:
-    """Return a text in lower case without accents, and the same with umlauts as two letters."""
     folded = unicodedata.normalize("NFC", text).casefold()
     return _bare(folded), _bare(folded.translate(_UMLAUTS))
 
@@ -161,7 +160,7 @@ def _bare(text: str) -> str:
 
 
 def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
-    """Return CIEDE2000 of every paint (signature,) [1]; infinite for a paint without colour."""
+    # CIEDE2000 of every paint (signature,) [1]; infinite for a paint without colour
     wanted = lab_of(parse_colour(colour))
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
@@ -179,7 +178,7 @@ def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
 
 
 def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataArray, like: Any) -> Floats:
-    """Return the spectral angle of every paint to a spectrum (signature,) [rad]; else infinite."""
+    # Spectral angle of every paint to a spectrum (signature,) [rad]; else infinite
     nm = np.asarray(wavelength.values, np.float64)
     spectrum = _one_spectrum(library, like, nm)
     if "good" in library.variables:
@@ -194,8 +193,7 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
     paints = np.asarray(reflectance.values, np.float64)
     both = np.isfinite(paints) & np.isfinite(spectrum)
     x, y = np.where(both, paints, 0.0), np.where(both, spectrum, 0.0)
-    lengths = np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1))
-    usable = (both.sum(axis=1) >= MIN_BANDS) & (lengths > 0.0)
+    usable = (both.sum(axis=1) >= MIN_BANDS) & (np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1)) > 0.0)
     # the chord is exact where the cosine is too close to 1
     unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
     unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
@@ -204,7 +202,7 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
 
 
 def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
-    """Return the searched spectrum at the wavelengths of the library (band,); NaN outside its range."""
+    # Searched spectrum at the wavelengths of the library (band,); NaN outside its range
     if isinstance(like, str):
         names = [str(name) for name in library[SIGNATURE].values]
         if names.count(like) != 1:

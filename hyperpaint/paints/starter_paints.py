@@ -140,7 +140,7 @@ def starter_library(
 
 
 def _specular(spec: PaintSpec, nm: Floats) -> Floats:
-    """Return the reflectance of coat and flakes around the mirror direction (band,) [1]."""
+    # Reflectance of coat and flakes around the mirror direction (band,) [1]
     coat = float(fresnel_reflectance(1.0, spec.coat.index))
     if spec.flakes is None:
         return np.full(nm.size, coat)

@@ -3,6 +3,7 @@ from .counts_to_reflectance import (
     panel_closure as panel_closure,
     radiance as radiance,
     reflectance as reflectance,
+    slab as slab,
 )
 from .panels import Panel as Panel
 from .pixel_reading import pixels as pixels
@@ -15,4 +16,3 @@ from .uncertainty import (
     estimate_noise as estimate_noise,
     mean_uncertainty as mean_uncertainty,
 )
-from .whole_lines import slab as slab

@@ -107,12 +107,11 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
     starts = np.unique([*(np.cumsum((0, *cube.data.chunks[0])) // side * side)[:-1], lines])
     sizes = tuple(np.diff(starts).tolist()) or (0,)
     slabs = cube.data if sizes == cube.data.chunks[0] else cube.data.rechunk({0: sizes})
-    rows = tuple(-(-size // side) for size in sizes)
     means = da.map_blocks(
         _means,
         slabs,
         side=side,
-        chunks=(rows, (bands,), (-(-columns // side),)),
+        chunks=(tuple(-(-size // side) for size in sizes), (bands,), (-(-columns // side),)),
         dtype=np.float32,
         meta=np.empty((0, 0, 0), np.float32),
     )
@@ -130,7 +129,7 @@ def _means(values: Array, side: int) -> Array:
 
 
 def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
-    """Return the stored means where they belong to this line and are complete; None otherwise."""
+    # Stored means where they belong to this line and are complete; None otherwise
     row = schema.VARIABLES["coarse_reflectance"]
     stored = line.get(row.name)
     if stored is None or set(stored.dims) != set(row.dims):

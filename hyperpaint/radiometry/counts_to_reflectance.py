@@ -18,7 +18,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, rename_to_roles
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.light.synchrony import replace_record
@@ -278,8 +278,7 @@ def panel_closure(
     >>> panel_closure(line, whole).panel_factor.values.round(3)
     array([[1., 1., 1.]], dtype=float32)
     """
-    line = _reflectance(dataset, irradiance, panels=several_panels(panel), refuses=False)
-    return line[list(CLOSURE)]
+    return _reflectance(dataset, irradiance, panels=several_panels(panel), refuses=False)[list(CLOSURE)]
 
 
 def _reflectance(
@@ -292,7 +291,7 @@ def _reflectance(
     keep_bits: int | None = None,
     refuses: bool = True,
 ) -> xr.Dataset:
-    """Compute `reflectance`; without ``refuses`` panels are judged but never refused."""
+    # Compute `reflectance`; without `refuses` panels are judged but never refused
     dataset = schema.rename_to_roles(dataset)
     if isinstance(tilt, tuple) and len(tilt) == 2:
         tilt = Tilt(*tilt)
@@ -379,7 +378,7 @@ def applied(values: dict[str, Any]) -> dict[str, str | None]:
 def _with(
     dataset: xr.Dataset, name: str, cube: Any, quality: Any, notes: dict[str, str | None]
 ) -> xr.Dataset:
-    """Return the dataset with a calibrated cube and its quality, attributes and ``notes`` set outright."""
+    # Dataset with a calibrated cube and its quality, attributes and `notes` set outright
     before = None
     if "quality" in dataset.variables:
         before = schema.require(dataset, ["quality"], name)["quality"].variable
@@ -401,3 +400,73 @@ def merged_quality(name: str, quality: Any, before: xr.Variable | None, *, anew:
         flags = flags | (before & np.uint16(0xFFFF ^ (int(_OWN_BITS[name]) if anew else 0)))
         attrs = {key: text for key, text in before.attrs.items() if key == "flags_from"}
     return schema.label(flags.astype(np.uint16), "quality", **attrs)
+
+
+# -- Calibrate whole lines in memory at once, in the calling thread: the unit of work for any engine.
+
+
+@takes_quantities(tilt="degree")
+def slab(
+    dataset: xr.Dataset,
+    *,
+    uncertainty: bool = False,
+    tilt: Tilt | tuple[float, float] | None = None,
+    keep_bits: int | None = None,
+) -> xr.Dataset:
+    """Reflectance and quality of some whole lines: numpy in, numpy out, the bits of ``.paint.reflectance()``.
+
+    For engines other than dask, and for loops of your own: the function, its inputs and its outputs can be
+    pickled, and no scheduler is used. Recipes for cubed, Ray, process pools and dask.distributed are in
+    docs/howto/engines.md.
+
+    Parameters
+    ----------
+    dataset
+        Whole lines of a flight line, with their calibration: ``line.isel(along_track=slice(0, 32))``.
+        Variables that are read from files on demand (``chunks=None``) are read here; 32 to 256 lines are a
+        good size.
+    uncertainty, tilt, keep_bits
+        As of `hyperpaint.reflectance`.
+
+    Returns
+    -------
+    Dataset
+        The lines in memory, with the variables that `hyperpaint.reflectance` adds.
+
+    Raises
+    ------
+    SchemaError, UnitsError, TimeError
+        As `hyperpaint.reflectance`, at once; or variables are arrays of dask.
+
+    Notes
+    -----
+    Lines do not depend on one another, so the bits are those of the whole line. Three options use all lines
+    passed: ``tilt`` their mean position, ``uncertainty`` the largest share of the dark's noise,
+    and darks of several exposures the range of the lines' exposures, where these differ.
+
+    Examples
+    --------
+    >>> import hyperpaint as hp
+    >>> from hyperpaint.radiometry.example_pixel import worked_example
+    >>> line = worked_example()
+    >>> print(f"{hp.slab(line).reflectance.values[0, 0, 0]:.6f}")
+    0.400000
+    """
+    line = rename_to_roles(dataset)
+    lazy = [str(name) for name, variable in line.variables.items() if variable.chunks is not None]
+    if lazy:
+        raise SchemaError(
+            f"slab computes no dask arrays: {', '.join(lazy[:3])}{', ...' if len(lazy) > 3 else ''}",
+            expected="lines in memory",
+            mend="pass line.load(), open with chunks=None, or call .paint.reflectance() on all lines",
+            code="lines-not-loaded",
+        )
+    line = line.compute()  # reads variables that are opened with chunks=None
+    cubes = {name: line[name] for name in ("counts", "radiance") if name in line.data_vars}
+    # one chunk, without a name, whose hash would cost a pass over it
+    whole = {
+        name: cube.copy(data=da.from_array(cube.values, chunks=-1, name=False))
+        for name, cube in cubes.items()
+    }
+    product = reflectance(line.assign(whole), uncertainty=uncertainty, tilt=tilt, keep_bits=keep_bits)
+    return product.compute(scheduler="synchronous").assign(cubes)

@@ -104,7 +104,6 @@ def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[s
 
 
 def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str, Any]:
-    """Return the irradiance and its companions, checked by their labels."""
     names = [*_LIGHT, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
     companions = ("irradiance_max_gap", "irradiance_clock_uncertainty")
     names += [name for name in companions if name in dataset.variables]

@@ -55,8 +55,7 @@ class Linearity:
         if self.measured is not None and self.linear is not None:
             node, beyond = self.measured, self.linear - self.measured
             place = np.clip(np.searchsorted(node, counts) - 1, 0, node.size - 2)
-            rise = np.diff(beyond) / np.diff(node)
-            return beyond[place] + rise[place] * (counts - node[place])
+            return beyond[place] + (np.diff(beyond) / np.diff(node))[place] * (counts - node[place])
         relative = 0.0
         for coefficient in reversed(self.coefficients):
             relative = (relative + coefficient) * counts
@@ -144,8 +143,7 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
             code="choice-unknown",
         )
     stated = attrs.get("linearity", ())
-    coefficients = () if isinstance(stated, str) else polynomial(stated)
-    return Linearity(coefficients, on_raw=kind == RAW)
+    return Linearity(() if isinstance(stated, str) else polynomial(stated), on_raw=kind == RAW)
 
 
 def polynomial(coefficients: Sequence[float] | Any) -> tuple[float, ...]:

@@ -121,8 +121,7 @@ class PanelClosure(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """One panel's row of a `PanelClosure`, with its warnings."""
-
+    # One panel's row of a `PanelClosure`, with its warnings
     scale: Floats
     factor: Floats
     u: Floats
@@ -254,10 +253,8 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
 
 
 def _pixels(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return the relative brightness of pixels (line, column), and whether each shows something else.
-
-    From the ``clean`` bands, or from all where there are few; NaN and false where a pixel has no such sample.
-    """
+    # Relative brightness of pixels (line, column), and whether each shows something else.
+    # From the `clean` bands, or from all where there are few; NaN and false where a pixel has no such sample.
     cube = np.moveaxis(observed, 1, 2)[..., clean if clean.sum() >= 3 else np.isfinite(observed).any((0, 2))]
     valid = np.isfinite(cube)
     spectrum = np.nanmedian(cube.reshape(-1, cube.shape[-1]), axis=0)
@@ -277,7 +274,6 @@ def _pixels(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray
 
 
 def _outlying(values: Floats) -> NDArray[np.bool_]:
-    """Return whether values are outliers by their relative distance from the median."""
     finite = values[np.isfinite(values)]
     if finite.size < 3:
         return np.zeros(values.shape, bool)
@@ -295,11 +291,9 @@ def _means(
     on_panel: NDArray[np.bool_],
     brightness: Floats | None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return number and sum of a panel's pixels, the mean's error, and the saturated share (band,).
-
-    ``on_panel`` (line, 1, column): whether pixels belong to the panel; ``brightness`` (line, column): its
-    pattern from unsaturated bands, or None.
-    """
+    # Number and sum of a panel's pixels, the mean's error, and the saturated share (band,).
+    # `on_panel` (line, 1, column): whether pixels belong to the panel; `brightness` (line, column): its
+    # pattern from unsaturated bands, or None.
     valid = np.isfinite(observed) & on_panel
     number = valid.sum(axis=(0, 2))
     counted = number + (saturated & on_panel).sum(axis=(0, 2))
@@ -319,20 +313,17 @@ def _means(
         pattern = brightness / float(np.nanmean(brightness[on_panel[:, 0, :]]))
     pixels = on_panel[:, 0, :] & np.isfinite(pattern)
     weight = pattern[pixels][:, None]
-    values = np.moveaxis(observed[:, cut], 1, 2)[pixels] / weight
     limits = np.moveaxis(np.where(saturated, ceiling, np.nan)[:, cut], 1, 2)[pixels] / weight
-    mean[cut], spread = _censored_mean(values, limits)
+    mean[cut], spread = _censored_mean(np.moveaxis(observed[:, cut], 1, 2)[pixels] / weight, limits)
     total[cut] = mean[cut] * number[cut]
     error[cut] = spread / np.sqrt(number[cut])
     return number, total, error, full
 
 
 def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
-    """Return mean and standard deviation of normal samples (pixel, band), some censored at their limits.
-
-    By expectation and maximisation. Censored samples have NaN in ``values`` and a number in ``limits``,
-    others NaN in ``limits``; a sample with NaN in both is missing.
-    """
+    # Mean and standard deviation of normal samples (pixel, band), some censored at their limits.
+    # By expectation and maximisation. Censored samples have NaN in `values` and a number in `limits`, others
+    # NaN in `limits`; a sample with NaN in both is missing.
     from scipy.special import log_ndtr
 
     beyond = np.isfinite(limits)
@@ -348,8 +339,7 @@ def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
         guess = np.where(beyond, mean + spread * hazard, measured)
         variance = np.where(beyond, spread**2 * np.maximum(1.0 + z * hazard - hazard**2, 0.0), 0.0)
         before, mean = mean, np.where(present, guess, 0.0).sum(axis=0) / number
-        square = np.where(present, (guess - mean) ** 2 + variance, 0.0).sum(axis=0) / number
-        spread = np.sqrt(square)
+        spread = np.sqrt(np.where(present, (guess - mean) ** 2 + variance, 0.0).sum(axis=0) / number)
         if (np.abs(mean - before) <= 1e-7 * np.abs(mean)).all():
             break
     return mean, spread
@@ -388,8 +378,6 @@ def _change_by_attitude(
 
 
 class _Line(NamedTuple):
-    """A straight line through points."""
-
     level: float
     slope: float
     slope_u: float

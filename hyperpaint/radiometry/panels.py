@@ -143,7 +143,7 @@ def without_panels(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _tabulated(reflectance: Any) -> Any:
-    """Return a declared reflectance: a number, or pairs of wavelength [nm] and reflectance."""
+    # A declared reflectance: a number, or pairs of wavelength [nm] and reflectance
     if not isinstance(reflectance, list):
         return reflectance
     nm, values = np.array(reflectance, np.float64).T
@@ -172,8 +172,7 @@ def panel_inputs(
     problems = Problems("the panel cannot be used", SchemaError)
     for panel in panels:
         for dim in (ALONG_TRACK, CROSS_TRACK):
-            chosen = range(dataset.sizes[dim])[getattr(panel, dim)]
-            if not len(chosen):
+            if not len(range(dataset.sizes[dim])[getattr(panel, dim)]):
                 problems.add(
                     f"{dim}={getattr(panel, dim)} is outside of this line",
                     expected=f"positions below {dataset.sizes[dim]}",
@@ -196,10 +195,11 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
     # the panel cancels the scale of the gain
     region = without_panels(region).assign_attrs(absolute_scale="of the panel")
     wavelength = slabs.small(dataset["wavelength"])
-    if dataset["wavelength"].chunks is not None:
-        expected = wavelength.map_blocks(panel.at, dtype=np.float64)
-    else:
-        expected = panel.at(wavelength)
+    expected = (
+        wavelength.map_blocks(panel.at, dtype=np.float64)
+        if dataset["wavelength"].chunks is not None
+        else panel.at(wavelength)
+    )
     lines = range(dataset.sizes[ALONG_TRACK])[panel.along_track]
     inputs = {
         "observed": reflectance(region, tilt=panel.tilt)["reflectance"].isel(columns).data,
@@ -216,7 +216,6 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
 
 
 def _highest_counts(region: xr.Dataset) -> xr.DataArray:
-    """Return the counts of a region, replaced by the highest counts below saturation."""
     counts = region["counts"]
     top = np.ceil(region["saturation_count"].astype(np.float64) - SATURATION_MARGIN_COUNTS) - 1.0
     # masked elements receive no light, and a NaN limit never saturates: keep their counts

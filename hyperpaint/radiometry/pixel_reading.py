@@ -100,7 +100,7 @@ def pixels(
 
 
 def _positions(place: Any, line: xr.Dataset, dim: str) -> Any:
-    """Return a position from 0, a slice of step 1 where possible, or an array of positions."""
+    # A position from 0, a slice of step 1 where possible, or an array of positions
     size = line.sizes.get(dim, 0)
     if isinstance(place, slice):
         numbers = range(size)[place]
@@ -117,7 +117,6 @@ def _positions(place: Any, line: xr.Dataset, dim: str) -> Any:
 
 
 def _entry_of(line: xr.Dataset) -> Entry:
-    """Return the plan of a line with its small coordinates, read now where they are not cached."""
     cube = line["counts" if "counts" in line.variables else "radiance"]
     shape = (cube.sizes.get(ALONG_TRACK, 0), cube.sizes.get(BAND, 0), cube.sizes.get(CROSS_TRACK, 0))
     dtype = cube.dtype if cube.dtype == np.uint16 else np.dtype(np.float32)
@@ -130,8 +129,7 @@ def _entry_of(line: xr.Dataset) -> Entry:
     inputs = plan_inputs(line, stored, scaling)[1]
     if entry is None:
         (read,) = dask.compute(inputs, scheduler=scheduler_in_force())
-        plan = make_plan(shape, dtype.str, np.zeros(1, np.int64), **read)
-        entry = Entry(Origin(line, options), plan)
+        entry = Entry(Origin(line, options), make_plan(shape, dtype.str, np.zeros(1, np.int64), **read))
     small = [name for name in line.coords if set(line[name].dims) <= set(CUBE) and line[name].ndim < 2]
     smile = {"wavelength_shift"} & set(line.coords)
     notes = {**applied(inputs["cube"]), "panel": "; ".join(map(str, scaling))}
@@ -143,7 +141,7 @@ def _entry_of(line: xr.Dataset) -> Entry:
 
 
 def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Dataset:
-    """Return reflectance of a region, ``chosen`` by dim, and with all bands its quality."""
+    # Reflectance of a region, `chosen` by dim, and with all bands its quality
     lines, bands, columns = chosen.values()
     plan, sizes = entry.plan, line.sizes
     is_flagged = isinstance(bands, slice) and bands == slice(0, sizes[BAND])
@@ -156,10 +154,11 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
         selected = slice(None), slice(None) if isinstance(columns, slice) else columns - read[1].start
         plan = _part(plan, *read)
     # the cube, which was compared with the plan's
-    if is_from_counts:
-        cube = line.variables["counts"].transpose(*CUBE)
-    else:
-        cube = schema.require(line, ["radiance"], "reflectance")["radiance"].variable
+    cube = (
+        line.variables["counts"].transpose(*CUBE)
+        if is_from_counts
+        else schema.require(line, ["radiance"], "reflectance")["radiance"].variable
+    )
     cubes, flags = [], []
     samples = sizes[BAND] * sizes[CROSS_TRACK]
     for numbers in _blocks(np.arange(sizes[ALONG_TRACK])[lines], samples // max(1, plan.gain.size)):
@@ -190,7 +189,6 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
 
 
 def _range_of(places: Any) -> slice:
-    """Return the smallest slice that contains places, which are a slice or an array."""
     if isinstance(places, slice):
         return places
     return slice(int(places.min()), int(places.max()) + 1) if len(places) else slice(0, 0)
@@ -201,17 +199,15 @@ def _joined(blocks: list[Array]) -> Array:
 
 
 def _blocks(numbers: Array, times: int) -> list[Array]:
-    """Return the numbers of lines in blocks that share storage chunks: ``times`` as many lines as usual."""
+    # Numbers of lines in blocks that share storage chunks: `times` as many lines as usual
     if not numbers.size:
         return [np.zeros(0, np.int64)]
-    first = numbers.min() // CHUNK_LINES * CHUNK_LINES
-    block = (numbers - first) // (BLOCK_LINES * max(1, times))
+    block = (numbers - numbers.min() // CHUNK_LINES * CHUNK_LINES) // (BLOCK_LINES * max(1, times))
     return np.split(numbers, np.flatnonzero(np.diff(block)) + 1)
 
 
 def _part(plan: Plan, bands: Any, columns: slice) -> Plan:
-    """Return the plan of some bands and neighbouring columns; flags hold with all bands only."""
-
+    # Plan of some bands and neighbouring columns; flags hold with all bands only
     def cut(array: Array) -> Array:
         array = array[..., bands, :] if array.shape[-2] > 1 else array
         return np.ascontiguousarray(array[..., columns] if array.shape[-1] > 1 else array)
@@ -237,7 +233,7 @@ def _part(plan: Plan, bands: Any, columns: slice) -> Plan:
 
 
 def _read(cube: xr.Variable, places: tuple[Any, ...]) -> Array:
-    """Return a part of a cube; a dask array that wraps a file is read without dask."""
+    # A part of a cube; a dask array that wraps a file is read without dask
     if cube.chunks is None:
         return np.asarray(cube[places].values)
     data = cube.data

@@ -34,8 +34,6 @@ MAX_PENDING_PLANS = 16
 
 
 class _State:
-    """Snapshot of a variable, to recognise it unchanged."""
-
     def __init__(self, variable: xr.Variable) -> None:
         self.form = _form(variable)
         self.attrs = dict(variable.attrs)
@@ -74,10 +72,8 @@ def _form(variable: xr.Variable) -> tuple[Any, ...]:
 
 
 def _is_lazy(variable: xr.Variable) -> bool:
-    """Return whether values are read when computed, and were not assigned to since."""
     data = variable._data
-    is_read = isinstance(data, da.Array) or not variable._in_memory
-    return is_read and not getattr(data, "_copied", False)
+    return (isinstance(data, da.Array) or not variable._in_memory) and not getattr(data, "_copied", False)
 
 
 class Origin:
@@ -104,7 +100,6 @@ class Origin:
 
 
 def _small(line: xr.Dataset) -> dict[Any, xr.Variable]:
-    """Return all variables except those of pixels, and those of lines and bands."""
     return {
         name: variable
         for name, variable in line.variables.items()

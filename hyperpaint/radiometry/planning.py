@@ -7,26 +7,160 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError, TimeError
-from hyperpaint.base.schema import Quality
-from hyperpaint.light.illumination import Smile, Tilt, imager_of, matched_series, smile_cells
+from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, Quality
+from hyperpaint.light.diffuse_record import SKY_STATES, diffuse_from_record
+from hyperpaint.light.illumination import (
+    MAX_SUN_ZENITH_DEG,
+    Smile,
+    Tilt,
+    imager_of,
+    matched_series,
+    smile_cells,
+)
+from hyperpaint.light.sky_functions import sunward_gain
+from hyperpaint.light.sun import solar_position
 from hyperpaint.light.synchrony import LineLight, line_light
 
 from .linear_counts import TABLE, Linearity
 from .panel_judging import REFUSED, RULES as PANEL_RULES, PanelClosure, PanelContext, judge_panels
-from .panel_scale import panel_correction, scale_of_factors, usable_panels
 from .plausible_light import check_light, warn_of_lost_bands
-from .slabs import Plan
+from .slabs import Plan, panel_correction, scale_of_factors, usable_panels
 from .stray_light import check_stray_light, stray_light_of
-from .tilted_light import direct_share, tilt_factors
 from .uncertainty.irradiance_noise import at_bands
 from .uncertainty.propagation import error_terms
+
+# -- Light on a tilted surface under the sky that the irradiance record shows, which may not be clear.
+
+_CLEAR, _HAZY, _CONTRADICTORY = (SKY_STATES.index(word) for word in ("clear", "hazy", "contradictory"))
+
+
+#: Largest distance in time of samples that give the sky over a panel, changes over a minute included.
+MAX_PANEL_DISTANCE = np.timedelta64(120, "s")
+
+
+def tilt_factors(
+    tilt: Tilt, light: Mapping[str, Any], used: Array, wavelength: Floats, place: tuple[float, float]
+) -> Floats:
+    """Return irradiance on the surface relative to level ground (sample, band) [1], for the ``used`` samples.
+
+    A diffuse fraction of the tilt itself is used first. Else the fraction of the lines, where they have one;
+    else the split by `hyperpaint.light.diffuse_from_record`, which leaves a clear sky to the tilt's own
+    model. Diffuse light is uniform except under a clear or hazy sky.
+
+    light: ``irradiance``, its time and wavelengths, and of lines ``time``, ``diffuse_fraction`` and
+        ``sky_state``; place: latitude and longitude [degree].
+
+    Warns PaintWarning: The record fits no sky, and the surface is lit as under a clear one.
+    """
+    stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
+
+    def factor(sky: Tilt, samples: Array) -> Floats:
+        return sky.factor(stamps[used[samples]], *place, wavelength)
+
+    if tilt.diffuse_fraction is not None or tilt.angle == 0.0:
+        return factor(tilt, np.arange(used.size))
+    fraction, state = _split(light, stamps, wavelength, place)
+    if fraction is None:
+        return factor(tilt, np.arange(used.size))
+    factors = np.empty((used.size, wavelength.size))
+    fraction, state = fraction[used], state[used]
+    by_model = (state == _CLEAR) | (state == _CONTRADICTORY) | ~np.isfinite(fraction).all(axis=1)
+    if (state == _CONTRADICTORY).any():
+        text = (
+            f"the irradiance fits no sky at its place and time in {(state == _CONTRADICTORY).sum()} of "
+            f"{used.size} samples; tilt= assumes a clear sky for them, otherwise pass "
+            "Tilt(diffuse_fraction=)"
+        )
+        warnings.warn(PaintWarning(text, code="sky-unknown"), stacklevel=2)
+    if by_model.any():
+        factors[by_model] = factor(tilt, np.flatnonzero(by_model))
+    for at in np.flatnonzero(~by_model):
+        sky = "clear" if state[at] == _HAZY else "uniform"
+        factors[at] = factor(replace(tilt, diffuse_fraction=fraction[at], sky=sky), np.array([at]))[0]
+    return factors
+
+
+def direct_share(
+    light: Mapping[str, Any], moment: np.datetime64, wavelength: Floats, place: tuple[float, float]
+) -> Floats | None:
+    """Return the relative change of a panel's light with its direct part (sky, band) [1].
+
+    1 - f for a diffuse fraction f that is uniform; under a clear sky also with its bright side moving with
+    the sun. None where the split is unknown. The arguments are those of `tilt_factors`.
+    """
+    stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
+    away = np.abs(stamps - moment)
+    near = np.flatnonzero(away <= max(MAX_PANEL_DISTANCE, away.min()))
+    nearby = {**light, "irradiance": np.asarray(light["irradiance"])[near], "irradiance_time": stamps[near]}
+    if "diffuse_fraction" in light and len(np.atleast_2d(light["diffuse_fraction"])) == stamps.size:
+        nearby |= {
+            name: np.asarray(light[name])[near] for name in ("diffuse_fraction", "sky_state") if name in light
+        }
+    fraction, state = _split(nearby, stamps[near], wavelength, place)
+    if fraction is None:
+        return None
+    at = int(away[near].argmin())
+    zenith = float(solar_position(np.array([moment]), *place)[0][0])
+    if zenith >= MAX_SUN_ZENITH_DEG:
+        return None
+    shares = [1.0 - fraction[at]]
+    if state[at] in (_CLEAR, _HAZY, _CONTRADICTORY):
+        shares.append(shares[0] + fraction[at] * sunward_gain(wavelength, zenith))
+    return np.stack(shares)
+
+
+def _split(
+    light: Mapping[str, Any], stamps: Array, wavelength: Floats, place: tuple[float, float]
+) -> tuple[Floats | None, Array]:
+    # Diffuse fraction (sample, band) and number of the state (sample,); None where unknown
+    if "diffuse_fraction" in light:
+        return _split_of_lines(light, stamps, wavelength.size)
+    channels = xr.Variable(
+        IRRADIANCE_WAVELENGTH, light["irradiance_wavelength"], VARIABLES[IRRADIANCE_WAVELENGTH].attrs
+    )
+    record = xr.DataArray(
+        np.asarray(light["irradiance"]),
+        {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: channels},
+        (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH),
+        attrs=VARIABLES["irradiance"].attrs,
+    )
+    try:
+        # to a kilometre, so that a crop of the line means the same sky
+        at = tuple(round(degrees, 2) for degrees in place)
+        split = diffuse_from_record(record.to_dataset(name="irradiance"), *at, wavelength=wavelength)
+    except SchemaError:  # a record without channels in the compared intervals
+        return None, np.zeros(stamps.size, np.int8)
+    return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
+
+
+def _split_of_lines(light: Mapping[str, Any], stamps: Array, bands: int) -> tuple[Floats | None, Array]:
+    # Fraction and state of the line nearest to each sample; None where no line has a time
+    fraction = np.atleast_2d(np.asarray(light["diffuse_fraction"], np.float64))
+    time = np.asarray(light["time"]).astype("datetime64[ns]")
+    if len(fraction) == time.size:
+        lines = np.flatnonzero(~np.isnat(time))
+        if not lines.size:
+            return None, np.zeros(stamps.size, np.int8)
+        # a float64 of seconds orders stamps of a flight to a microsecond
+        at, sampled = (
+            (moments - time[lines[0]]) / np.timedelta64(1, "s") for moments in (time[lines], stamps)
+        )
+        rows = lines[np.abs(at[:, None] - sampled).argmin(axis=0)]
+    else:  # one a sample, or one for all
+        rows = np.minimum(np.arange(stamps.size), len(fraction) - 1)
+    state = np.asarray(light.get("sky_state", SKY_STATES.index("overcast"))).ravel()
+    state = state[rows] if state.size == len(fraction) else np.broadcast_to(state[:1], rows.shape)
+    return np.broadcast_to(fraction, (len(fraction), bands))[rows], state
+
 
 NOISE_MARGIN_SD = 5.0
 #: Spread of a dark count [count] where neither the calibration nor the dark gives it.
@@ -194,7 +328,7 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
 
 
 def _linearity(cube: Mapping[str, Any]) -> Linearity:
-    """Return the linearity curve of a line's counts; the identity for a radiance cube."""
+    # Linearity curve of a line's counts; the identity for a radiance cube
     curve: Linearity = cube.get("linearity") or Linearity()
     if "linear_counts" in cube:
         measured, linear = (np.asarray(cube[name], np.float64) for name in TABLE)
@@ -203,10 +337,8 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
 
 
 def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
-    """Return band and column of masked elements with finite darks (n, 2) int64.
-
-    ``masked`` is (column,), (band, 1) or (band, column).
-    """
+    # Band and column of masked elements with finite darks (n, 2) int64.
+    # `masked` is (column,), (band, 1) or (band, column).
     if "masked" not in cube:
         return np.empty((0, 2), np.int64)
     covered = np.asarray(cube["masked"], bool)
@@ -285,7 +417,6 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
 
 
 def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Array, Array, Array]:
-    """Return the fitted darks at the shortest and the longest exposure, and the place of lines between."""
     if np.ptp(taken) <= SAME_EXPOSURE_SHARE * taken.max():
         exposures_ms = np.unique(exposure.round(9)) * 1e3
         raise SchemaError(
@@ -307,7 +438,7 @@ def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Ar
 
 
 def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
-    """Warn of lines beyond the exposures of the darks; raise SchemaError for those far beyond."""
+    # Warn of lines beyond the exposures of the darks; raise SchemaError for those far beyond
     below, above = taken.min() - exposure.min(), exposure.max() - taken.max()
     spans = max(below, above) / np.ptp(taken)
     if spans <= TRUSTED_DARK_SPANS * (1.0 + SAME_EXPOSURE_SHARE):
@@ -331,7 +462,7 @@ def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
 
 
 def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
-    """Return counts from which a sample is saturated, (1, 1) or (band, column)."""
+    # Counts from which a sample is saturated, (1, 1) or (band, column)
     if "dark_counts" not in cube:
         return np.full((1, 1), np.inf, dtype)
     limit = np.asarray(cube["saturation_count"], np.float64) - SATURATION_MARGIN_COUNTS
@@ -345,7 +476,7 @@ def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
 def _illuminate(
     cube: Mapping[str, Any], light: Mapping[str, Any], time: Array, smile: Smile, tilt: Tilt | None
 ) -> tuple[Floats, LineLight, Array]:
-    """Return the matched series as cubics over the smile, the spectra around every line, and the misfit."""
+    # Matched series as cubics over the smile, the spectra around every line, and the misfit
     spectra = np.asarray(light["irradiance"], np.float64)
     channels = np.asarray(light["irradiance_wavelength"], np.float64)
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
@@ -382,7 +513,7 @@ def _illuminate(
 
 
 def _mean_place(cube: Mapping[str, Any]) -> tuple[float, float]:
-    """Return mean latitude and longitude of the lines [degree]."""
+    # Mean latitude and longitude of the lines [degree]
     place = []
     for name in ("latitude", "longitude"):
         degrees = np.asarray(cube[name], np.float64)
@@ -396,11 +527,9 @@ def _mean_place(cube: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def _levels(spectra: Floats, channels: Floats) -> Floats:
-    """Return sums of each spectrum over intervals of 100 nm; NaN where a usual channel is missing.
-
-    Wavelengths missing in more than a tenth of the spectra that have any do not count: they cost their bands,
-    not the record.
-    """
+    # Sums of each spectrum over intervals of 100 nm; NaN where a usual channel is missing.
+    # Wavelengths missing in more than a tenth of the spectra that have any do not count: they cost their
+    # bands, not the record.
     has_values = np.isfinite(spectra).any(axis=1)
     used = (channels >= 400.0) & (channels <= 1000.0)
     used = used if used.any() else np.ones(channels.size, bool)
@@ -415,8 +544,6 @@ def _levels(spectra: Floats, channels: Floats) -> Floats:
 
 
 class _OnPanels(NamedTuple):
-    """Results of panels in a plan, beside their scale."""
-
     closure: PanelClosure | None = None
     weights: Floats | None = None
     u: Floats | None = None
@@ -429,7 +556,7 @@ def _panel_scale(
     good: Array,
     lines: int,
 ) -> tuple[Floats, _OnPanels]:
-    """Return the scale by panels, as a `Plan` has it; ``inputs`` as of `panels.panel_inputs`."""
+    # Scale by panels, as a `Plan` has it; `inputs` as of `panels.panel_inputs`
     # uncertainty of gain and irradiance together, stated or usual
     wavelength = np.asarray(cube["wavelength"], np.float64)
     stated = {name: np.asarray(value, np.float64) for name, value in inputs["stated"].items()}
@@ -458,7 +585,6 @@ def _panel_scale(
 def _at_panel(
     panel: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, time: Array
 ) -> dict[str, Any]:
-    """Return the time of a panel, and the relative change of its light with direct light."""
     stamps = time[slice(*panel["lines"])]
     stamps = stamps[~np.isnat(stamps)]
     if not stamps.size:

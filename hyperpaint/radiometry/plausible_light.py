@@ -96,7 +96,7 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
 
 
 def _highest_sun(cube: Mapping[str, Any], stamps: Array) -> float:
-    """Return the least zenith angle of the sun [degree]; NaN where the place is unknown."""
+    # Least zenith angle of the sun [degree]; NaN where the place is unknown
     places = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
     if not all(np.isfinite(degrees).any() for degrees in places) or not stamps.size:
         return math.nan

@@ -140,10 +140,9 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     first, weights = nominal_axis(dataset)
     nominal = dataset[_without_bands(dataset)].drop_vars("wavelength_shift", errors="ignore")
     for name in products:
-        cube = line_chunked(arrays[name])
         flat = xr.apply_ufunc(
             _resample,
-            cube,
+            line_chunked(arrays[name]),
             kwargs={"first": first, "weights": weights},
             input_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
             output_core_dims=[[schema.BAND, schema.CROSS_TRACK]],
@@ -180,7 +179,7 @@ def _resample(values: Array, *, first: Array, weights: Array) -> Array:
 
 
 def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
-    """Return the first of four bands and their weights, (band, column[, 4])."""
+    # First of four bands and their weights, (band, column[, 4])
     bands, columns = wavelength.size, shift.shape[1]
     if bands < 4:
         raise SchemaError(f"{bands} bands to interpolate between", expected="4 or more", code="bands-too-few")
@@ -373,6 +372,6 @@ def _window_polynomials(window: int, order: int, bands: int) -> WindowPolynomial
 
 
 def _polynomial_weights(distance: Array, order: int) -> Array:
-    """Return the weights of values at ``distance`` in their least-squares polynomial at 0."""
+    # Weights of values at `distance` in their least-squares polynomial at 0
     powers = np.vander(distance.astype(np.float64), order + 1, increasing=True)
     return np.asarray(np.linalg.pinv(powers)[0])

@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.arguments import StrayLight
 
@@ -87,9 +86,7 @@ def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, pro
         )
 
 
-def stray_light_of(
-    cube: Mapping[str, Any], exposure: Floats, gain: Array, masked: npt.NDArray[np.int64]
-) -> StrayLight | None:
+def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, masked: Ints) -> StrayLight | None:
     """Return the terms of stray light to subtract from lines; None where the line declares none.
 
     ``exposure`` (line,) [s]; ``gain`` (band, column), NaN for bad elements, which are replaced by the nearest
@@ -131,7 +128,7 @@ def described(cube: Mapping[Any, Any]) -> str | None:
 
 
 def _terms(matrix: Floats) -> tuple[Array, Array]:
-    """Return :math:`1 - (1 + D)^{-1}` as a product (band, term), (term, band), of as few terms as suffice."""
+    # `1 - (1 + D)^{-1}` as a product (band, term), (term, band), of as few terms as suffice
     residual = np.eye(len(matrix)) - inverse_of(matrix, STRAY)
     left, size, right = np.linalg.svd(residual)
     for term in range(len(size) + 1):
@@ -142,14 +139,13 @@ def _terms(matrix: Floats) -> tuple[Array, Array]:
 
 
 def _filled(values: Array, axis: int) -> Array:
-    """Return float32 values padded with zeros to a multiple of four along an axis."""
     pad = [(0, 0)] * values.ndim
     pad[axis] = (0, -values.shape[axis] % _PAD)
     return np.ascontiguousarray(np.pad(values, pad), np.float32)
 
 
-def _stand_ins(bad: Bools, masked: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return column, band and replacement band of every bad element (n, 3); -1 without a replacement."""
+def _stand_ins(bad: Bools, masked: Ints) -> Ints:
+    # Column, band and replacement band of every bad element (n, 3); -1 without a replacement
     lit = ~bad
     dark = np.zeros(bad.shape, bool)
     dark[tuple(masked.T)] = True
@@ -162,10 +158,8 @@ def _stand_ins(bad: Bools, masked: npt.NDArray[np.int64]) -> npt.NDArray[np.int6
 
 
 def _levels(gain: Array) -> Array:
-    """Return gains relative to their trend along the columns (band, column) [1].
-
-    The trend, a parabola, belongs to the smile, and so to the light.
-    """
+    # Gains relative to their trend along the columns (band, column) [1].
+    # The trend, a parabola, belongs to the smile, and so to the light.
     place = np.linspace(-1.0, 1.0, gain.shape[1])
     terms = np.stack([np.ones_like(place), place, place * place], axis=1)
     level = np.ones(gain.shape)

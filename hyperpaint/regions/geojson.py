@@ -230,7 +230,6 @@ def _collection(document: Any, subject: str) -> Regions:
 
 
 def _features(document: Any, problems: Problems) -> list[Any]:
-    """Return the features of a collection, or a single Feature as a list."""
     kind = document.get("type") if isinstance(document, Mapping) else None
     if kind == "Feature":
         return [document]

@@ -245,7 +245,7 @@ class Regions(Sequence[Region]):
 
 
 def _drawn(region: Region, coordinates: str) -> str:
-    """Return a region as HTML: its outline, filled with its property ``colour``, its name and flight line."""
+    # A region as HTML: its outline, filled with its property `colour`, its name and flight line
     rings = [np.asarray(ring, np.float64) for ring in (region.polygon, *region.holes)]
     low, high = rings[0].min(axis=0), rings[0].max(axis=0)
     scale = 20.0 / max((high - low).max(), 1e-12)

@@ -183,7 +183,6 @@ def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
 
 
 def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
-    """Return the number of the flight line of each region."""
     problems = Problems("pixels of regions cannot be found in this map of several flight lines", SchemaError)
     for region in regions:
         if region.flightline.replace(" ", "_") not in names:
@@ -248,10 +247,8 @@ def _by_place(
     shape: tuple[int, int],
     of_lines: tuple[xr.DataArray, Sequence[int]] | None = None,
 ) -> list[Pixels]:
-    """Return the pixels of every region by their coordinates, in blocks of lines.
-
-    ``of_lines``: in a map of several flight lines, the flight line of each cell, and of each region.
-    """
+    # Pixels of every region by their coordinates, in blocks of lines.
+    # `of_lines`: in a map of several flight lines, the flight line of each cell, and of each region.
     if x.dims == (CROSS_TRACK,) and y.dims == (ALONG_TRACK,):
         return [_on_axes(region, x.values.astype(float), y.values.astype(float)) for region in regions]
     parts: list[list[Pixels]] = [[] for _ in regions]
@@ -273,7 +270,7 @@ def _by_place(
 
 
 def _on_axes(region: Region, x: Floats, y: Floats) -> Pixels:
-    """Return the cells of a map with north up; only cells in the box around the region are tested."""
+    # Cells of a map with north up; only cells in the box around the region are tested
     low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
     across, along = (np.flatnonzero((axis >= low[k]) & (axis <= high[k])) for k, axis in enumerate((x, y)))
     parts = []
@@ -294,7 +291,7 @@ def _inside(region: Region, x: Floats, y: Floats) -> Bools:
 
 
 def _values(part: xr.DataArray, lines: int, columns: int) -> Floats:
-    """Return a coordinate of a block of lines, line by line (pixel,)."""
+    # A coordinate of a block of lines, line by line (pixel,)
     values = part.transpose(ALONG_TRACK, CROSS_TRACK, missing_dims="ignore").values.astype(np.float64)
     if part.dims == (ALONG_TRACK,):
         values = values[:, None]
@@ -318,7 +315,7 @@ def _joined(parts: Sequence[Pixels]) -> Pixels:
 
 
 def _moved(regions: Regions, crs: str) -> Regions:
-    """Return regions transformed to another reference system; edges between the new corners are straight."""
+    # Regions transformed to another reference system; edges between the new corners are straight
     # in GeoJSON longitude comes first, whatever the system's own order
     source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)
 
@@ -336,10 +333,8 @@ def _moved(regions: Regions, crs: str) -> Regions:
 
 
 def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray, str | None]:
-    """Return x and y of every pixel on the ground, and the reference system to transform regions to.
-
-    This system is None where the line has places in the regions' own.
-    """
+    # X and y of every pixel on the ground, and the reference system to transform regions to.
+    # This system is None where the line has places in the regions' own.
     there = {pair: _crs_of(line, pair) for pair in _GROUND if _is_place(line, pair)}
     if not there:
         raise SchemaError(
@@ -390,7 +385,7 @@ def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
 
 
 def _normal(crs: str) -> str:
-    """Return a unique spelling of a reference system's name; in GeoJSON longitude always comes first."""
+    # A unique spelling of a reference system's name; in GeoJSON longitude always comes first
     text = crs.strip()
     if text.lower().startswith("urn:ogc:def:crs:"):
         parts = text.split(":")

@@ -52,8 +52,7 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     [True, True, False]
     """
     low, high = polygon.min(axis=0), polygon.max(axis=0)
-    boxed = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-    near = np.flatnonzero(boxed)
+    near = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
     # an edge then meets one run of points only
     near = near[np.argsort(y[near], kind="stable")]
     near_x, near_y = x[near], y[near]
@@ -81,15 +80,14 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
 
 
 def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
-    """Return the first point beside every edge, and the one after the last (edge,); y ascends."""
+    # First point beside every edge, and the one after the last (edge,); y ascends
     closed = np.concatenate([ring, ring[:1]])[:, 1]
     first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
-    last = np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
-    return first, last
+    return first, np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
 
 
 def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tuple[Bools, Bools]:
-    """Return which points a ring winds around an odd number of times, and which lie on it; y ascends."""
+    # Which points a ring winds around an odd number of times, and which lie on it; y ascends
     within = np.zeros(x.size, bool)
     edge = np.zeros(x.size, bool)
     closed = np.concatenate([ring, ring[:1]])
@@ -101,13 +99,12 @@ def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tupl
         edge[run] |= (side == 0) & (x[run] >= low[k, 0]) & (x[run] <= high[k, 0])
         # a ray to the right crosses an edge that has the point on its inner side; a corner counts once
         rises = (start[1] <= y[run]) & (y[run] < stop[1]) & (side > 0)
-        falls = (stop[1] <= y[run]) & (y[run] < start[1]) & (side < 0)
-        within[run] ^= rises | falls
+        within[run] ^= rises | (stop[1] <= y[run]) & (y[run] < start[1]) & (side < 0)
     return within, edge
 
 
 def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.int8]:
-    """Return 1 for points left of a directed edge, -1 right of it, 0 on its line."""
+    # 1 for points left of a directed edge, -1 right of it, 0 on its line
     along_x, along_y = stop[0] - start[0], stop[1] - start[1]
     off_x, off_y = x - start[0], y - start[1]
     left, right = along_x * off_y, along_y * off_x

@@ -109,7 +109,7 @@ def _only(path: Path, layers: list[str]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a property as a JSON value; NaN becomes None."""
+    # A property as a JSON value; NaN becomes None
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float) and value != value:
         return None

@@ -157,10 +157,8 @@ def correct_coat(
 def _shares(
     split: LightSplit, incidence: float, view: float, coat: tuple[float, float, float]
 ) -> tuple[xr.DataArray, xr.DataArray, xr.DataArray]:
-    """Return C, its standard uncertainty and that of the mirrored sky, on the dims of the split.
-
-    ``coat``: index, its uncertainty, uncertainty of the lean [degree].
-    """
+    # C, its standard uncertainty and that of the mirrored sky, on the dims of the split.
+    # `coat`: index, its uncertainty, uncertainty of the lean [degree].
     index, index_u, lean_u = coat
 
     def share(fraction: Any, n: float, angle: float) -> Any:
@@ -183,8 +181,6 @@ def _shares(
 
 
 def _sky(split: LightSplit, sun_zenith: float, index: float) -> Any:
-    """Return the share of the sky's light that the coat reflects, on the dims of the split."""
-
     def of(zenith: float | None, cloud: float) -> xr.DataArray:
         return xr.DataArray(sky_reflectance(split.wavelength, zenith, cloud, index), dims=BAND)
 
@@ -200,7 +196,7 @@ def _of_paints(
     light: tuple[Any, float | None, str | None],
     view_zenith: float | None,
 ) -> tuple[xr.DataArray, ...]:
-    """Return `_shares` (signature, band), each paint under its sun; ``light``: arguments of `split_of`."""
+    # `_shares` (signature, band), each paint under its sun; `light`: arguments of `split_of`
     diffuse, sun_zenith, sky = light
     wanted = (
         "wavelength",

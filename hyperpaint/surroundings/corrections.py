@@ -115,8 +115,7 @@ def remove_mirrored_sky(
     _check(line, CORRECTIONS, numbers)
     line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
-    above = sky_above(split)
-    taken = (strength * sky_view_factor * split.fraction * above).astype(np.float32)
+    taken = (strength * sky_view_factor * split.fraction * sky_above(split)).astype(np.float32)
     text = (
         f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({split.source}) "
         f"x zenith of a sky ({split.sky})"
@@ -244,7 +243,7 @@ def _check(
 
 @contextlib.contextmanager
 def _same_pixels() -> Iterator[None]:
-    """Raise for arrays with other lines or columns than the line; xarray would cut to the common ones."""
+    # xarray would cut arrays of other pixels to the common ones
     try:
         with xr.set_options(arithmetic_join="exact"):
             yield

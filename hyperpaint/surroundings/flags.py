@@ -188,11 +188,10 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
 def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]) -> xr.Dataset:
     data = line_chunked(cube).data
     starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
-    shared = dask.delayed(model, traverse=False, pure=False)
     blocks = da.map_blocks(
         _flag_block,
         data,
-        shared,
+        dask.delayed(model, traverse=False, pure=False),
         starts=starts,
         limits=limits,
         dtype=object,
@@ -287,7 +286,6 @@ def _flag_block(
 
 
 def _shaded(missing: Array, model: SceneModel, lines: slice, limit: float) -> Bools:
-    """Return the pixels of some lines in a cast shadow, from the missing direct light."""
     segment = model.segment[lines]
     on_ground = np.append(model.ground > 0, False)[segment]
     near = on_ground & (model.shade_distance[lines] <= FLAGS.penumbra_px)

@@ -56,7 +56,7 @@ def median_spectra(channels: Floats32, places: list[Ints]) -> Floats:
 
 
 def _median(values: Floats) -> Floats:
-    """Return the median of the finite values of every column; NaN without any."""
+    # Median of the finite values of every column; NaN without any
     if not np.isnan(values).any():
         return np.asarray(np.median(values, axis=0))
     median = np.full(values.shape[1], np.nan)
@@ -124,8 +124,8 @@ def match_segments(
 
     Takes ``spectrum`` (segment, channel): reflectance [1]; ``size`` (segment,): pixels; ``pairs``: touching
     segments; ``light``: parts of the irradiance; ``shade``: segments in shadow, from
-    `hyperpaint.surroundings.shadows.match_shade`; ``step`` (pair,): mean difference of neighbouring pixels on
-    the two sides of a border [1]; ``zenith``: of the sun [degree]; NaN where unknown.
+    `hyperpaint.surroundings.surveying.match_shade`; ``step`` (pair,): mean difference of neighbouring
+    pixels on the two sides of a border [1]; ``zenith``: of the sun [degree]; NaN where unknown.
     """
     most = GLINT.max_tilt / max(np.cos(np.radians(np.nan_to_num(zenith, nan=45.0))), 0.2)
     # a mirror image fades out, a body has an edge
@@ -148,7 +148,7 @@ def _match_glint(
     body: Array,
     most: float,
 ) -> bool:
-    """Match segments to bodies under the mirror image of the sun; return whether any matched."""
+    # Match segments to bodies under the mirror image of the sun; return whether any matched
     # the segments that are not matched yet, each with the bodies near it
     lit = state[near[1]] != SHADED
     segment, body_near = near[0][lit], body[near[1][lit]].astype(np.int64)
@@ -176,7 +176,7 @@ def _match_glint(
 
 
 def _assign(one: Ints, other: Ints, misfit: Floats, state: Array, body: Array) -> bool:
-    """Assign the best fitting bodies to segments and the segments on these; return whether any changed."""
+    # Assign the best fitting bodies to segments and the segments on these; return whether any changed
     any_assigned = False
     for place in np.argsort(misfit, kind="stable"):
         segment, parent = one[place], other[place]
@@ -188,7 +188,7 @@ def _assign(one: Ints, other: Ints, misfit: Floats, state: Array, body: Array) -
 
 
 def _could_be_shade(spectrum: Floats, one: Ints, other: Ints, light: Light) -> Bools:
-    """Return whether ``one`` looks like ``other`` in shadow, pair by pair."""
+    # Whether `one` looks like `other` in shadow, pair by pair
     amount, misfit, _ = unmix_spectra(
         spectrum[one], other, np.nan_to_num(spectrum), light, GLINT.shade_tolerance, _AS_SHADE
     )

@@ -187,8 +187,7 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
     zenith = sun_zenith_of(line, sun_zenith)
     if diffuse is None:
         warnings.warn(PaintWarning(CLEAR_SKY_ASSUMED, code="clear-sky-assumed"), stacklevel=3)
-    values = diffuse_from_clear_sky(diffuse or "model", wavelength, zenith)
-    fraction = xr.DataArray(values, dims=BAND)
+    fraction = xr.DataArray(diffuse_from_clear_sky(diffuse or "model", wavelength, zenith), dims=BAND)
     source = f"{diffuse or 'model'}, sun zenith {zenith:.4g} degree"
     name = sky or "clear"
     spread = MODEL_U * fraction * (1.0 - fraction)
@@ -210,7 +209,7 @@ def warn_of_contradiction(states: Any, zenith: float) -> None:
 
 
 def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
-    """Return the declared split of a line, or the split from its record; None without either."""
+    # Declared split of a line, or the split from its record; None without either
     if SIGNATURE in line.dims or ALONG_TRACK not in line.dims:
         # small for paints; without any finite value there is no split
         declared = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
@@ -219,19 +218,20 @@ def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
             if declared is not None and BAND in declared.dims and np.isfinite(declared).any()
             else None
         )
-    if sun_zenith is not None and set(SUN_FROM) <= set(line.variables):
-        clock = sun_zenith_of(line, None)
-        if abs(clock - sun_zenith) > MAX_CLOCK_DEG:
-            anew = split_of_lines(line, sun_zenith=float(sun_zenith))
-            if anew is not None:
-                return anew
+    if (
+        sun_zenith is not None
+        and set(SUN_FROM) <= set(line.variables)
+        and abs(sun_zenith_of(line, None) - sun_zenith) > MAX_CLOCK_DEG
+        and (anew := split_of_lines(line, sun_zenith=float(sun_zenith))) is not None
+    ):
+        return anew
     if "diffuse_fraction" in line.variables and BAND in line["diffuse_fraction"].dims:
         return _held(line)
     return split_of_lines(line)
 
 
 def _held(line: xr.Dataset) -> xr.Dataset:
-    """Return the split declared by a line or a library; raise where it belongs to samples of the record."""
+    # Split declared by a line or a library; raise where it belongs to samples of the record
     dims = line["diffuse_fraction"].dims
     if not set(dims) <= {ALONG_TRACK, SIGNATURE, BAND}:
         raise SchemaError(

@@ -89,14 +89,12 @@ def mirror_lobes(picture: Picture) -> npt.NDArray[np.uint8]:
     for spot, window in spots:
         rim = _distance(spot) < 1.5
         rim &= ~spot & ~picture.saturated[window] & (picture.body[window] >= 0)
-        enclosed = rim.any() and lobe[window][rim].mean() > LOBES.min_rim
-        if enclosed or lobe[window][spot].any():
+        if (rim.any() and lobe[window][rim].mean() > LOBES.min_rim) or lobe[window][spot].any():
             layer[window][spot] = SATURATED_IN_LOBE
     return layer
 
 
 def _components(chosen: Bools, pad: int = 2) -> Iterator[tuple[Bools, tuple[slice, slice]]]:
-    """Yield each connected piece of a mask, in a window with some pixels around it."""
     from scipy.ndimage import find_objects, label
 
     pieces, _ = label(chosen, np.ones((3, 3)))
@@ -114,7 +112,6 @@ def padded(window: tuple[slice, ...], pad: int) -> tuple[slice, slice]:
 def _placed(
     core: Bools, window: tuple[slice, slice], wide: tuple[slice, slice], shape: tuple[int, ...]
 ) -> Bools:
-    """Return the mask of a core in a wider window of the given shape."""
     inside = np.zeros(shape, bool)
     top, left = (part.start - other.start for part, other in zip(window, wide, strict=True))
     inside[top : top + core.shape[0], left : left + core.shape[1]] = core
@@ -122,19 +119,19 @@ def _placed(
 
 
 def _distance(chosen: Bools) -> Floats:
-    """Return the distance of every pixel from a chosen one [pixel]."""
+    # Distance of every pixel from a chosen one [pixel]
     from scipy.ndimage import distance_transform_edt
 
     return np.asarray(distance_transform_edt(~chosen))
 
 
 def _half_width(core: Bools) -> float:
-    """Return the largest distance of a core's pixels from its outside [pixel]."""
+    # Largest distance of a core's pixels from its outside [pixel]
     return float(_distance(~np.pad(core, 1)).max())
 
 
 def _sharp(level: Floats, on_coat: Bools) -> Bools:
-    """Return the pixels that stand out from evenly bright surroundings (line, column)."""
+    # Pixels that stand out from evenly bright surroundings (line, column)
     is_sharp = np.zeros(level.shape, bool)
     lines, columns = level.shape
     for first in range(0, lines, _LINES):
@@ -165,14 +162,13 @@ def _sharp(level: Floats, on_coat: Bools) -> Bools:
 def _add_sharp(
     picture: Picture, level: Floats, core: Bools, window: tuple[slice, slice], lobe: Bools
 ) -> None:
-    """Set the pixels of ``lobe`` that belong to a sharp core, if it mirrors the sun."""
+    # Set the pixels of `lobe` that belong to a sharp core, if it mirrors the sun
     from scipy.ndimage import label
 
     reach = LOBES.halo_px + LOBES.sharp_halo * _half_width(core)
     if reach > LOBES.max_sharp_px:
         return
-    pad = int(np.ceil(reach)) + LOBES.around_px
-    wide = padded(window, pad)
+    wide = padded(window, int(np.ceil(reach)) + LOBES.around_px)
     seen, body = level[wide], picture.body[wide]
     core = _placed(core, window, wide, seen.shape)
     far = _distance(core)
@@ -201,7 +197,6 @@ def _add_sharp(
 
 
 def _body_around(body: npt.NDArray[np.int32], ring: Bools) -> int:
-    """Return the body of most pixels of a ring, -1 without a majority."""
     numbers, count = np.unique(body[ring & (body >= 0)], return_counts=True)
     if count.sum() < LOBES.min_ring_px or count.max() < LOBES.min_ring_share * count.sum():
         return -1
@@ -209,10 +204,8 @@ def _body_around(body: npt.NDArray[np.int32], ring: Bools) -> int:
 
 
 def _broad(seen: Floats, surface: Bools, start: Bools, scale: float) -> tuple[Floats, float] | None:
-    """Return the brightness of a body part without a lobe (line, column), and its relative spread.
-
-    A surface of second order through the logarithm; brighter pixels are left out iteratively.
-    """
+    # Brightness of a body part without a lobe (line, column), and its relative spread.
+    # A surface of second order through the logarithm; brighter pixels are left out iteratively.
     y, x = np.nonzero(surface)
     if y.size < LOBES.min_ring_px:
         return None
@@ -239,13 +232,13 @@ def _broad(seen: Floats, surface: Bools, start: Bools, scale: float) -> tuple[Fl
 
 
 def _distinct(picture: Picture) -> Bools:
-    """Return the bodies on which a wide lobe can be distinguished from flakes (segment,)."""
+    # Bodies on which a wide lobe can be distinguished from flakes (segment,)
     black = np.nan_to_num(picture.reference).mean(axis=1) < LOBES.max_black
     return np.asarray((picture.coloured | black) & ~picture.ground)
 
 
 def _glint(picture: Picture, where: Bools, window: tuple[slice, slice]) -> Floats:
-    """Return the mirrored sun in some pixels of a window, 0 elsewhere (line, column) [1]."""
+    # Mirrored sun in some pixels of a window, 0 elsewhere (line, column) [1]
     glint = np.zeros(where.shape)
     body: Ints = picture.body[window][where].astype(np.int64)
     seen = picture.channels[window][where].astype(np.float64)
@@ -257,7 +250,7 @@ def _glint(picture: Picture, where: Bools, window: tuple[slice, slice]) -> Float
 
 
 def _wide(picture: Picture, level: Floats, on_coat: Bools) -> Bools:
-    """Return the pixels where the mirrored sun is as bright as a white surface (line, column)."""
+    # Pixels where the mirrored sun is as bright as a white surface (line, column)
     distinct = np.append(_distinct(picture), False)
     wide = np.zeros(level.shape, bool)
     for part, here in line_parts(level):

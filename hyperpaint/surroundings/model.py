@@ -40,7 +40,7 @@ def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, place
 
 
 def _first_two(cells: Index, body: Index, paint: Index, number: Index) -> Index:
-    """Return the first two bodies of other paint among the segments nearest to pixels (..., rank)."""
+    # First two bodies of other paint among the segments nearest to pixels (..., rank)
     bodies = np.append(body, np.int32(-1))
     paints = np.append(paint, np.int32(-2))
     own_paint = paints[number]
@@ -97,7 +97,7 @@ _DEFAULTS = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground
 
 
 def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
-    """Return whether values are numbers that a dtype can hold, before a cast would wrap others around."""
+    # checked before a cast wraps others around
     if values.dtype.kind not in "iufb":
         return False
     if dtype.kind == "f" or not values.size:
@@ -108,7 +108,6 @@ def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
 
 
 def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: Problems) -> None:
-    """Note fields with references outside the model, or values out of range."""
     count, channels = sizes.get("segment_number", 0), sizes.get("channel", 0)
     for name in ("segment", "neighbour", "body", "paint"):
         numbers = fields.get(name, np.empty(0))
@@ -242,8 +241,7 @@ class SceneModel:
 
     def bodies(self, start: int, stop: int) -> npt.NDArray[np.int32]:
         """Return the body of the pixels of some lines, (line, column); -1 without data."""
-        segment = self.segment[start:stop]
-        return np.append(self.body, np.int32(-1))[segment]
+        return np.append(self.body, np.int32(-1))[self.segment[start:stop]]
 
     def neighbours(self, start: int, stop: int) -> npt.NDArray[np.int32]:
         """Return `two_nearest` of the pixels of some lines (line, column, 2); -1 for none."""

@@ -85,7 +85,7 @@ _PARTS = 8
 
 
 def _sorted_steps(steps: Floats32, counts: Ints) -> Iterator[tuple[Array, Array]]:
-    """Yield places and sizes of the finite steps (line, column, way), ascending, in parts."""
+    # Yield places and sizes of the finite steps (line, column, way), ascending, in parts
     from hyperpaint.kernels.segmentation import pick_steps, sort_steps
 
     total = np.concatenate([[0], np.cumsum(counts)])

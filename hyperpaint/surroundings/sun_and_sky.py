@@ -76,7 +76,7 @@ def shadow_side_of(line: xr.Dataset, sun_azimuth: float | None, heading: float |
 
 
 def _mean_angle(degrees: Any) -> float | None:
-    """Return the mean direction [degree]; None without finite values."""
+    # Mean direction [degree]; None without finite values
     angles = np.radians(np.asarray(degrees, np.float64)[np.isfinite(degrees)])
     if not angles.size:
         return None
@@ -106,8 +106,7 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
         dayofyear=172,
     )
     direct = spectra["poa_global"] - spectra["poa_sky_diffuse"] - spectra["poa_ground_diffuse"]
-    whole = np.ravel(spectra["poa_global"])
-    share = 1.0 - np.ravel(direct) / whole
+    share = 1.0 - np.ravel(direct) / np.ravel(spectra["poa_global"])
     return np.interp(wavelength, np.ravel(spectra["wavelength"]), share)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.calibration.fringes import FRINGES, Between, error_between_lines
+from hyperpaint.calibration.calibration_dataset import FRINGES, Between, error_between_lines
 from hyperpaint.calibration.responsivity import interpolate_nodes
 from hyperpaint.simulation import simulate_sweep
 

@@ -88,12 +88,16 @@ def judge_real(data: Path) -> dict[str, list[str]]:
     from hyperpaint.base.errors import PaintWarning
     from hyperpaint.io.envi.envi_cubes import open_envi
     from hyperpaint.io.navigation.navigation_opening import open_navigation
-    from hyperpaint.plausibility.cube_sample import sample_cube
-    from hyperpaint.plausibility.plausible_bands import judge_bands
-    from hyperpaint.plausibility.plausible_dark import judge_dark, judge_dark_frames
-    from hyperpaint.plausibility.plausible_frames import judge_doubles
-    from hyperpaint.plausibility.plausible_layout import judge_layout
-    from hyperpaint.plausibility.plausible_record import judge_irradiance, judge_navigation
+    from hyperpaint.plausibility.line_judging import (
+        judge_bands,
+        judge_dark,
+        judge_dark_frames,
+        judge_doubles,
+        judge_irradiance,
+        judge_layout,
+        judge_navigation,
+        sample_cube,
+    )
 
     said: dict[str, list[str]] = {}
 

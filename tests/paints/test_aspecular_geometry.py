@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.paints.signatures.aspecular_geometry import aspecular_angle, flop_of, lean_range
+from hyperpaint.paints.signatures.extraction import aspecular_angle, flop_of, lean_range
 from hyperpaint.regions import Region, Regions
 from hyperpaint.simulation import simulate_line
 from hyperpaint.simulation.rendering.appearance import flakes_of_flop, reflectance_factor

@@ -14,8 +14,7 @@ from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS, Finding
-from hyperpaint.plausibility.line_judging import _dark_of
-from hyperpaint.plausibility.plausible_record import judge_irradiance, judge_navigation
+from hyperpaint.plausibility.line_judging import _dark_of, judge_irradiance, judge_navigation
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.collect_check import check_collect
 from hyperpaint.workflows.pipeline import process

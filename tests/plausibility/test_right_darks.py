@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hyperpaint.plausibility.cube_sample import CubeSample
-from hyperpaint.plausibility.plausible_dark import judge_dark
+from hyperpaint.plausibility.line_judging import CubeSample, judge_dark
 
 NM = np.linspace(400.0, 1000.0, 60)
 RNG = np.random.default_rng(18)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.plausibility.plausible_bands import judge_bands
+from hyperpaint.plausibility.line_judging import judge_bands
 
 FINE = np.arange(350.0, 1100.0, 0.5)
 DAYLIGHT = sum(ClearSky(45.0).irradiance(FINE))

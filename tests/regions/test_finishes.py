@@ -10,8 +10,15 @@ import pytest
 
 import hyperpaint as hp
 from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece
-from hyperpaint.regions.proposals.finishes import Difference, difference_of, judge_finish
-from hyperpaint.regions.proposals.judging import Level, Verdict, change_with_lean, direct_share
+from hyperpaint.regions.proposals.cars import (
+    Difference,
+    Level,
+    Verdict,
+    change_with_lean,
+    difference_of,
+    direct_share,
+    judge_finish,
+)
 from hyperpaint.surroundings import SceneModel
 
 Floats = npt.NDArray[np.float64]

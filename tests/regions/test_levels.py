@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from hyperpaint.regions.proposals.cars import Levelled, Place, level_light, level_place
 from hyperpaint.regions.proposals.footprints import Footprint
-from hyperpaint.regions.proposals.levels import Levelled, Place, level_light, level_place
 from hyperpaint.regions.proposals.roofs import Roof
 
 Floats = npt.NDArray[np.float64]

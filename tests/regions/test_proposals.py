@@ -19,8 +19,8 @@ from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.proposals.candidates import Measures, Picture
+from hyperpaint.regions.proposals.cars import Level, Verdict, judge_level
 from hyperpaint.regions.proposals.footprints import hull_of
-from hyperpaint.regions.proposals.judging import Level, Verdict, judge_level
 from hyperpaint.regions.proposals.leans import lean_to_sun
 from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.surroundings.corrections import remove_mirrored_sky

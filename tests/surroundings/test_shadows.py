@@ -11,8 +11,8 @@ from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings.full_light import Light, senders_of, solve
 from hyperpaint.surroundings.model import LIT, SHADED
 from hyperpaint.surroundings.segments import Segments, distance_to, edge_distance, touching
-from hyperpaint.surroundings.shadows import match_shade, of_shadows, shaded_pixels
 from hyperpaint.surroundings.sun_and_sky import mirrored_radiances
+from hyperpaint.surroundings.surveying import match_shade, of_shadows, shaded_pixels
 
 NM = np.linspace(412.0, 988.0, 24)
 DIFFUSE = diffuse_fraction(NM, 40.0)

@@ -14,7 +14,6 @@ import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
-from hyperpaint.surroundings.bodies import coloured, nearest_coloured
 from hyperpaint.surroundings.full_light import Light, Matches
 from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
 from hyperpaint.surroundings.segments import divide, touching
@@ -22,6 +21,8 @@ from hyperpaint.surroundings.sun_and_sky import measured_fraction, mirrored_radi
 from hyperpaint.surroundings.surveying import (
     channel_noise,
     channel_numbers,
+    coloured,
+    nearest_coloured,
     to_nominal_channels,
     without_unknown,
 )

@@ -3,7 +3,6 @@
 Reflectance and a paint library come in, detections go out. For pictures, the accessor and the command line.
 """
 
-from .detecting import detect
-from .region_detections import detected_regions
+from .detecting import detect, detected_regions
 
 __all__ = ["detect", "detected_regions"]

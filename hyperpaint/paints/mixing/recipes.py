@@ -219,7 +219,7 @@ def shade_paints(
 
 
 def _averaged(weights: Floats, values: Floats) -> Floats:
-    """Return weighted sums (new, ..., band) of (signature, ..., band); NaN of weight 0 counts as 0."""
+    # Weighted sums (new, ..., band) of (signature, ..., band); NaN of weight 0 counts as 0
     sums = np.zeros((len(weights), *values.shape[1:]))
     for row, shares in zip(sums, weights, strict=True):
         for number in np.flatnonzero(shares):
@@ -233,7 +233,7 @@ def _require(library: xr.Dataset) -> None:
 
 
 def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:
-    """Return the spectra to mix by variable, float64 [1]; of all paints where ``parents`` is None."""
+    # Spectra to mix by variable, float64 [1]; of all paints where `parents` is None
     if parents is not None:
         names = [str(name) for name in library[SIGNATURE].values]
         library = library.isel({SIGNATURE: [names.index(name) for name in parents]})
@@ -251,7 +251,6 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
 
 
 def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
-    """Return spectra without trailing members that no paint has."""
     if MEMBERS not in values:
         return values
     most = int(np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1).max(initial=0))
@@ -260,11 +259,9 @@ def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
 
 
 def _warn_of_unpaired(taken: Bools, members: Floats) -> None:
-    """Warn of members without a partner among the other parents.
-
-    Takes ``taken``: whether a paint has a parent (new, parent); ``members``: of the parents (parent, member,
-    band).
-    """
+    # Warn of members without a partner among the other parents.
+    # Takes `taken`: whether a paint has a parent (new, parent); `members`: of the parents (parent, member,
+    # band).
     counts = np.isfinite(members).any(axis=2).sum(axis=1)
     alone = np.array([int((counts[has_parent] - counts[has_parent].min()).sum()) for has_parent in taken])
     if alone.any():
@@ -281,7 +278,6 @@ def _checked(
     method: str,
     scattering: Mapping[str, float] | None,
 ) -> dict[str, dict[str, float]]:
-    """Return the shares of every recipe by name of paint and parent, normalised to 1."""
     _require(library)
     problems = Problems("paints cannot be mixed", SchemaError)
     paint_names = [str(name) for name in library[SIGNATURE].values]
@@ -319,7 +315,6 @@ def _checked(
 
 
 def _check_name(name: str, subject: str, paint_names: list[str], problems: Problems) -> None:
-    """Note a name that no paint has, or several."""
     count = paint_names.count(name)
     if count > 1:
         problems.add(

@@ -109,7 +109,7 @@ def synthetic_library(
 
 
 def _spread(members: Array) -> dict[str, Array]:
-    """Return standard deviation and quantiles of members (signature, member, band); NaN where undefined."""
+    # Standard deviation and quantiles of members (signature, member, band); NaN where undefined
     # one paint after the other: a copy of all members would double the memory
     spreads = [_spread_of_paint(paint[np.isfinite(paint).any(axis=1)]) for paint in members]
     return {
@@ -119,7 +119,7 @@ def _spread(members: Array) -> dict[str, Array]:
 
 
 def _spread_of_paint(members: Array) -> tuple[Array, Array]:
-    """Return standard deviation (band,) and quantiles (quantile, band) of members, band by band."""
+    # Standard deviation (band,) and quantiles (quantile, band) of members, band by band
     finite_count = np.isfinite(members).sum(axis=0)
     sd = np.full(finite_count.size, np.nan)
     quantiles = np.full((len(QUANTILES), finite_count.size), np.nan)
@@ -283,8 +283,7 @@ def draw_variants(
     moved = rng.standard_normal((count, len(spread))) * (spread / np.sqrt(size)) @ components
     chosen = logit[rng.integers(size, size=count)] - mean
     # the covariance of the members is divided by their number less one
-    scale = np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2))
-    varied = mean + scale * (chosen + bandwidth * moved)
+    varied = mean + np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2)) * (chosen + bandwidth * moved)
     share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
     variants = share * (1.0 + below + above) - below
     # near its ends a logit has longer tails than the measured values
@@ -296,7 +295,7 @@ def draw_variants(
 
 
 def _whole(spectra: Floats) -> tuple[Bools, Floats]:
-    """Return the bands that most members have (band,), and the members with values in all of these."""
+    # Bands that most members have (band,), and the members with values in all of these
     is_finite = np.isfinite(spectra)
     is_finite = is_finite[is_finite.any(axis=1)]
     spectra = spectra[np.isfinite(spectra).any(axis=1)]
@@ -306,8 +305,7 @@ def _whole(spectra: Floats) -> tuple[Bools, Floats]:
 
 def _library(library: xr.Dataset, drawn: Floats32, form: str, seed: int) -> xr.Dataset:
     count = drawn.shape[1]
-    repeats = 1 if form == "members" else count
-    which = np.repeat(np.arange(library.sizes[SIGNATURE]), repeats)
+    which = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
     parents = [str(library[SIGNATURE].values[number]) for number in which]
     if form == "members":
         names = [f"{name} (synthetic)" for name in parents]

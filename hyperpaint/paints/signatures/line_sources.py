@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -13,13 +14,13 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import MissingExtraError, PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
 from hyperpaint.geometry.georeference.cameras import directions
-from hyperpaint.geometry.georeference.geodesy import meridian_convergence
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, meridian_convergence
 from hyperpaint.light.diffuse_record import SPLIT
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import (
@@ -32,11 +33,109 @@ from hyperpaint.radiometry.spectral_axis import (
 from hyperpaint.radiometry.uncertainty.error_sources import LineErrors, line_errors
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
-from hyperpaint.regions.pixels_in_regions import lines_of_cells, located_for
+from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky
 from hyperpaint.surroundings.light_split import says_its_split, split_of, warn_of_contradiction
 
-from .map_cells import middle_of_map
+# -- Cells of a map as pixels of the flight line that they show.
+# Nearest resampling repeats some pixels and leaves others out; statistics count every pixel once.
+
+_PLACES = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
+
+
+class Shown(NamedTuple):
+    """Pixels of a region: their cells, and their positions in the flight line."""
+
+    cells: Pixels
+    pixels: Pixels
+    #: (pixel,): number of the flight line; of a map of several alone
+    lines: Ints | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of pixels."""
+        return int(self.cells[0].size)
+
+
+def shown_pixels(line: xr.Dataset, places: Sequence[Pixels]) -> list[Shown]:
+    """Return the pixels in regions, each once, from the cells of a map that lie in them (eager).
+
+    ``line`` is a flight line or a map, its dims named by role; ``places`` are positions in it, by region. A
+    pixel shown by several cells belongs to the region of the cell nearest to its centre, and is read there.
+    Empty cells are no pixels. Positions in a flight line, or in a map without indices of its pixels, are
+    returned unchanged.
+    """
+    if not set(_PLACES) <= set(line.variables):
+        return [Shown(place, place) for place in places]
+    # largest distance of the cell nearest to the centre of a pixel
+    attrs = {"spacing_across": 1.0, "spacing_along": 1.0, "gsd": 1.0, **line.attrs}
+    reach = 1 + math.ceil(max(attrs["spacing_across"], attrs["spacing_along"]) / attrs["gsd"])
+    windows = [_window(place, reach) for place in places]
+    names = [*_PLACES, *(["flightline"] if lines_of_cells(line) else [])]
+    planes = [line[name].reset_coords(drop=True).transpose(ALONG_TRACK, CROSS_TRACK) for name in names]
+    # computed together: cells shared by regions are read once
+    tables = dask.compute(*([plane.isel(window).data for plane in planes] for window in windows))
+    return [
+        _once(place, window, *table) for place, window, table in zip(places, windows, tables, strict=True)
+    ]
+
+
+def _window(place: Pixels, reach: int) -> dict[str, slice]:
+    if not place[0].size:
+        return {ALONG_TRACK: slice(0, 0), CROSS_TRACK: slice(0, 0)}
+    return {
+        dim: slice(max(0, int(axis.min()) - reach), int(axis.max()) + reach + 1)
+        for dim, axis in zip((ALONG_TRACK, CROSS_TRACK), place, strict=True)
+    }
+
+
+def _once(
+    place: Pixels,
+    window: dict[str, slice],
+    line: np.ndarray,
+    sample: np.ndarray,
+    at_line: np.ndarray,
+    at_sample: np.ndarray,
+    of_line: np.ndarray | None = None,
+) -> Shown:
+    # Every pixel once, from the cells of a window (row, col) that lie in a region.
+    # In a map of several flight lines, the same line and column are a different pixel of each flight line.
+    corner = window[ALONG_TRACK].start, window[CROSS_TRACK].start
+    inside = np.zeros(line.shape, bool)
+    inside[place[0] - corner[0], place[1] - corner[1]] = True
+    row, col = np.nonzero(line >= 0)
+    along, across = line[row, col].astype(np.int64), sample[row, col].astype(np.int64)
+    away = np.hypot(at_line[row, col] - along, at_sample[row, col] - across)
+    # pixels in the order of the flight line, of each the nearest cell first
+    keys = [across, along] if of_line is None else [across, along, of_line[row, col].astype(np.int64)]
+    order = np.lexsort((away, *keys))
+    pixel = np.stack([key[order] for key in keys])
+    first = np.r_[True, (np.diff(pixel, axis=1) != 0).any(axis=0)] if order.size else np.zeros(0, bool)
+    nearest = order[first]
+    nearest = nearest[inside[row[nearest], col[nearest]]]
+    cells = row[nearest] + corner[0], col[nearest] + corner[1]
+    return Shown(cells, (along[nearest], across[nearest]), None if of_line is None else keys[2][nearest])
+
+
+def middle_of_map(line: xr.Dataset) -> tuple[float, float] | None:
+    """Return latitude and longitude of the middle of a map [degree]; None for a flight line, or unknown."""
+    mapping = line["spatial_ref"].attrs if "spatial_ref" in line.variables else {}
+    axes = [line.variables.get(name) for name in ("x", "y")]
+    wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
+    if wkt is None or "GeoTransform" not in mapping:
+        return None
+    if all(axis is not None and axis.ndim == 1 for axis in axes):
+        middle = [float(np.mean(axis.values)) for axis in axes if axis is not None]
+    else:
+        a, b, c, d, e, f = map(float, str(mapping["GeoTransform"]).split())
+        col, row = line.sizes[CROSS_TRACK] / 2, line.sizes[ALONG_TRACK] / 2
+        middle = [a + b * col + c * row, d + e * col + f * row]
+    # only the position of the sun depends on it, which is then unknown
+    with contextlib.suppress(MissingExtraError, SchemaError):
+        ((longitude, latitude),) = between_maps(np.array([middle]), crs_of(wkt), "EPSG:4326").tolist()
+        return latitude, longitude
+    return None
+
 
 #: Variables of a line that turn its camera.
 ATTITUDE = ("roll", "pitch", "heading")
@@ -121,8 +220,7 @@ def mean_view(
     if not zenith.size:
         return np.nan, np.nan
     away = np.sin(np.radians(zenith))
-    turned = np.isfinite(azimuth) | (away < MIN_HORIZONTAL_PART)
-    if not turned.all():
+    if not (np.isfinite(azimuth) | (away < MIN_HORIZONTAL_PART)).all():
         return float(zenith.mean()), np.nan
     angle = np.radians(np.where(np.isfinite(azimuth), azimuth, 0.0))
     north, east = float((away * np.cos(angle)).mean()), float((away * np.sin(angle)).mean())
@@ -133,7 +231,7 @@ def mean_view(
 
 
 def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
-    """Return the angle convention of a line, in degrees; None where it is canonical or undeclared."""
+    # Angle convention of a line, in degrees; None where it is canonical or undeclared
     try:
         declared = Convention.from_attrs(line.attrs)
     except SchemaError as error:
@@ -147,10 +245,8 @@ def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
 
 
 def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> list[Floats]:
-    """Return roll (right wing down), pitch (nose up) and heading from true north (pixel,) [degree].
-
-    Headings are NaN where their reference north is unknown.
-    """
+    # Roll (right wing down), pitch (nose up) and heading from true north (pixel,) [degree].
+    # Headings are NaN where their reference north is unknown.
     roll, pitch = lines["roll"], lines["pitch"]
     heading = lines.get("heading", np.full(roll.shape, np.nan))
     if convention is None:
@@ -172,7 +268,7 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
 
 
 def _convergence(convention: Convention, lines: Mapping[str, Array]) -> Floats | None:
-    """Return grid north, east of true north (pixel,) [degree]; None where the map is unknown."""
+    # Grid north, east of true north (pixel,) [degree]; None where the map is unknown
     if convention.grid_crs is None:
         return None
     with contextlib.suppress(MissingExtraError, SchemaError):
@@ -188,10 +284,8 @@ def _from_attitude(
     pitch: Array,
     heading: Array,
 ) -> tuple[Floats, Floats]:
-    """Return zenith angle and azimuth of the direction to the camera [degree]; see `mean_view`.
-
-    ``look`` and ``along`` are angles of the line of sight in the camera's frame, across and along the track.
-    """
+    # Zenith angle and azimuth of the direction to the camera [degree]; see `mean_view`.
+    # `look` and `along` are angles of the line of sight in the camera's frame, across and along the track.
     if along is not None or any(boresight):
         sight = directions(look, np.zeros(look.shape) if along is None else along)
         level = np.zeros(roll.shape)
@@ -204,8 +298,7 @@ def _from_attitude(
     ahead, right = np.sin(tilt) * np.cos(side), np.sin(side)
     down = np.cos(tilt) * np.cos(side)
     zenith = np.degrees(np.arctan2(np.hypot(ahead, right), down))
-    azimuth = (np.degrees(np.arctan2(-right, -ahead)) + heading) % 360.0
-    return zenith, azimuth
+    return zenith, (np.degrees(np.arctan2(-right, -ahead)) + heading) % 360.0
 
 
 def relative_azimuth(first: float, second: float) -> float:
@@ -379,7 +472,7 @@ def source_of(
 def _light_of(
     line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, needed: bool
 ) -> SplitOfLines | None:
-    """Return the division of the light of each line, in memory; None where the line does not declare it."""
+    # Division of the light of each line, in memory; None where the line does not declare it
     if not needed and (diffuse is None and not says_its_split(line)):
         return None
     with warnings.catch_warnings():  # remove_mirrored_sky has warned already

@@ -84,19 +84,17 @@ def _share(progress: Progress, before: int, tasks: int) -> Progress:
 
 
 def _whole(array: xr.DataArray) -> Any:
-    """Return a lazy variable of one dim as one task, which shares its inputs with all others."""
     return dask.delayed(np.concatenate)(list(array.data.to_delayed(optimize_graph=False)))
 
 
 def _taken(blocks: list[Array], cubes: int, rows: Array, columns: Array, bands: slice) -> list[Array]:
-    """Return pixels of a block's cubes (pixel, band) and planes, and whether they have a value (pixel,)."""
+    # Pixels of a block's cubes (pixel, band) and planes, and whether they have a value (pixel,)
     spectra = [block[rows, bands, columns].astype(np.float32, copy=False) for block in blocks[:cubes]]
     present = np.asarray(np.isfinite(blocks[0]).any(axis=1))[rows, columns]
     return [*spectra, *(block[rows, columns] for block in blocks[cubes:]), present]
 
 
 def _computed(tasks: list[Any], progress: Progress | None) -> list[Any]:
-    """Compute all tasks at once, so that shared inputs are computed once."""
     if progress is None or not tasks:
         return list(dask.compute(*tasks))
     client = client_in_force()

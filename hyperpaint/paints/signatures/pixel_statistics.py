@@ -64,7 +64,7 @@ def summarise(values: Array, centre: str) -> BandSummary:
 
 
 def _quantiles(ordered: Floats) -> Floats:
-    """Return linear quantiles of ascending values; numpy's own function takes ten times as long."""
+    # Linear quantiles of ascending values; numpy's own function takes ten times as long
     place = np.array(QUANTILES) * (ordered.size - 1)
     below = place.astype(np.intp)
     above = np.minimum(below + 1, ordered.size - 1)
@@ -137,7 +137,7 @@ def chosen_members(along: Array, across: Array, most: int, seed: int) -> npt.NDA
 
 
 def _mix(state: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Return splitmix64 of every number (Steele, Lea and Flood, OOPSLA 2014); arithmetic is modulo 2**64."""
+    # Splitmix64 of every number (Steele, Lea and Flood, OOPSLA 2014); arithmetic is modulo 2**64
     mixed = state + np.uint64(0x9E3779B97F4A7C15)
     mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -28,8 +28,7 @@ from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINT
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import Pixels
 
-from .line_sources import Source, mean_view, relative_azimuth
-from .map_cells import Shown
+from .line_sources import Shown, Source, mean_view, relative_azimuth
 from .pixel_statistics import QUANTILES, chosen_members, effective_pixels, summarise
 
 #: Number of good bands, spread over all, in which the correlation of pixels is computed.
@@ -178,13 +177,12 @@ class Draft:
             return n_eff
         # a band has as many fewer independent pixels as it has fewer values
         of_band = np.maximum(1.0, n_eff * self._values / max(self.n, 1))
-        square = self.spectra["reflectance_u_random"]
-        self.spectra["reflectance_u_random"] = np.sqrt(square / of_band)
+        self.spectra["reflectance_u_random"] = np.sqrt(self.spectra["reflectance_u_random"] / of_band)
         return n_eff
 
 
 def _mean(values: Array, there: Array, power: float) -> Array:
-    """Return the mean of a power over pixels that have a reflectance (band,); NaN without such pixels."""
+    # Mean of a power over pixels that have a reflectance (band,); NaN without such pixels
     means = np.full(values.shape[1], np.nan)
     # band by band: the sum then runs in the order of the pixels for any number of bands
     for band, column in enumerate(values.T):
@@ -195,7 +193,7 @@ def _mean(values: Array, there: Array, power: float) -> Array:
 
 
 def _geometry(lines: Mapping[str, Array]) -> dict[str, Any]:
-    """Return mean time, sun and largest age of the irradiance, from the values of every pixel or its line."""
+    # Mean time, sun and largest age of the irradiance, from the values of every pixel or its line
     time = lines.get("time", np.full(0, _NAT)).astype("datetime64[ns]")
     time = time[~np.isnat(time)]
     middle = _NAT
@@ -316,7 +314,6 @@ def paint_library(
 
 
 def _joined(texts: Iterable[str]) -> str:
-    """Return the texts of several flight lines, each once."""
     return "; ".join(dict.fromkeys(texts))
 
 
@@ -327,8 +324,7 @@ def _padded(values: Array, size: int, fill: float) -> Array:
 
 
 def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
-    """Return the attributes of the coat's share in spectra; the line with the largest share decides."""
-
+    # Attributes of the coat's share in spectra; the line with the largest share decides
     def of_line(source: Source) -> str:
         is_apart = source.declared.get("mirror_reflection") == EXCLUDED
         if not (is_apart or "mirrored_sky_removed" in source.corrections):
@@ -342,7 +338,7 @@ def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
 
 
 def _properties(regions: Regions) -> dict[str, Array]:
-    """Return every property of the regions that can be a coordinate (signature,): numbers, else text."""
+    # Every property of the regions that can be a coordinate (signature,): numbers, else text
     names = dict.fromkeys(name for region in regions for name in region.properties)
     taken = {*LIBRARY_VARIABLES, BAND, "member"}
     usable = [name for name in names if name.isidentifier() and name not in taken and name[:2] != "__"]

@@ -153,7 +153,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
 
 
 def _errors_of(region: xr.Dataset, over: Sequence[str], cubes: Sequence[Floats]) -> MeanErrors | None:
-    """Return the errors of the mean, source by source; None where they cannot be separated."""
+    # Errors of the mean, source by source; None where they cannot be separated
     if set(over) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(schema.CUBE):
         return None
     line = line_errors(region)

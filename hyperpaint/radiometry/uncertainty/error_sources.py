@@ -162,7 +162,6 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         sources["panel"] = np.broadcast_to(element_rows(attrs[PANEL_U], shape), shape)
     wavelength = line["wavelength"].values.astype(np.float64)
     wavelength_u = np.broadcast_to(np.asarray(values.get("wavelength_u", 0.0), np.float64), shape[:1])
-    needs_light = "irradiance_u_random" in values or wavelength_u.any()
     return LineErrors(
         per_electron=1.0 / of("electrons_per_count"),
         noise_floor=floor,
@@ -178,13 +177,13 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         else 0.0,
         wavelength_u=wavelength_u,
         wavelength=wavelength,
-        light=_light_errors(line) if needs_light else None,
+        light=_light_errors(line) if "irradiance_u_random" in values or wavelength_u.any() else None,
         stray_light=_stray_light_errors(line),
     )
 
 
 def _dark_weights(line: xr.Dataset) -> Floats:
-    """Return the weight of each dark reference in every line (line, dark)."""
+    # Weight of each dark reference in every line (line, dark)
     from hyperpaint.radiometry.planning import dark_weights
 
     names = ("time", "dark_time", "dark_exposure_time")

@@ -143,8 +143,7 @@ class RegionSums:
         ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
         """
         line, columns = self._line, self._columns
-        bands = len(self._count)
-        onto = _onto(bands, columns, axis)
+        onto = _onto(len(self._count), columns, axis)
         count = onto @ self._count.ravel()
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(count > 0.5, 1.0 / count, np.nan)
@@ -188,7 +187,7 @@ class RegionSums:
         return MeanErrors(names, np.array([sizes[name] for name in names]), *_correlated(total))
 
     def _rounded(self, per_count: Floats) -> Floats:
-        """Return the variance that rounding leaves in sums over the lines of a column (band, column)."""
+        # Variance that rounding leaves in sums over the lines of a column (band, column)
         if not self._line.whole:
             return np.zeros_like(per_count)
         line, columns = self._line, self._columns
@@ -202,7 +201,7 @@ class RegionSums:
 
 
 def _onto(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_array:
-    """Return the matrix from spectra of columns, (band, column) in a row, to nominal wavelengths (band,)."""
+    # Matrix from spectra of columns, (band, column) in a row, to nominal wavelengths (band,)
     place = np.arange(bands * columns.size).reshape(bands, columns.size)
     band = np.broadcast_to(np.arange(bands)[:, None], place.shape)
     if axis is None:
@@ -215,7 +214,7 @@ def _onto(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_ar
 
 
 def _correlated(covariance: Floats) -> tuple[Floats, Array]:
-    """Return standard deviations (band,) and correlations (lag, band) up to the last notable lag."""
+    # Standard deviations (band,) and correlations (lag, band) up to the last notable lag
     sd = np.sqrt(np.diagonal(covariance))
     bands = sd.size
     lags = np.full((min(MAX_LAGS, bands), bands), np.nan, np.float32)
@@ -227,7 +226,7 @@ def _correlated(covariance: Floats) -> tuple[Floats, Array]:
 
 
 def _moved(line: LineErrors, level: Floats) -> Floats:
-    """Return the change of a mean with an error of the wavelength scale (band,)."""
+    # Change of a mean with an error of the wavelength scale (band,)
     assert line.light is not None
     light = line.light.level
     steps = band_steps(line.wavelength)

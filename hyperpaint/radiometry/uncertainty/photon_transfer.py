@@ -15,11 +15,10 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.schema import (
@@ -59,8 +58,7 @@ MIN_RECORD_NOISE = 1e-5
 
 @dataclass(frozen=True)
 class _Points:
-    """Variances with their regressors: the factors of slope and intercept of the photon transfer."""
-
+    # Variances with their regressors: the factors of slope and intercept of the photon transfer
     #: variance, by_signal, by_floor (block, band): mean square, and its regressors: the expected value is
     #: by_signal / k + by_floor x floor; NaN left out
     variance: Floats
@@ -206,8 +204,7 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_Points, float, s
     return points, quantisation, f"{len(starts)} x {BLOCK_LINES} lines: {source}"
 
 
-def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
-    """Return first lines of blocks, evenly distributed over the line."""
+def _block_starts(shape: tuple[int, ...]) -> Ints:
     lines, bands, columns = shape
     problems = Problems("noise cannot be estimated", SchemaError)
     if lines < BLOCK_LINES:
@@ -221,29 +218,25 @@ def _block_starts(shape: tuple[int, ...]) -> npt.NDArray[np.int64]:
 
 
 def _by_band(array: Array) -> Array:
-    """Return values (block, band, column) as (block x column, band)."""
+    # Values (block, band, column) as (block x column, band)
     return np.moveaxis(array, 1, 2).reshape(-1, array.shape[1])
 
 
 def _repeated_points(cube: Array) -> _Points:
-    """Return variances (block x column, band) of frames (block, frame, band, column) of one scene."""
+    # Variances (block x column, band) of frames (block, frame, band, column) of one scene
     variance = cube.var(axis=1, ddof=1, dtype=np.float64)
-    mean = cube.mean(axis=1, dtype=np.float64)
-    variance, signal = _by_band(variance), _by_band(mean)
+    variance, signal = _by_band(variance), _by_band(cube.mean(axis=1, dtype=np.float64))
     return _Points(variance, signal, np.ones_like(signal), np.full((1, 1), cube.shape[1] - 1.0))
 
 
 def _block_points(cube: Array) -> _Points:
-    """Return variances (block x column, band) of bands relative to their neighbours.
-
-    ``cube`` is (block, line, band, column). Bands whose signal is itself uncertain by noise are left out.
-    """
+    # Variances (block x column, band) of bands relative to their neighbours.
+    # `cube` is (block, line, band, column). Bands whose signal is itself uncertain by noise are left out.
     mean = cube.mean(axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
         total = np.nansum(np.where(np.isfinite(mean)[:, None], cube, np.nan), axis=2)
-        brightness = total / total.mean(axis=1, keepdims=True)
-        even = np.abs(brightness - 1.0).max(axis=1) < MAX_TEXTURE
+        even = np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < MAX_TEXTURE
     mean[~(even[:, None] & (mean > 0))] = np.nan
     mean[mean < MIN_SIGNAL_SD * _dark_noise(cube, mean)] = np.nan
     # contrast of a band with its neighbours, relative to their signals
@@ -258,14 +251,13 @@ def _block_points(cube: Array) -> _Points:
         # the noise of a weak neighbour would exceed the noise of the band
         near &= (r > 0.5) & (r < 2.0)
     by_signal = middle * (1.0 + 0.25 * (ratio[0] + ratio[1]))
-    by_floor = 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2)
-    values = (np.where(near, variance, np.nan), by_signal, by_floor)
+    values = (np.where(near, variance, np.nan), by_signal, 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2))
     variances, signals, floors = (_by_band(array).astype(np.float64) for array in values)
     return _Points(variances, signals, floors, np.full((1, 1), freedom))
 
 
 def _dark_noise(cube: Array, mean: Array) -> float:
-    """Return the spread of a count in the darkest tenth of the samples [count]."""
+    # Spread of a count in the darkest tenth of the samples [count]
     valid = np.isfinite(mean)
     if not valid.any():
         return 0.0
@@ -278,16 +270,14 @@ def _dark_noise(cube: Array, mean: Array) -> float:
 
 @dataclass(frozen=True)
 class _Transfer:
-    """Slope and intercept of the photon transfer, their covariance, and the points of the fit."""
-
+    # Slope and intercept of the photon transfer, their covariance, and the points of the fit
     slope: float
     height: float
     covariance: Floats
-    used: npt.NDArray[np.bool_]
+    used: Bools
 
 
 def _fit(points: _Points) -> _Transfer:
-    """Return the straight line through the variances that contain noise alone."""
     from scipy.stats import chi2
 
     valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
@@ -297,8 +287,7 @@ def _fit(points: _Points) -> _Transfer:
             expected=f"{MIN_VARIANCES} or more",
             code="noise-not-estimable",
         )
-    freedom = np.broadcast_to(points.freedom, valid.shape)
-    slope, height = _first_guess(points, valid, freedom)
+    slope, height = _first_guess(points, valid, np.broadcast_to(points.freedom, valid.shape))
     edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
     # the mean of the values below the edge is a little below the mean of all
     loss = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
@@ -311,8 +300,7 @@ def _fit(points: _Points) -> _Transfer:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
             typical = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
-        even = typical < 1.0 + MAX_BLOCK_SD * spread
-        used = valid & even[:, None] & (ratio < edge)
+        used = valid & (typical < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
         if used.sum() < MIN_VARIANCES:
             raise SchemaError(
                 "noise cannot be estimated, since no block is homogeneous",
@@ -335,8 +323,7 @@ def _fit(points: _Points) -> _Transfer:
     return _Transfer(slope, height, covariance, used)
 
 
-def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats) -> tuple[float, float]:
-    """Return slope and intercept of the lower envelope of binned medians."""
+def _first_guess(points: _Points, valid: Bools, freedom: Floats) -> tuple[float, float]:
     from scipy.stats import chi2
 
     signal = points.by_signal[valid] / points.by_floor[valid]
@@ -350,25 +337,20 @@ def _first_guess(points: _Points, valid: npt.NDArray[np.bool_], freedom: Floats)
     y = np.array([np.median(variance[b]) for b in bins if b.any()])
     if x.size < 2 or np.ptp(x) <= 0:
         return float(max(y.mean() / max(x.mean(), 1e-6), 1e-6)), 0.0
-    weight = 1.0 / np.maximum(y, 1e-6)
-    slope, height = np.polyfit(x, y, 1, w=weight)
+    slope, height = np.polyfit(x, y, 1, w=1.0 / np.maximum(y, 1e-6))
     if slope <= 0 or height < 0:
         return float(np.median(y / np.maximum(x, 1.0))), 0.0
     return float(slope), float(height)
 
 
-def _solve(
-    points: _Points, used: npt.NDArray[np.bool_], model: Floats, variance: Floats
-) -> tuple[float, float, Floats]:
-    """Return slope and intercept by weighted least squares, and their covariance by the jackknife."""
+def _solve(points: _Points, used: Bools, model: Floats, variance: Floats) -> tuple[float, float, Floats]:
     weight = np.where(used, 1.0 / model**2, 0.0)
     value = np.where(used, variance, 0.0)
     a, b = (np.where(used, v, 0.0) for v in (points.by_signal, points.by_floor))
     part = np.arange(len(used)) * _PARTS // len(used)
 
     def sums(product: Floats) -> Floats:
-        total = np.bincount(part, (weight * product).sum(axis=1), minlength=_PARTS)
-        return total.astype(np.float64)
+        return np.bincount(part, (weight * product).sum(axis=1), minlength=_PARTS).astype(np.float64)
 
     normal = np.array([[sums(a * a), sums(a * b)], [sums(a * b), sums(b * b)]])
     right = np.array([sums(a * value), sums(b * value)])
@@ -384,12 +366,10 @@ def _solve(
     whole = solution(None)
     others = np.stack([solution(i) for i in range(_PARTS)])
     departure = others - others.mean(axis=0)
-    covariance = (_PARTS - 1) / _PARTS * departure.T @ departure
-    return float(whole[0]), float(whole[1]), covariance
+    return float(whole[0]), float(whole[1]), (_PARTS - 1) / _PARTS * departure.T @ departure
 
 
 def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
-    """Return the estimate with its uncertainties and the binned photon transfer."""
     signal, variance, expected = _curve(transfer, points)
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
     chance = np.sqrt(4.0 / (float(points.freedom.mean()) * transfer.used.sum() / variance.size))
@@ -399,8 +379,7 @@ def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source:
             "within blocks, or the light flickers; look at 'transfer_variance'"
         )
         warnings.warn(PaintWarning(text, code="transfer-misfit"), stacklevel=3)
-    excess = transfer.height - quantisation
-    noise = float(np.sqrt(max(excess, 0.0)))
+    noise = float(np.sqrt(max(transfer.height - quantisation, 0.0)))
     # at zero noise only its square has an uncertainty
     noise_u = float(np.sqrt(transfer.covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
     limit = float(transfer.covariance[1, 1]) ** 0.25
@@ -429,7 +408,7 @@ def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source:
 
 
 def _curve(transfer: _Transfer, points: _Points) -> tuple[Floats, Floats, Floats]:
-    """Return mean signals, variances and fitted variances, in bins with equal numbers of points."""
+    # Mean signals, variances and fitted variances, in bins with equal numbers of points
     a, b, v = (array[transfer.used] for array in (points.by_signal, points.by_floor, points.variance))
     order = np.argsort(a / b, kind="stable")
     bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))

@@ -195,8 +195,7 @@ def band_steps(wavelength: Floats) -> Floats:
     step = np.diff(wavelength)
     usual = np.median(step) if step.size else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        joined = (step / usual > 0.0) & (step / usual < 3.0)
-        alone = np.where(joined, 1.0 / step, 0.0)
+        alone = np.where((step / usual > 0.0) & (step / usual < 3.0), 1.0 / step, 0.0)
     up, down = np.append(alone, 0.0), np.insert(alone, 0, 0.0)
     both = np.zeros_like(wavelength)
     inside = (up != 0.0) & (down != 0.0)

@@ -78,7 +78,7 @@ def sunny_lines(line: xr.Dataset, model: SceneModel, diffuse: Any, zenith: float
 
 
 def _stays(free: Bools, level: Array, line: xr.Dataset) -> Bools:
-    """Return the lines around which every sample of the record has the level of free sun (line,)."""
+    # Lines around which every sample of the record has the level of free sun (line,)
     time, stamps = (
         line[name].values.astype("datetime64[ns]").astype(np.int64) for name in ("time", IRRADIANCE_TIME)
     )
@@ -135,12 +135,10 @@ def doubt_about_clouds(
 
 
 def _of_shadow(brightness: Array, body: Array, shaded: Bools) -> float | None:
-    """Return the diffuse fraction in the largest shadow; None without one beside its ground."""
+    # Diffuse fraction in the largest shadow; None without one beside its ground
     inside = shaded & (body >= 0) & np.isfinite(brightness)
     if not inside.any():
         return None
     ground = int(np.bincount(body[inside]).argmax())
     dark, lit = brightness[inside & (body == ground)], brightness[~shaded & (body == ground)]
-    if min(dark.size, lit.size) < GAPS.min_px:
-        return None
-    return float(np.median(dark) / np.median(lit))
+    return None if min(dark.size, lit.size) < GAPS.min_px else float(np.median(dark) / np.median(lit))

@@ -13,7 +13,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.schema import Quality
 from hyperpaint.surroundings import SceneModel
 from hyperpaint.surroundings.model import SHADED
-from hyperpaint.surroundings.vegetation import is_vegetation
+from hyperpaint.surroundings.surveying import is_vegetation
 
 from .between_clouds import FreeSun
 from .leans import HeightModel
@@ -45,8 +45,7 @@ class Surfaces:
                 np.abs(np.log(np.maximum(level, 1e-9))) < SURFACES.max_ground_log_ratio
             )
             ground = np.asarray(like | (model.body == largest))
-        leaves = is_vegetation(model.spectrum, model.channel_wavelength)
-        return cls(spectrum.mean(axis=1), ground, leaves)
+        return cls(spectrum.mean(axis=1), ground, is_vegetation(model.spectrum, model.channel_wavelength))
 
 
 def largest_body(model: SceneModel) -> int:
@@ -129,8 +128,7 @@ def pieces(model: SceneModel, erode: int, least: int) -> Iterator[Piece]:
     """Yield the connected parts of bodies with at least ``least`` pixels, in order of bodies and lines."""
     body = np.append(model.body, np.int32(-1))[model.segment]
     shaded = np.append(model.state == SHADED, False)[model.segment]
-    inside = (model.edge_distance > erode) & ~shaded & (body >= 0)
-    named = np.where(inside, body + 1, 0)
+    named = np.where((model.edge_distance > erode) & ~shaded & (body >= 0), body + 1, 0)
     large = np.bincount(named.ravel(), minlength=model.segments + 1) >= least
     for number, place in enumerate(find_objects(named, max_label=model.segments)):
         if place is None or not large[number + 1]:
@@ -201,7 +199,7 @@ def measured(piece: Piece, picture: Picture, limits: Limits, brightness: Floats 
 
 
 def _smoothed(values: Array, valid: Bools) -> Floats:
-    """Return means of valid values over a square (line, column); NaN without valid values."""
+    # Means of valid values over a square (line, column); NaN without valid values
     valid = valid & np.isfinite(values)
     total = uniform_filter(
         np.where(valid, values, 0.0).astype(np.float64), SURFACES.square_px, mode="constant"
@@ -212,7 +210,7 @@ def _smoothed(values: Array, valid: Bools) -> Floats:
 
 
 def _brightness(seen: Floats, valid: Bools) -> tuple[Floats, float]:
-    """Return the brightness of pixels relative to the median (line, column), and its largest reflectance."""
+    # Brightness of pixels relative to the median (line, column), and its largest reflectance
     if not valid.any():
         return np.full(valid.shape, np.nan), np.nan
     middle = np.median(seen[valid], axis=0)
@@ -221,7 +219,7 @@ def _brightness(seen: Floats, valid: Bools) -> tuple[Floats, float]:
 
 
 def _largest(mask: Bools) -> Bools:
-    """Return the largest connected part of a mask without parts narrower than three pixels."""
+    # without parts narrower than three pixels
     opened = binary_opening(mask, np.ones((3, 3), bool))
     parts, count = label(opened)
     if not count:

@@ -127,8 +127,6 @@ def footprints_of(
 
 
 class _Like(NamedTuple):
-    """Masks of pixels with a colour, like the ground, and dark beside that colour; their brightness."""
-
     paint: Bools
     ground: Bools
     dark: Bools
@@ -156,19 +154,15 @@ def _like(colour: Floats, scene: Scene, window: tuple[slice, slice], wide: bool)
 
 
 def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
-    """Return the area between the thick parts of a connected colour that belong to a seed's car.
-
-    Bay lines and mirrors are thin. Where there is ground in between, only the area that the colour encloses
-    around the seed.
-    """
+    # Area between the thick parts of a connected colour that belong to a seed's car.
+    # Bay lines and mirrors are thin. Where there is ground in between, only the area that the colour encloses
+    # around the seed.
     square = np.ones((3, 3), bool)
     gap = FOOTPRINTS.max_gap_px
-    padded = np.pad(like.paint | seed, gap)
-    closed = binary_closing(padded, square, iterations=gap)[gap:-gap, gap:-gap]
+    closed = binary_closing(np.pad(like.paint | seed, gap), square, iterations=gap)[gap:-gap, gap:-gap]
     if way.apart:
         closed = binary_opening(closed, square, iterations=FOOTPRINTS.bridge_px) | seed
-    joined = closed | like.dark if way.windows else closed
-    parts, _ = label(joined, square)
+    parts, _ = label(closed | like.dark if way.windows else closed, square)
     seed_parts = np.unique(parts[seed])
     filled = binary_fill_holes(closed & np.isin(parts, seed_parts[seed_parts > 0]))
     depth = distance_transform_edt(filled)
@@ -176,15 +170,12 @@ def _whole(like: _Like, seed: Bools, way: Way) -> Bools | None:
     thick = max(FOOTPRINTS.min_half_width_px, FOOTPRINTS.thin * float(depth[seed].max()))
     cores, count = label(depth > thick, square)
     sizes = np.bincount(cores[seed & (cores > 0)], minlength=count + 1)
-    if not sizes.any():
-        return None
-    return _gathered(cores, int(np.argmax(sizes)), thick, depth, filled, like)
+    return None if not sizes.any() else _gathered(cores, int(np.argmax(sizes)), thick, depth, filled, like)
 
 
 def _gathered(
     cores: npt.NDArray[np.int32], first: int, thick: float, depth: Floats, filled: Bools, like: _Like
 ) -> Bools:
-    """Return the area between a part and those around it that may belong to one car."""
     whole = cores == first
     around = hull_of(_grown(whole, thick, filled))
     sizes = np.bincount(cores.ravel())
@@ -207,7 +198,7 @@ def _gathered(
 
 
 def _grown(core: Bools, thick: float, filled: Bools) -> Bools:
-    """Return the pixels of a mask within a distance [pixel] of its core."""
+    # Pixels of a mask within a distance [pixel] of its core
     reach = int(np.ceil(thick))
     lines, columns = (np.flatnonzero(core.any(axis=axis)) for axis in (1, 0))
     near = tuple(
@@ -237,7 +228,7 @@ def hull_of(mask: Bools) -> Bools:
 
 
 def _border(mask: Bools) -> Floats:
-    """Return the first and the last pixel of every line of a mask (point, 2)."""
+    # First and the last pixel of every line of a mask (point, 2)
     rows = np.flatnonzero(mask.any(axis=1))
     seen = mask[rows]
     first, last = seen.argmax(axis=1), mask.shape[1] - 1 - seen[:, ::-1].argmax(axis=1)
@@ -245,8 +236,7 @@ def _border(mask: Bools) -> Floats:
 
 
 class _Rectangle(NamedTuple):
-    """Axis, centre, length and width of a rectangle; the axis is along its longer side."""
-
+    # Axis, centre, length and width of a rectangle; the axis is along its longer side
     axis: Floats
     middle: Floats
     length: float

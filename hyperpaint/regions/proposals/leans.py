@@ -134,9 +134,7 @@ def measured_lean(
 
 
 def _stands_above_ground(model: HeightModel, window: tuple[slice, slice], roof: Floats) -> bool:
-    """Return whether heights are those of a car's roof, not of the ground below it."""
     around = tuple(
         slice(max(part.start - LEANS.around_px, 0), part.stop + LEANS.around_px) for part in window
     )
-    low = np.nanquantile(model.height[around], 0.1)
-    return bool(np.median(roof) - low > LEANS.min_above_m)
+    return bool(np.median(roof) - np.nanquantile(model.height[around], 0.1) > LEANS.min_above_m)

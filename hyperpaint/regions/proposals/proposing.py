@@ -27,9 +27,8 @@ from hyperpaint.surroundings.surveying import to_channels
 
 from .between_clouds import sunny_lines
 from .candidates import Limits, Measures, Picture, Piece, Surfaces, measured, pieces
-from .cars import find_cars, judge_car
+from .cars import Judged, Verdict, find_cars, judge_car
 from .footprints import Scene
-from .judging import Judged, Verdict
 from .leans import height_model_of
 from .proposal_rules import SURFACES
 
@@ -60,7 +59,7 @@ def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple
 
 
 def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
-    """Return the directions from every corner along the edge of a mask, which lies to their right."""
+    # directions from every corner along the edge, with the mask to their right
     wide = np.pad(mask, 1)
     inner = wide[1:-1, 1:-1]
     beside = (wide[:-2, 1:-1], wide[1:-1, 2:], wide[2:, 1:-1], wide[1:-1, :-2])
@@ -73,7 +72,6 @@ def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
 
 
 def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> list[tuple[int, int]]:
-    """Return the corners of the ring from a corner, and remove its sides."""
     ring = []
     here = start
     way = min(sides[start])
@@ -313,10 +311,8 @@ def propose_regions(
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
-    """Return the line in channels (line, column, channel), and the layers `_LAYERS`.
-
-    Both result from one pass over the line.
-    """
+    # Line in channels (line, column, channel), and the layers `_LAYERS`.
+    # Both result from one pass over the line.
     flagged = flag(line, model)
     before = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
@@ -324,8 +320,7 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     blocks = [
         dask.delayed(to_channels, pure=True)(block, numbers) for block in np.ravel(cube.data.to_delayed())
     ]
-    planes = [flagged[name].data for name in _LAYERS[:3]]
-    results = dask.compute(*blocks, *planes)
+    results = dask.compute(*blocks, *[flagged[name].data for name in _LAYERS[:3]])
     channels = np.concatenate(results[: len(blocks)])
     layers = dict(zip(_LAYERS, results[len(blocks) :], strict=False))
     layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if before is None else before.values

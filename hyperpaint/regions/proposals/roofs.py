@@ -37,8 +37,7 @@ class NoRoof(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """A section of a car along its axis [pixel], of windows or of paint."""
-
+    # A section of a car along its axis [pixel], of windows or of paint
     first: int
     last: int
     window: bool
@@ -49,8 +48,7 @@ class _Run(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """Places along a car [pixel] from its end, and across it from its axis in half widths (line, column)."""
-
+    # Places along a car [pixel] from its end, and across it from its axis in half widths (line, column)
     along: Floats
     across: Floats
     length: float
@@ -84,7 +82,7 @@ def find_roof(car: Footprint, level: Floats) -> Roof | NoRoof:
 
 
 def _aside(frame: _Frame) -> Floats:
-    """Return the unit vector (line, column) across a car."""
+    # Unit vector (line, column) across a car
     return np.array([frame.axis[1], -frame.axis[0]])
 
 
@@ -96,7 +94,6 @@ def _frame(car: Footprint, axis: Floats, length: float, width: float) -> _Frame:
 
 
 def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> Roof | NoRoof:
-    """Return the best roof among the sections between windows along a frame."""
     crossed = (
         _share_of_tracks(glass, car.whole & (np.abs(frame.across) < ROOFS.middle), frame) > ROOFS.min_crossed
     )
@@ -156,7 +153,7 @@ def _around(runs: list[_Run], number: int, beside: Bools, frame: _Frame) -> _Aro
 
 
 def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Floats) -> float:
-    """Return the median level of the windows across some sections of a car [1]."""
+    # Median level of the windows across some sections of a car [1]
     inside = np.zeros_like(glass)
     for run in windows:
         inside |= (frame.along >= run.first) & (frame.along < run.last)
@@ -167,7 +164,7 @@ def _window_level(glass: Bools, windows: list[_Run], frame: _Frame, level: Float
 def _judge_run(
     car: Footprint, runs: list[_Run], number: int, around: _Around, frame: _Frame
 ) -> tuple[str, float] | None:
-    """Return reason and worth of a section as the roof; None where it may be another part."""
+    # Reason and worth of a section as the roof; None where it may be another part
     run, sided = runs[number], around.sided
     share = run.length / frame.length
     ends = int(number > 0) + int(number + 1 < len(runs))
@@ -180,9 +177,8 @@ def _judge_run(
         return None
     if share < ROOFS.min_roof:
         return None
-    slender = frame.length / frame.width
     least = ROOFS.min_slenderness if ends == 2 and sided > ROOFS.surely_sided else FOOTPRINTS.slenderness[0]
-    if not least < slender < FOOTPRINTS.slenderness[1]:
+    if not least < frame.length / frame.width < FOOTPRINTS.slenderness[1]:
         return None
     evidence = f"{share:.0%} of the car's length, {evidence}"
     middle = 0.5 * (run.first + run.last) / frame.length
@@ -206,7 +202,6 @@ def _judge_run(
 
 
 def _has_face(runs: list[_Run], number: int, frame: _Frame) -> bool:
-    """Return whether a windscreen ends a section, and a bonnet the car."""
     if len(runs) != 3 or number == 1:
         return False
     bonnet = runs[2 - number].length / frame.length
@@ -215,11 +210,9 @@ def _has_face(runs: list[_Run], number: int, frame: _Frame) -> bool:
 
 
 def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> tuple[float, float]:
-    """Return the position along the car where a roof is level, and its possible error [pixel].
-
-    A window beside it that is longer than a windscreen has a sunroof in it, and the roof is level beside it,
-    except for a bed, behind which almost nothing is left.
-    """
+    # Position along the car where a roof is level, and its possible error [pixel].
+    # A window beside it that is longer than a windscreen has a sunroof in it, and the roof is level beside
+    # it, except for a bed, behind which almost nothing is left.
     run, unit = runs[number], frame.length
     middle = 0.5 * (run.first + run.last)
     for step in (-1, 1):
@@ -238,8 +231,6 @@ def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -
 
 
 class _Sides(NamedTuple):
-    """Sides of a roof, in half widths of the car from its axis."""
-
     centre: float
     half: float  #: Half width.
     unsure: float  #: How far the centre may be off [pixel].
@@ -247,11 +238,9 @@ class _Sides(NamedTuple):
 
 
 def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run) -> _Sides:
-    """Return the sides of a roof.
-
-    They lie where brightness drops most: under a low sun the side that leans away is darker than paint
-    elsewhere, but no window yet. For paint no brighter than windows, where side windows begin.
-    """
+    # Sides of a roof.
+    # They lie where brightness drops most: under a low sun the side that leans away is darker than paint
+    # elsewhere, but no window yet. For paint no brighter than windows, where side windows begin.
     here = car.whole & (frame.along >= run.first) & (frame.along < run.last)
     left, right = (_step(level, car, sign, frame, run) for sign in (-1, 1))
     unsure = ROOFS.unsure_side_px
@@ -272,10 +261,8 @@ def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run
 
 
 def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) -> float:
-    """Return where brightness first drops as at a window, to one side of the axis, median over the tracks.
-
-    In half widths; NaN where it drops by less in most tracks of a run.
-    """
+    # Where brightness first drops as at a window, to one side of the axis, median over the tracks.
+    # In half widths; NaN where it drops by less in most tracks of a run.
     half = 0.5 * frame.width
     out = np.arange(ROOFS.side * half, ROOFS.beyond * half, ROOFS.step_px)
     along = np.arange(run.first + 0.5, run.last) - 0.5 * frame.length
@@ -304,7 +291,7 @@ def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) ->
 
 
 def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
-    """Return where side windows begin on one side of the axis, median over the tracks; NaN without them."""
+    # Where side windows begin on one side of the axis, median over the tracks; NaN without them
     beside = glass & (sign * frame.across > ROOFS.side)
     nearest = np.full(run.length, np.inf)
     track = (np.floor(frame.along[beside]).astype(np.int64) - run.first).clip(0, run.length - 1)
@@ -314,7 +301,7 @@ def _edge(glass: Bools, sign: int, frame: _Frame, run: _Run) -> float:
 
 
 def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
-    """Return the share of pixels of ``which`` in ``of`` for every track across a car (track,)."""
+    # Share of pixels of `which` in `of` for every track across a car (track,)
     count = round(frame.length)
     track = np.floor(frame.along[of]).astype(np.int64).clip(0, count - 1)
     whole = np.bincount(track, minlength=count)
@@ -322,10 +309,8 @@ def _share_of_tracks(which: Bools, of: Bools, frame: _Frame) -> Floats:
 
 
 def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
-    """Return the tracks with side windows (track,), on the side with more of them.
-
-    Outside of a window there is a door; outside of pixels in the car's shadow nothing is lit.
-    """
+    # Tracks with side windows (track,), on the side with more of them.
+    # Outside of a window there is a door; outside of pixels in the car's shadow nothing is lit.
     count = round(frame.length)
     track = np.floor(frame.along).astype(np.int64).clip(0, count - 1)
     side_windows = []
@@ -340,18 +325,15 @@ def _windows_beside(car: Footprint, glass: Bools, frame: _Frame) -> Bools:
 
 
 def _runs(crossed: Bools, strip: float) -> list[_Run]:
-    """Return the sections of paint and of windows, from end to end.
-
-    Paint shorter than a strip [pixel] between windows, as before a sunroof, belongs to them.
-    """
+    # Sections of paint and of windows, from end to end.
+    # Paint shorter than a strip [pixel] between windows, as before a sunroof, belongs to them.
     ends = np.flatnonzero(np.diff(crossed.astype(np.int8), prepend=2, append=2))
     stretches = [
         _Run(a, b, bool(crossed[a])) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
     ]
     merged: list[_Run] = []
     for number, run in enumerate(stretches):
-        inner = 0 < number < len(stretches) - 1
-        least = strip if inner and not run.window else ROOFS.min_window_px
+        least = strip if 0 < number < len(stretches) - 1 and not run.window else ROOFS.min_window_px
         if merged and (run.length < least or merged[-1].window == run.window):
             merged[-1] = _Run(merged[-1].first, run.last, merged[-1].window)
         else:
