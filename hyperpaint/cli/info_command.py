@@ -245,7 +245,7 @@ def _irradiance_csv(path: Path) -> Facts:
 
 
 def _spectra_if_any(path: Path) -> Facts:
-    """Yield the facts of a table of spectra; an error says that it may be no table of spectra."""
+    # an error adds that the file may be no table of spectra
     try:
         yield from _library(path)
     except FormatError as error:
@@ -420,7 +420,6 @@ def _store(path: Path) -> Facts:
 
 
 def _group(path: Path, name: str) -> Facts:
-    """Yield the facts of a group, and its state."""
     from hyperpaint.io.store import is_complete, open_group, open_unverified
 
     # dask, pint and other imports of xarray for chunks, times and indexes are avoided

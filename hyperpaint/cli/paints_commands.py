@@ -144,7 +144,7 @@ _PART = re.compile(r"(?P<name>[^=]+)=(?P<first>[0-9]+(\.[0-9]*)?)-(?P<last>[0-9]
 
 
 def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> dict[str, float] | None:
-    """Return tolerances by name of a statistic: each is a number, or NAME=NUMBER."""
+    # each value is a number, or NAME=NUMBER
     tolerances = {}
     for value in values:
         name, _, number = value.rpartition("=")
@@ -160,7 +160,7 @@ def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...
 def _parts(
     _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> dict[str, tuple[float, float]] | None:
-    """Return parts of the spectrum: each is NAME=FIRST-LAST [nm]."""
+    # each is NAME=FIRST-LAST [nm]
     parts = {}
     for value in values:
         match = _PART.fullmatch(value)
@@ -376,7 +376,6 @@ def detect_paints(
 
 
 def _of_line(path: Path, line: xr.Dataset) -> Regions:
-    """Return the regions of a file on this flight line; print how many are on others."""
     from hyperpaint.regions import Regions, read_regions
 
     regions = read_regions(path)
@@ -388,7 +387,6 @@ def _of_line(path: Path, line: xr.Dataset) -> Regions:
 
 
 def _detection_table(detections: xr.Dataset) -> str:
-    """Return a line of text for every paint, and one on the false-alarm rate."""
     import numpy as np
 
     from hyperpaint.validation.validation_result import aligned
@@ -532,7 +530,7 @@ def _opened(library: Path | None, members: int | None) -> xr.Dataset:
 
 
 def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
-    """Return the spectrum of a file; a name of the library stays one."""
+    # a name of the library stays a name
     if like is None or like in [str(name) for name in paints["signature"].values]:
         return like
     path = Path(like)
@@ -554,7 +552,6 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
 
 
 def _paint_table(matches: xr.Dataset) -> str:
-    """Return a line of text for every paint, with its difference from the one asked for."""
     from hyperpaint.validation.validation_result import aligned
 
     columns = [[str(name) for name in matches["signature"].values]]

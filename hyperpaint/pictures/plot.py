@@ -217,7 +217,7 @@ def linear_srgb(values: Array, *, weights: Array) -> Array:
 
 
 def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:
-    """Return the brightness of black and white (lazy) from at most some 64 lines."""
+    # brightness of black and white (lazy), from at most some 64 lines
     some = linear.isel({lines: slice(None, None, max(1, linear.sizes[lines] // 64))})
     if some.chunks is not None:
         some = some.chunk(-1)

@@ -124,7 +124,7 @@ def calibration_report(
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
-    """Return the arrays to draw, in the units of the schema, and the column that stands out."""
+    # in the units of the schema; last, the column that stands out
     variables = schema.require(calibration, list(_DIMS), "a calibration report")
     sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
     problems = Problems("the calibration report cannot be drawn", SchemaError)
@@ -177,7 +177,6 @@ def _draw_lamp_lines(
 
 
 def _edges(centres: Array) -> Array:
-    """Return the edges of cells around their centres."""
     if centres.size < 2:
         return np.asarray([centres[0] - 0.5, centres[0] + 0.5])
     inner = 0.5 * (centres[1:] + centres[:-1])
@@ -185,7 +184,6 @@ def _edges(centres: Array) -> Array:
 
 
 def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: Any) -> Any:
-    """Draw values over wavelength and columns; unknown values stay grey."""
     columns = np.arange(values.shape[1] + 1) - 0.5
     picture = axes.pcolormesh(
         _edges(wavelength), columns, np.ma.masked_invalid(values.T), rasterized=True, **style
@@ -199,7 +197,7 @@ def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: 
 
 
 def _draw_residuals(axes: Any, values: Values) -> None:
-    """Draw wavelength by the map minus wavelength of the monochromator, for every lamp line."""
+    # map minus monochromator, for every lamp line
     residual = values["line_centre"] - values["step_wavelength"][:, None]
     residual = np.where(values["line_trusted"], residual, np.nan)
     finite = residual[np.isfinite(residual)]

@@ -75,7 +75,7 @@ def _triptych(line: xr.Dataset, regions: Sequence[Region]) -> Markup:
 
 
 def _map(line: xr.Dataset) -> Markup:
-    """Return the line as a map of some visible bands, with cells as large as the page has room for."""
+    # some visible bands, with cells as large as the page has room for
     nm = line["wavelength"].values
     visible = np.flatnonzero((nm > 400) & (nm < 700))
     few = visible[np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAX_MAP_BANDS)).astype(int))]

@@ -117,7 +117,7 @@ def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterat
 
 
 def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
-    """Return the picture; an entry in ``drawn`` tells the caller that there is one."""
+    # an entry in ``drawn`` tells the caller that there is a picture
     if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
         raise SchemaError(
             f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",

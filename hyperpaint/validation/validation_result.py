@@ -139,7 +139,7 @@ class Validation:
         return (*failures, *(f"{name}: its reference is not there" for name in self.missing))
 
     def _failure(self, row: int, column: int) -> str:
-        """Return the name of a part that does not pass, with the reason where it cannot be judged."""
+        # with the reason where the part cannot be judged
         one = self.statistics.isel(pair=row, part=column)
         count, left = int(one["bands"]), int(one["bands_left_out"])
         if one["judged"]:
@@ -228,7 +228,6 @@ class Validation:
         return " / ".join(_plain(depth, 3) for depth in depths)
 
     def _remarks(self) -> list[str]:
-        """Return the remarks, each with the paints it applies to."""
         rows: dict[str, list[int]] = {}
         for row, texts in enumerate(self.notes):
             for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts):
@@ -243,7 +242,6 @@ class Validation:
         return remarks
 
     def _whom(self, rows: Sequence[int]) -> str:
-        """Return the pairs as text: all, all of an instrument, or paints by name."""
         instruments = self._texts("instrument")
         named = {instruments[row] for row in rows}
         if len(rows) == len(instruments):
@@ -270,7 +268,7 @@ def _with_uncertainty(value: float, u: float) -> str:
 
 
 def _plain(value: float, digits: int) -> str:
-    """Return a number without the sign of a zero; a dash for NaN."""
+    # no sign of a zero; a dash for NaN
     text = f"{value:.{digits}f}"
     return "-" if not np.isfinite(value) else text.lstrip("-") if float(text) == 0.0 else text
 
@@ -280,7 +278,6 @@ def _short(name: str) -> str:
 
 
 def _printable(text: str) -> str:
-    """Return a text with control characters replaced, safe for a terminal."""
     return "".join(sign if sign.isprintable() else "\ufffd" for sign in text)
 
 

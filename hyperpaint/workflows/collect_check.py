@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.plausibility import Finding
 
+#: Share of flagged pixels of a line from which `process` warns [1].
 MANY_FLAGGED = 0.2
-"""Share of flagged pixels of a line from which `process` warns [1]."""
 
 _LINES_A_READ = 4096
 
@@ -89,7 +89,7 @@ def check_accepted(accept: Collection[str], problems: Problems) -> None:
 
 
 def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
-    """Return the findings of lines by group; findings on a dark cube count for the first line with it."""
+    # findings on a dark cube count for the first line with it
     from hyperpaint.plausibility import judge_dark_cube, judge_line
 
     cubes = {str(entry.name): entry for entry in opened.settings.flightlines}

@@ -33,20 +33,20 @@ if TYPE_CHECKING:
 STORE, PICTURE = "lot.zarr", "quicklook.png"
 _OURS = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
 
+#: Outside, the camera is too blind for a noisy count to say much.
 BANDS_NM = (420.0, 980.0)
-"""Outside, the camera is too blind for a noisy count to say much."""
+#: Around the oxygen A band, where a wrong wavelength shows first.
 OXYGEN_NM = (750.0, 780.0)
-"""Around the oxygen A band, where a wrong wavelength shows first."""
 
+#: Of any material's mean over its pixels and bands.
 MAX_BIAS = 0.002
-"""Of any material's mean over its pixels and bands."""
+#: Of all single samples, sensor noise included.
 MAX_RMSE = 0.005
-"""Of all single samples, sensor noise included."""
+#: Of the scene's mean spectrum in the oxygen window, relative.
 MAX_OXYGEN = 0.002
-"""Of the scene's mean spectrum in the oxygen window, relative."""
 
+#: What makes the demonstration's collect a real one, beside noise and a clock 37.25 s slow.
 EFFECTS: dict[str, Any] = {"smile_nm": 0.5, "dropped": 3, "glint": 0.002, "drift_per_minute": 0.02}
-"""What makes the demonstration's collect a real one, beside noise and a clock 37.25 s slow."""
 
 
 _LEGEND = """\
@@ -157,8 +157,7 @@ def compare(store: Path, truth: Path) -> Comparison:
 
 @dataclass
 class _Sums:
-    """Running sums over pixels, (material, band), float64."""
-
+    # running sums over pixels, (material, band), float64
     wavelength: Floats
     used: npt.NDArray[np.bool_]
     count: Floats
@@ -175,7 +174,6 @@ class _Sums:
         return cls(wavelength[used], used, count, true, error, squared)
 
     def add(self, slab: xr.Dataset, truth: xr.Dataset) -> None:
-        """Add the pixels of a slab that carry no flag."""
         order = (ALONG_TRACK, CROSS_TRACK, BAND)
         clean = slab["quality"].values == 0
         self.pixels += clean.size
@@ -191,7 +189,6 @@ class _Sums:
         self.squared += member @ error**2
 
     def comparison(self, names: list[str]) -> Comparison:
-        """Return the statistics of the sums."""
         counts = self.count.max(axis=1)
         seen = [index for index in range(len(names)) if counts[index] > 0]
         materials = tuple(self._agreement(names[index], [index]) for index in seen)
@@ -215,8 +212,8 @@ class _Sums:
 
 # --- the demonstration -------------------------------------------------------------------------------------
 
+#: Bytes at the begin of a file in which a simulation says that it wrote it.
 _HEAD_BYTES = 2**16
-"""Bytes at the begin of a file in which a simulation says that it wrote it."""
 
 
 def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
@@ -341,7 +338,6 @@ def run_demonstration(
 
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
-    """Write a quicklook of the first line, where matplotlib is installed."""
     import xarray as xr
 
     from hyperpaint.io.store import list_groups

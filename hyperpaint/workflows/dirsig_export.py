@@ -124,10 +124,8 @@ def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
 
 
 def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
-    """Return the spectra of a scene from the simulator: those of the file, and the built-in ones.
-
-    The reflectance of a paint with flakes is the sum of pigment and flakes; DIRSIG has no flakes.
-    """
+    # spectra of the file and built-in ones; the reflectance of a paint with flakes is the sum of pigment and
+    # flakes, since DIRSIG has no flakes
     import xarray as xr
 
     from hyperpaint.base.errors import SchemaError

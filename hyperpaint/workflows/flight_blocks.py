@@ -56,7 +56,7 @@ class FlightBlocks:
         return begun[0] if begun else cls(stage.build(group, flight_content(codec)), form, codec)
 
     def _logged(self) -> dict[int, str]:
-        """Return the digests of slabs; a line that was cut short by a kill counts for nothing."""
+        # a line that was cut short by a kill counts for nothing
         try:
             text = (self.folder / _LOG).read_text(encoding="ascii", errors="replace")
         except FileNotFoundError:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from hyperpaint.io.store.writer import Job
     from hyperpaint.radiometry.slabs import Plan
 
+#: What is made of counts in flight.
 PRODUCTS = ("reflectance", "quality")
-"""What is made of counts in flight."""
 
 
 def form_of(bands: int, columns: int, dtype: np.dtype[Any]) -> xr.Dataset:

@@ -20,8 +20,8 @@ from .store_inputs import inputs_digest
 if TYPE_CHECKING:
     import xarray as xr
 
+#: What a cube holds; the first of them that a line has is what its file holds.
 _RAW = ("counts", "radiance")
-"""What a cube holds; the first of them that a line has is what its file holds."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,6 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
 
 
 def _words(location: Location, manifest: Manifest | None) -> list[str]:
-    """Return the words of the command that wrote a store."""
     try:
         words = shlex.split(manifest.command) if manifest is not None else []
     except ValueError:  # unbalanced quotes: hyperpaint did not write it
@@ -98,7 +97,6 @@ def _words(location: Location, manifest: Manifest | None) -> list[str]:
 
 
 def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> Iterator[str]:
-    """Yield the blocks of a cube whose samples differ from the stored ones."""
     import numpy as np
 
     name = str(cube.name)

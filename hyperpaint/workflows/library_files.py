@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 MAX_LISTED_REJECTIONS = 10
 MAX_STORED_REJECTIONS = 200
+#: Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours.
 NOT_LOOKED_FOR = "not looked for"
-"""Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours."""
+#: Options of flags that proposals take as well.
 _SHARED = ("glint", "shadow", "adjacency", "sun_zenith")
-"""Options of flags that proposals take as well."""
 
 
 def write_signatures(
@@ -148,7 +148,6 @@ def write_signatures(
 def _placed(
     lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
 ) -> dict[str, xr.Dataset]:
-    """Return the lines with ground coordinates."""
     from hyperpaint.geometry import locate
 
     from .maps import location_of
@@ -176,7 +175,7 @@ def _placed(
 def _lines(
     store: str | os.PathLike[str], wanted: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
-    """Return the named flight lines (all by default), and the names of those that have flags."""
+    # second, the names of lines that have flags
     from hyperpaint.io.store import list_groups, open_store
     from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
@@ -209,7 +208,6 @@ def _lines(
 
 
 def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged:
-    """Return a line with its flags; an error gets a note on ``flags=False``."""
     try:
         return flag_line(line, **options)
     except PaintError as error:
@@ -224,7 +222,6 @@ def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged
 def _origin(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], looked_at: frozenset[str]
 ) -> str:
-    """Return the source of the flags of glint, shadow and neighbours."""
     origins = []
     for name, line in lines.items():
         if name in flagged:
@@ -238,7 +235,7 @@ def _origin(
 def _proposed(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
 ) -> tuple[Regions, list[str]]:
-    """Return the proposed regions, and the rejected ones with place and reasons, cars first."""
+    # accepted regions, and rejected ones with place and reasons, cars first
     from hyperpaint.regions import Regions
     from hyperpaint.regions.proposals import propose_regions
 
@@ -314,7 +311,6 @@ def validate_files(
 
 
 def _store_of(signatures: xr.Dataset, library: Path) -> Path:
-    """Return the store that a library was extracted from."""
     name = signatures.attrs.get("store")
     place = library.absolute().parent / str(name)
     # only a name: no path from inside a file leads out of the folder
@@ -369,7 +365,6 @@ def _as_csv(validation: Validation) -> str:
 
 
 def _pairs_of(validation: Validation) -> list[dict[str, Any]]:
-    """Return the statistics of each pair, ready for JSON."""
     table = validation.statistics
     pairs = []
     for row in range(table.sizes["pair"]):
@@ -410,7 +405,6 @@ def _as_json(validation: Validation) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as a Python object; None for NaN and infinity."""
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

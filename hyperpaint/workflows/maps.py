@@ -114,8 +114,8 @@ def location_of(
     return {name: value for name, value in location.items() if value is not None}
 
 
+#: Names of the options of `location_of`.
 LOCATION = frozenset(inspect.signature(location_of).parameters) - {"flightline"}
-"""Names of the options of `location_of`."""
 
 
 def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dataset:
@@ -245,7 +245,7 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
 
 
 def _no_map(folder: Path) -> str:
-    """Return "something other than a map" for a folder that is not a store of one map, else nothing."""
+    # empty for a store of one map
     from hyperpaint.io.store import list_groups
 
     return "" if list_groups(folder) == [""] else "something other than a map"
@@ -280,7 +280,6 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
 
 
 def _track(line: xr.Dataset) -> tuple[Any, Any, Any] | None:
-    """Return longitudes, latitudes and altitudes of a line, where it has all three."""
     names = ("longitude", "latitude", "altitude")
     return tuple(line[name].values for name in names) if set(names) <= set(line.variables) else None  # type: ignore[return-value]
 

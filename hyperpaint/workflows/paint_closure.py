@@ -17,8 +17,8 @@ from hyperpaint.validation.validation_result import aligned
 if TYPE_CHECKING:
     import xarray as xr
 
+#: Of a signature of many pixels against its truth: RMS over bands, relative.
 MAX_ERROR = 0.01
-"""Of a signature of many pixels against its truth: RMS over bands, relative."""
 
 _MANY = 200  # pixels; below, sensor noise is all there is to see
 _ROOF = 0.7  # m; roofs, bonnets and boots are above
@@ -92,7 +92,7 @@ Pixels = tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.int64]]
 
 
 def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, used: npt.NDArray[np.bool_]) -> Iterator[Pixels]:
-    """Yield recovered and true reflectance (pixel, band), paint and car of the clean pixels."""
+    # recovered and true reflectance (pixel, band), paint and car of the clean pixels
     labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
     for seen, true in blocks_with_truth(line, truth, labels):
         chosen = (true["paint_id"].values >= 0) & (true["purity"].values > _PURE)
@@ -112,8 +112,6 @@ def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, used: npt.NDArray[np.bool
 
 
 class _Signature:
-    """Running sums of one paint."""
-
     def __init__(self) -> None:
         self.pixels, self.cars = 0, set[int]()
         self.recovered: Floats | float = 0.0
@@ -139,7 +137,6 @@ class _Signature:
 
 
 def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
-    """Return the field spectrum of every paint, at the bands of the camera."""
     from hyperpaint.io.spectrometers.asd import open_asd
 
     seen = open_asd(folder)

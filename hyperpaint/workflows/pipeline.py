@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from hyperpaint.io.store.layout import Codec
     from hyperpaint.io.store.writer import TakeUp
 
+#: How long a cluster without workers is waited for [s].
 WORKERS_WAIT = 60
-"""How long a cluster without workers is waited for [s]."""
 
+#: A URL of fsspec, also one that has been made a `Path`; no drive's letter.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
-"""A URL of fsspec, also one that has been made a `Path`; no drive's letter."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
 
 
 def _wait_for_workers(client: Client) -> None:
-    """Wait for the first worker, whose memory sizes the tasks; refuse a cluster without any."""
+    # memory of the first worker sizes the tasks
     try:
         client.wait_for_workers(1, timeout=WORKERS_WAIT)
     except TimeoutError as error:
@@ -186,8 +186,8 @@ def token_of(dataset: xr.Dataset) -> str:
     return str(dataset.attrs[INPUTS])
 
 
+#: Lines in one task on a cluster, where a task costs more than on threads.
 CLUSTER_LINES = 256
-"""Lines in one task on a cluster, where a task costs more than on threads."""
 
 Product = Literal["radiance", "reflectance"]
 Kept = Literal["none", "stored"]
@@ -444,7 +444,6 @@ def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr
 
 
 def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:
-    """Return a flight line with all its stored products; other groups unchanged."""
     if not name.startswith("flightlines/"):
         return dataset
     product: xr.Dataset
@@ -468,10 +467,8 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
 
 
 def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
-    """Compute the first slab of every line, to find impossible values before writing.
-
-    On a cluster this also compiles the kernels once, where the workers share a cache.
-    """
+    # the first slab of every line finds impossible values before writing; on a cluster this also compiles the
+    # kernels once, where the workers share a cache
     from hyperpaint.io.store.computing import RETRIES, errors_of_the_cluster
 
     options = {} if client is None else {"retries": RETRIES}
@@ -492,7 +489,7 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Cli
 
 
 def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None) -> Demand:
-    """Return lines a task and threads that keep this process, or each worker, within its memory."""
+    # lines a task and threads that keep this process, or each worker, within its memory
     from hyperpaint.io.store import budget
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}

@@ -63,7 +63,6 @@ def read_paints(path: Path) -> dict[str, xr.Dataset] | xr.Dataset:
 
 
 def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
-    """Return the paints of a DIRSIG material list, each with its own wavelengths."""
     from hyperpaint.io.dirsig.material_list import read_materials
     from hyperpaint.io.library import open_library
 
@@ -92,7 +91,7 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
 
 
 def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
-    """Return a paint with the reflectance of another file on the same wavelengths."""
+    # reflectance of another file on the same wavelengths
     own, other = paint["wavelength"].values, centre["wavelength"].values
     if own.shape != other.shape or not np.allclose(own, other, rtol=0.0, atol=1e-3):
         return paint
@@ -100,7 +99,7 @@ def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
 
 
 def _records_of_export(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the record of each paint by ID from an export of ours; empty for other material lists."""
+    # empty for material lists of other programs
     try:
         document = json.loads(read_limited(folder / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
         return {str(record["id"]): dict(record) for record in document["paints"]}

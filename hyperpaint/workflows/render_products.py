@@ -82,10 +82,8 @@ class Render:
         return line
 
     def _bands(self, product: str) -> BandSet:
-        """Return the bands: weighted by the detector for counts, line shapes alone for radiance.
-
-        Readers of radiance know no responsivity, and match the irradiance without one too.
-        """
+        # weighted by the detector for counts, line shapes alone for radiance; readers of radiance know no
+        # responsivity, and match the irradiance without one too
         from hyperpaint.simulation.rendering.camera_bands import BandSet
 
         bands = BandSet.of(self.camera.imager)
@@ -93,7 +91,7 @@ class Render:
 
 
 def _rounded(cube: xr.DataArray) -> xr.DataArray:
-    """Return a float32 cube with the mantissa bits that a stored reflectance has, to nearest-even."""
+    # mantissa bits of a stored reflectance, to nearest-even
     import xarray as xr
 
     rounded: xr.DataArray = xr.apply_ufunc(
@@ -131,7 +129,7 @@ def pose_of(platform: Platform) -> dict[str, xr.Variable]:
 
 
 def _look_angle(platform: Platform) -> xr.Variable:
-    """Return the viewing angles of the column centres, from the camera's axis to the right."""
+    # column centres, from the camera's axis to the right
     edges = platform.column_edges
     return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
@@ -193,8 +191,6 @@ def counts_of(
 
 @dataclass(frozen=True)
 class _Exposure:
-    """Counting of the lines of a scene by a camera."""
-
     detector: Detector
     optics: Optics | None
     scale: Floats  # Counts of a mean radiance of one, shape (band, cross_track)
@@ -204,7 +200,7 @@ class _Exposure:
     number: int  # Lines of the scene
 
     def counts(self, cube: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
-        """Return the counts of lines, of a cube that begins at line ``first``, one line after the other."""
+        # the cube begins at line ``first``; lines follow one another, as afterglow does
         cube = np.nan_to_num(cube, nan=0.0)  # from beyond the scene there comes no light
         counts = np.empty((len(lines), *cube.shape[1:]), dtype=np.uint16)
         for line, row in zip(lines, counts, strict=True):
@@ -223,14 +219,13 @@ class _Exposure:
 
 
 def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
-    """Return the mean of simulated dark frames: dark, with the residue of noise and rounding."""
+    # the mean of frames keeps a residue of noise and rounding
     rng = np.random.default_rng([key[0], _DARK])
     spread = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
     return np.asarray(detector.dark + spread * rng.standard_normal(detector.dark.shape))
 
 
 def _variable(name: str, values: Any) -> xr.Variable:
-    """Return values with dims, dtype and attributes from the table of variables."""
     from hyperpaint.simulation.stores import labelled
 
     return labelled(VARIABLES[name], values)

@@ -57,17 +57,17 @@ if TYPE_CHECKING:
     from .scene_files import SceneFile
     from .scene_parts import Parts
 
+#: Group of the traced scene.
 TRANSPORT = "transport"
-"""Group of the traced scene."""
 
+#: Prefix of the groups of renders.
 RENDERS = "renders/"
-"""Prefix of the groups of renders."""
 
 # lower bounds of compressed bytes: a pixel of the traced scene takes hundreds, a sample of a render two
 MIN_BYTES_PER_PIXEL, MIN_BYTES_PER_SAMPLE = 30, 1
 
+#: Lines in one task on a cluster; tracing a line takes some tenths of a second.
 CLUSTER_LINES = 64
-"""Lines in one task on a cluster; tracing a line takes some tenths of a second."""
 
 
 @renamed(paints="library")
@@ -247,7 +247,6 @@ def run(
 
 
 def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
-    """Return the scene file with values that the call replaces."""
     problems = Problems("cannot render", SchemaError)
     if samples is not None and not (
         isinstance(samples, int) and not isinstance(samples, bool) and 1 <= samples <= MOST_SAMPLES
@@ -266,7 +265,7 @@ def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
 
 
 def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Parts]:
-    """Return the file and its parts with the paints of a library; paints of the file take precedence."""
+    # paints of the file take precedence over the library
     from hyperpaint.simulation.rendering.given_spectra import by_name
     from hyperpaint.simulation.rendering.painting import dealt_paints
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
@@ -280,7 +279,7 @@ def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Pa
 
 
 def _check_disk_roughly(file: SceneFile, out: Path) -> None:
-    """Refuse a scene larger than the free disk before it is built; `check_room` is exact later."""
+    # before the scene is built; `check_room` is exact later
     folder = next(parent for parent in out.absolute().parents if parent.exists())
     pixels = file.platform["lines"] * file.platform["columns"]
     least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
@@ -297,7 +296,6 @@ def _check_disk_roughly(file: SceneFile, out: Path) -> None:
 
 
 def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
-    """Return the scene, traced lazily in blocks of ``lines`` lines."""
     from hyperpaint.simulation.rendering.tracing import trace
 
     from .render_products import pose_of
@@ -330,7 +328,6 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
 def _renders(
     traced: xr.Dataset, file: SceneFile, parts: Parts, names: Sequence[str]
 ) -> dict[str, xr.Dataset]:
-    """Return the renders of a traced scene by group."""
     from .render_libraries import spectra_digest
     from .render_products import Render
 
@@ -361,7 +358,7 @@ def _renders(
 
 
 def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
-    """Refuse to replace the traced scene below renders of other parameters."""
+    # renders of other parameters keep the traced scene below them
     from hyperpaint.io.store import list_groups
 
     if TRANSPORT in complete or not out.exists():
@@ -376,7 +373,6 @@ def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[st
 
 
 def _light(atmosphere: Any) -> str:
-    """Return a digest of all fields of an atmosphere."""
     import numpy as np
 
     digest = hashlib.sha256()

@@ -75,7 +75,7 @@ def settings_of(parameters: Mapping[str, Any]) -> str:
 
 
 def _stored_form(cube: Path) -> str:
-    """Return the sample format from the header of a cube: another header gives the same file other values."""
+    # another header gives the same file other values
     from hyperpaint.io.envi.envi_cubes import find_pair
     from hyperpaint.io.envi.envi_header import read_header
 

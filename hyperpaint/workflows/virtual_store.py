@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.store.raw_references import RawFile, VirtualCube
 
+#: Of a cube; beyond it a stored cube is the better one [1].
 MAX_COPIED_SHARE = 0.1
-"""Of a cube; beyond it a stored cube is the better one [1]."""
 
 _FEW_SLABS = 4
 _NOT_WHOLE = "and not whole"
@@ -139,7 +139,7 @@ def virtualise(
 
 
 def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
-    """Return the difference of a store from a whole one of the same inputs; empty without any."""
+    # empty without any difference
     from hyperpaint.io.store.raw_references import is_virtual, open_virtual, summary_of, virtual_groups
 
     if not is_virtual(out):
@@ -161,7 +161,7 @@ def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, 
 
 
 def _companions(line: xr.Dataset) -> xr.Dataset:
-    """Return all variables of a flight line but its cube, in memory, with the results of its panels."""
+    # all variables but the cube, in memory
     from hyperpaint.light.diffuse_record import split_of_lines
     from hyperpaint.radiometry.panels import declared_panels
 
@@ -181,7 +181,7 @@ def _companions(line: xr.Dataset) -> xr.Dataset:
 def _cubes(
     opened: OpenedCollect, lines: Mapping[str, xr.Dataset], prefix: str | None
 ) -> dict[str, VirtualCube]:
-    """Return the cube of every line as slabs of its raw files; refuse cubes that cannot be referred to."""
+    # slabs of the raw files
     entries = {str(entry.name): entry for entry in opened.settings.flightlines}
     problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
     base = opened.settings.path.absolute().parent
@@ -198,7 +198,6 @@ def _cubes(
 
 
 def _array(entry: Any) -> EnviArray:
-    """Return the layout of a cube's samples in its file."""
     from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.envi.envi_cubes import open_envi
 
@@ -218,7 +217,7 @@ def _array(entry: Any) -> EnviArray:
 
 
 def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
-    """Return the raw file to refer to: the local one, or its copy below a URL."""
+    # the local file, or its copy below a URL
     from hyperpaint.io.store.raw_references import RawFile
 
     local = RawFile.of(f"file://{os.path.realpath(path)}")

@@ -34,10 +34,8 @@ def _crs(text: str) -> pyproj.CRS:
 
 @functools.lru_cache(maxsize=64)
 def _transformer(source: str, target: str) -> pyproj.Transformer:
-    """Return the transformer between two reference systems; x or longitude come first.
-
-    Only `GEODETIC` and geocentric X, Y, Z [m] have heights [m]; other systems are taken as horizontal.
-    """
+    # x or longitude come first; only `GEODETIC` and geocentric X, Y, Z [m] have heights [m], other systems
+    # are taken as horizontal
     systems = (name if name in (GEODETIC, _GEOCENTRIC) else _crs(name) for name in (source, target))
     transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(*systems, always_xy=True)
     return transformer
@@ -267,7 +265,7 @@ def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
 
 
 def _coefficients(value: Floats, reach: Floats) -> Floats:
-    """Return ten coefficients (line, 10) from values at `_OFFSETS` times the reach (line, 19)."""
+    # ten coefficients (line, 10) from values at `_OFFSETS` times the reach (line, 19)
     centre, ends, corners = value[:, 0], value[:, 1:7].reshape(-1, 3, 2), value[:, 7:].reshape(-1, 3, 4)
     slope = (ends[..., 0] - ends[..., 1]) / (2.0 * reach[:, None])
     square = (ends[..., 0] + ends[..., 1] - 2.0 * centre[:, None]) / (2.0 * reach[:, None] ** 2)

@@ -308,7 +308,7 @@ def _check(
 
 
 def _map_of(poses: Any, crs: Any) -> str:
-    """Return the given CRS, or the UTM zone of the middle of the lines that have a pose."""
+    # by default the UTM zone of the middle of the lines that have a pose
     if crs is None:
         with_pose = np.flatnonzero(np.isfinite(poses[0]))
         if not with_pose.size:
@@ -335,7 +335,6 @@ def _map_of(poses: Any, crs: Any) -> str:
 def _pose_inputs(
     line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention, clock_offset_s: float
 ) -> dict[str, Any]:
-    """Return the columns of poses, with recorded and wanted times where they are to be interpolated."""
     source = line if navigation is None else navigation
     dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
     columns = pose_columns(source, convention, dim)
@@ -364,7 +363,7 @@ def _poses(
     wanted: Any = None,
     **columns: Any,
 ) -> Floats:
-    """Return canonical poses of all lines (6, line), float64; a pose is complete or all NaN."""
+    # (6, line), float64; a pose is complete or all NaN
     values = canonical_values(*(columns[name] for name in POSE), convention=convention, crs=crs)
     if recorded is None:
         values[:, ~np.isfinite(values).all(axis=0)] = np.nan
@@ -399,7 +398,7 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
 
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
-    """Return the lines of every slab: as the line is chunked, else as radiometry will chunk it."""
+    # as the line is chunked, else as radiometry will chunk it
     pixels = [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)]
     for array in sorted(pixels, key=lambda v: -v.ndim):
         if array.chunks is not None:
@@ -427,7 +426,7 @@ def _is_lazy(*values: Any) -> bool:
 
 
 def _call(function: Any, **inputs: Any) -> Any:
-    """Return the result of a function: at once from arrays in memory, else as a node of the graph."""
+    # at once from arrays in memory, else as a node of the graph
     if _is_lazy(*inputs.values()):
         return dask.delayed(function, pure=True)(**inputs)
     return function(**inputs)

@@ -26,10 +26,10 @@ from hyperpaint.geometry.georeference.poses import (
     poses_at,
 )
 
+#: Seconds of a record around every point that are kept, for the clock to be moved in.
 _AROUND_S = 3.0
-"""Seconds of a record around every point that are kept, for the clock to be moved in."""
+#: Part of a pixel that picking is uncertain by, even on a platform at rest.
 _MIN_PICKING_PX = 0.05
-"""Part of a pixel that picking is uncertain by, even on a platform at rest."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Sightings:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(both)))
 
     def _ways(self, mounting: Floats, lines: float) -> Floats:
-        """Return the ways from the camera to the points in its frame (point, 3) [m]."""
+        # from the camera to the points, in its frame (point, 3) [m]
         *boresight, height, clock = mounting.tolist()
         poses = self._poses(clock, lines)
         body = matrices(quaternions(*poses[3:]))
@@ -114,7 +114,7 @@ class Sightings:
 
 
 def _place(latitude: Floats, longitude: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """Return geocentric coordinates (n, 3) and the directions north, east, down there (n, 3, 3)."""
+    # geocentric coordinates (n, 3) and the directions north, east, down there (n, 3, 3)
     phi, lam = np.radians(latitude), np.radians(longitude)
     sp, cp, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
     radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * sp**2)
@@ -193,7 +193,7 @@ def sightings_of(
 
 
 def _beyond(at: Floats, index: Ints, values: Floats) -> Floats:
-    """Return values at fractions of an index, half a step beyond its ends too."""
+    # extrapolates half a step beyond the ends
     inside = np.interp(at, index, values)
     low, high = np.minimum(at, 0.0), np.maximum(at - index[-1], 0.0)
     if values.size < 2:
