@@ -178,8 +178,7 @@ def _regions(path: Path) -> Facts:
         corners = np.concatenate([region.polygon for region in regions])
         (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
         yield "bounds", f"x {x0:.10g} to {x1:.10g}, y {y0:.10g} to {y1:.10g}"
-    properties = dict.fromkeys(name for region in regions for name in region.properties)
-    yield "also says", ", ".join(properties)
+    yield "also says", ", ".join(dict.fromkeys(name for region in regions for name in region.properties))
 
 
 def _asd(path: Path) -> Facts:
@@ -287,8 +286,7 @@ def _materials(path: Path) -> Facts:
 def _frame_index(path: Path) -> Facts:
     from hyperpaint.io.flightline.headwall import read_frame_index
 
-    index = read_frame_index(path)
-    frames = index.frame
+    frames = read_frame_index(path).frame
     missing = int(frames[-1] - frames[0] + 1 - frames.size)
     yield "is", "Headwall frame index"
     yield "frames", f"{frames.size}, number {frames[0]} to {frames[-1]}, {missing} missing"

@@ -258,8 +258,7 @@ def validate(
         from hyperpaint.pictures.figures import check_picture
 
         check_picture(picture)
-    given = without_none(options)
-    validation = validate_files(library, references, **given)
+    validation = validate_files(library, references, **without_none(options))
     click.echo(validation.table())
     if out is not None:
         write_table(validation, out, overwrite=overwrite)
@@ -563,8 +562,7 @@ def _paint_table(matches: xr.Dataset) -> str:
         columns.append([f"looks {value:.1f} off" for value in matches["colour_difference"].values])
     if "spectral_angle" in matches.coords:
         columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
-    rows = aligned(list(zip(*columns, strict=True)), names=len(columns))
-    return "\n".join(f"  {row}" for row in rows)
+    return "\n".join(f"  {row}" for row in aligned(list(zip(*columns, strict=True)), names=len(columns)))
 
 
 @command(

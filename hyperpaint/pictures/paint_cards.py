@@ -156,8 +156,7 @@ def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
     ((along, across),) = pixels_of(Regions((region,)), line)
     if not along.size:
         raise SchemaError(f"region {region.name!r} holds no pixel of this line", code="region-empty")
-    longer = max(np.ptp(along), np.ptp(across)) + 1
-    margin = max(MIN_MARGIN_PX, int(MARGIN * longer))
+    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(along), np.ptp(across)) + 1)))
     rows, columns = (
         slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
         for places in (along, across)

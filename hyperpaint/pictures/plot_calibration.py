@@ -314,8 +314,7 @@ def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
     plots[1].set(ylabel="FWHM [nm]")
     plots[1].set_title("width of the bands", fontsize="medium")
     shift = values["wavelength_shift"].values if "wavelength_shift" in values else np.zeros(gain.shape[1])
-    rows = np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)]
-    plots[2].plot(rows.T, lw=1.3)
+    plots[2].plot(np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)].T, lw=1.3)
     plots[2].set(xlabel="column", ylabel="wavelength shift [nm]")
     plots[2].set_title("smile", fontsize="medium")
     for axes in plots[:2]:

@@ -133,8 +133,7 @@ def validation_section(
             try:
                 agreement = validate(library, list(references))
             except SchemaError as error:
-                text = f"{name} cannot be compared: {error}"
-                yield name, partial(page_part, "paragraph", text=text)
+                yield name, partial(page_part, "paragraph", text=f"{name} cannot be compared: {error}")
                 continue
         yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
         yield "agreement", partial(_agreement, agreement)

@@ -77,8 +77,7 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
                 code="paint-duplicate",
             )
         used.update(matching)
-        instruments = dict.fromkeys(references[k].instrument for k in matching)
-        for instrument in instruments:
+        for instrument in dict.fromkeys(references[k].instrument for k in matching):
             group = tuple(references[k] for k in matching if references[k].instrument == instrument)
             matched.append(Pair(signature, group))
     problems.raise_if_any()

@@ -104,8 +104,7 @@ def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: s
             return widths, f"widths of channels as usual for {kind.upper()}"
     if wavelength.size < 2:
         return np.ones(wavelength.size), "widths of channels assumed, 1 nm"
-    spacing = np.gradient(wavelength)
-    return 2.0 * spacing, "widths of channels assumed, twice their distance"
+    return 2.0 * np.gradient(wavelength), "widths of channels assumed, twice their distance"
 
 
 UNKNOWN = "unknown"

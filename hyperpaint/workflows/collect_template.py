@@ -54,8 +54,7 @@ def write_collect_toml(
         raise StoreError(
             f"{path} exists and is not a .toml file", mend="choose another path", code="file-foreign"
         )
-    text = "\n".join(_text(files, path.parent))
-    publish_file(path, text.encode(), overwrite=overwrite)
+    publish_file(path, "\n".join(_text(files, path.parent)).encode(), overwrite=overwrite)
     return path
 
 
@@ -95,8 +94,7 @@ def _text(files: FieldFolder, base: Path) -> Iterator[str]:
         yield key("path", UNKNOWN if calibration is None else _checked(relative(calibration)))
 
     table = "dark"
-    darks = [_checked(relative(path)) for path in files.darks]
-    yield from ("", "[dark]", key("cubes", darks or UNKNOWN))
+    yield from ("", "[dark]", key("cubes", [_checked(relative(path)) for path in files.darks] or UNKNOWN))
 
     table = "navigation"
     yield from ("", "[navigation]  # for maps only")

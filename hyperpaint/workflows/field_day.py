@@ -76,8 +76,7 @@ class FieldDay:
 
     def __str__(self) -> str:
         width = max(map(len, STEPS))
-        rows = [f"{one.step:<{width}}  {one.state:<9}  {one.text}" for one in self.outcomes]
-        return "\n".join(rows)
+        return "\n".join([f"{one.step:<{width}}  {one.state:<9}  {one.text}" for one in self.outcomes])
 
 
 def run_field_day(

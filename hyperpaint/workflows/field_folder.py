@@ -155,8 +155,7 @@ class _Seen:
         suffix = path.suffix.lower()
         if suffix == ".hdr":
             inner = path.relative_to(self.folder) if path.is_relative_to(self.folder) else path
-            is_dark = any("dark" in part.lower() for part in inner.parts)
-            self._add_cube(path, is_dark=is_dark)
+            self._add_cube(path, is_dark=any("dark" in part.lower() for part in inner.parts))
         elif suffix in (".asd", ".sig"):
             self.spectra.setdefault((path.parent, suffix), []).append(path)
         elif suffix in _STORES and not (path / "flightlines").is_dir():  # a processed collect holds its own
@@ -239,8 +238,7 @@ class _Seen:
                 warnings.simplefilter("ignore", PaintWarning)
                 opened = open_envi(header)
                 has_exposure = find_exposure(None, header, header.name, opened, required=False)[0] is not None
-                comments = read_header(header).comments
-                lengths = lens_lengths(comments)
+                lengths = lens_lengths(read_header(header).comments)
                 lens = None if lengths is None else Lens(*lengths, opened.sizes[CROSS_TRACK])
             beside = frame_index_beside(header), navigation_beside(header)
             yield FlightCube(header, *beside, has_exposure, lens)

@@ -162,8 +162,7 @@ def _declare_panels(opened: OpenedCollect) -> None:
         row = {**vars(panel), "reflectance": known}
         declared.setdefault(panel.line, []).append(row)
     for name, rows in declared.items():
-        line = lines[name].to_dataset()
-        lines[name].dataset = line.assign_attrs(panels=json.dumps(rows))
+        lines[name].dataset = lines[name].to_dataset().assign_attrs(panels=json.dumps(rows))
 
 
 def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:

@@ -136,8 +136,7 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
     lines = {name: open_store(store, f"{prefix}{name}") for name in names or held}
     given = {name: options.pop(name) for name in LOCATION & set(options)}
     # one camera flew them all
-    location = location_of(next(iter(lines.values())), **given)
-    return mosaic(lines, **options, **location)
+    return mosaic(lines, **options, **location_of(next(iter(lines.values())), **given))
 
 
 def write_map(
@@ -267,10 +266,9 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     name = lines[0] if line is None and len(lines) == 1 else line
     if lines and name not in lines:
         found = "several flight lines" if line is None else f"no flight line {line!r}"
-        expected = f"one of {', '.join(map(repr, lines))}"
         raise SchemaError(
             f"{store} has {found}",
-            expected=expected,
+            expected=f"one of {', '.join(map(repr, lines))}",
             mend="pass line=",
             option="give --line",
             code="flightline-unknown",

@@ -455,8 +455,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
     from hyperpaint.radiometry.coarse_lines import coarse_reflectance
     from hyperpaint.radiometry.panels import declared_panels
 
-    panels = declared_panels(dataset)
-    product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=panels or None)
+    product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=declared_panels(dataset) or None)
     product["reflectance"].attrs["keep_bits"] = KEPT_BITS
     split = split_of_lines(dataset)
     if split is not None:

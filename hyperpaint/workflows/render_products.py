@@ -113,12 +113,14 @@ def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
     time = (first + seconds.astype("timedelta64[s]")).astype("datetime64[ns]")
     spectrum = np.asarray(relit["irradiance"][0].values)
     wavelength = relit[IRRADIANCE_WAVELENGTH].variable
-    line = relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
-    series = np.broadcast_to(spectrum, (count, len(spectrum)))
-    return line.assign(
-        irradiance=_variable("irradiance", series),
-        irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL),
-    ).assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
+    return (
+        relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
+        .assign(
+            irradiance=_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
+            irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL),
+        )
+        .assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
+    )
 
 
 def pose_of(platform: Platform) -> dict[str, xr.Variable]:
@@ -176,9 +178,8 @@ def counts_of(
             meta=np.empty((0, 0, 0), dtype=np.uint16),
         )
         blocks.append(block)
-    counts = da.concatenate(blocks)
     variables = {
-        "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
+        "counts": xr.Variable(CUBE, da.concatenate(blocks), VARIABLES["counts"].attrs),
         "dark_counts": _variable("dark_counts", _dark(detector, key) if noise else detector.dark),
         "radiance_gain": _variable("radiance_gain", camera.radiance_gain()),
         "exposure_time": _variable("exposure_time", exposure_time),

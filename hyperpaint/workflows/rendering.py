@@ -389,8 +389,7 @@ def _content(path: Path) -> str:
 
 
 def _digest(inputs: Mapping[str, Any]) -> str:
-    text = json.dumps(inputs, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
 
 _WIDTH, _DPI = 4.0, 150  # of one picture [inch]

@@ -137,12 +137,11 @@ def _mesh(entry: MeshEntry) -> Scene:
         for material in (default, *parts.values())
         if material is not None and material.kind == "paint"
     ]
-    instance = Instance(entry.name, kind, painted[0] if kind == "car" and painted else "")
     mesh = read_mesh(
         entry.path,
         parts,
         default=default,
-        instance=instance,
+        instance=Instance(entry.name, kind, painted[0] if kind == "car" and painted else ""),
         unit=float(options.get("unit_m", 1.0)),
         up=options.get("up"),
     )

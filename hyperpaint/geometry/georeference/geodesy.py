@@ -255,9 +255,8 @@ def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, c
 def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
     phi, lam = np.radians(latitude), np.radians(longitude)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
-    zero = np.zeros_like(sin_lat)
     rows = [
-        [-sin_lon, cos_lon, zero],
+        [-sin_lon, cos_lon, np.zeros_like(sin_lat)],
         [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
         [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
     ]

@@ -226,8 +226,7 @@ def locate(
     crs = _map_of(poses, crs)
     surface = None if ground is None else float(ground)
     if dem is not None:
-        heights = dem.squeeze(drop=True).transpose("y", "x").data
-        surface = _call(terrain_of, heights=heights, grid=grid)
+        surface = _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
     chunks = _line_chunks(line)
     turn, arm = tuple(map(float, boresight)), tuple(map(float, lever_arm))
     swath = _call(
@@ -337,8 +336,7 @@ def _pose_inputs(
 ) -> dict[str, Any]:
     source = line if navigation is None else navigation
     dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
-    columns = pose_columns(source, convention, dim)
-    inputs = {name: column.data for name, column in columns.items()}
+    inputs = {name: column.data for name, column in pose_columns(source, convention, dim).items()}
     if navigation is None and clock_offset_s == 0.0:
         return inputs
     wanted = require(line, ["time"], "poses")["time"].data
@@ -387,8 +385,7 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
     for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
         attrs[name] |= {"crs": crs, "standard_name": standard}
     coordinates = {n: label(xr.DataArray(places[k], dims=dims), n, **attrs[n]) for k, n in enumerate(_PLACES)}
-    off = (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16)
-    quality = xr.Variable(dims, off)
+    quality = xr.Variable(dims, (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16))
     if "quality" in line.variables:
         quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
     reference = xr.DataArray(np.int64(0), attrs=grid_mapping_attrs(crs))

@@ -252,10 +252,9 @@ def interpolate_pose(
     """
     convention = convention_of(navigation, convention)
     columns = pose_columns(navigation, convention)
-    values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
     poses = poses_at(
         navigation[NAVIGATION_TIME].values,
-        values,
+        canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs),
         time.values,
         clock_offset_s=clock_offset_s,
         max_gap_s=max_gap_s,
@@ -278,8 +277,7 @@ def poses_at(
     check_interpolation(interpolation, max_gap_s)
     knots = _nanoseconds(recorded)
     wanted = _nanoseconds(time)
-    offset = np.int64(round(clock_offset_s * _NS_PER_S))
-    wanted = np.where(wanted == _NAT, _NAT, wanted + offset)
+    wanted = np.where(wanted == _NAT, _NAT, wanted + np.int64(round(clock_offset_s * _NS_PER_S)))
     keep = _increasing(knots)
     knots, values = knots[keep], values[:, keep]
     steps = np.diff(knots) / _NS_PER_S
@@ -373,8 +371,7 @@ def _attitudes_between(knots: Ints, values: Floats, wanted: Ints, gap: float, in
 
         between = _by_stretch(knots, wanted, is_covered, gap, spline, size=4).T
     else:
-        after = np.minimum(before + 1, knots.size - 1)
-        between = slerp(rotation[before], rotation[after], weight)
+        between = slerp(rotation[before], rotation[np.minimum(before + 1, knots.size - 1)], weight)
     return np.where(is_covered, np.stack(angles_of(between)), np.nan)
 
 

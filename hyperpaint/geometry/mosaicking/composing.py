@@ -125,8 +125,7 @@ def mosaic(
     """
     named = named_lines(lines)
     _check(rule, gsd, tile, levelling)
-    location = {name: options.pop(name) for name in _LOCATION if name in options}
-    named = located_lines(named, location)
+    named = located_lines(named, {name: options.pop(name) for name in _LOCATION if name in options})
     shared = shared_grid(named, gsd, progress)
     strips = strips_of(named, shared, variables, tile, **options)
     needed = _RANKED_BY[rule]

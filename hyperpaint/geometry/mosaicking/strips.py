@@ -314,8 +314,7 @@ def _crs(line: xr.Dataset) -> Any:
 def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, ...]:
     text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
     numbers = () if text is None else tuple(float(number) for number in str(text).split())
-    is_north_up = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0
-    if not is_north_up:
+    if not (len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0):
         problems.add(
             f"the map {name} has the GeoTransform {text}",
             expected="square cells with north up",

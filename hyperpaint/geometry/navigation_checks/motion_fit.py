@@ -85,8 +85,7 @@ def _without(values: Floats, parts: list[tuple[Floats, float]], used: Bools) -> 
         scale = robust_scale(left[used])
         inliers = used & (np.abs(left) < RULES.clip_sd * scale)
         a = design[:, inliers]
-        normal = a @ a.T / scale**2 + np.diag(limits**-2.0)
-        size = np.linalg.solve(normal, a @ values[inliers] / scale**2)
+        size = np.linalg.solve(a @ a.T / scale**2 + np.diag(limits**-2.0), a @ values[inliers] / scale**2)
         left = values - np.tensordot(size, design, 1)
     return np.where(used, left, np.nan)
 

@@ -356,8 +356,7 @@ def _plausible(points: Misses) -> Bools:
     middle = np.median(np.concatenate(misses), axis=0)
     for sight, miss in zip(points.sights, misses, strict=True):
         limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
-        far = np.linalg.norm(miss - middle, axis=1) > limit
-        plausible[sight.index] = ~(far | sight.behind(at))
+        plausible[sight.index] = ~((np.linalg.norm(miss - middle, axis=1) > limit) | sight.behind(at))
     return plausible if 2 * plausible.sum() > points.count else np.ones(points.count, bool)
 
 

@@ -168,8 +168,7 @@ class Setting:
     @property
     def steady(self) -> Bools:
         """Return the lines after which no frame is missing (line - 1,)."""
-        stamps = self.recorded.wanted.astype(np.int64).astype(np.float64)
-        steps = np.diff(stamps) / 1e9
+        steps = np.diff(self.recorded.wanted.astype(np.int64).astype(np.float64)) / 1e9
         return np.asarray((steps > 0) & (steps < _MAX_STEADY_INTERVALS * self.interval))
 
     def comparable(self, meant: Motion) -> Bools:

@@ -79,8 +79,7 @@ class Sightings:
         # ground of equal height falls off under the tangent plane by 8 cm in a kilometre
         for _ in range(2):
             reach = (fall + reach**2 * aside / (2.0 * WGS84_SEMI_MAJOR_AXIS_M)) / ray[:, 2]
-        way = arm + reach[:, None] * ray
-        return np.asarray(centre + np.einsum("nji,nj->ni", axes, way))
+        return np.asarray(centre + np.einsum("nji,nj->ni", axes, arm + reach[:, None] * ray))
 
     def whitening(self, mounting: Floats) -> Floats:
         """Return the matrix that turns residuals into pixels of picking (point, 2, 2).
@@ -126,8 +125,7 @@ def _place(latitude: Floats, longitude: Floats, height: Floats) -> tuple[Floats,
         ],
         axis=-1,
     )
-    zero = np.zeros_like(sp)
-    axes = [[-sp * cl, -sp * sl, cp], [-sl, cl, zero], [-cp * cl, -cp * sl, -sp]]
+    axes = [[-sp * cl, -sp * sl, cp], [-sl, cl, np.zeros_like(sp)], [-cp * cl, -cp * sl, -sp]]
     return place, np.stack([np.stack(row, axis=-1) for row in axes], axis=-2)
 
 

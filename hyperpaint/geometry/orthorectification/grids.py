@@ -98,8 +98,7 @@ class MapGrid:
     def frame(self) -> Floats:
         """Transform from map coordinates to cells, see `hyperpaint.kernels.inverse_map`."""
         east, north = self._place(0.5, 0.5)
-        turn = np.array([*self.axes.right, *self.axes.down]) / self.gsd
-        return np.concatenate([[east, north], turn])
+        return np.concatenate([[east, north], np.array([*self.axes.right, *self.axes.down]) / self.gsd])
 
 
 def north_axes() -> Axes:

@@ -335,8 +335,7 @@ def _dataset(
         for name in line.coords
         if line[name].dims == (BAND,) and any(BAND in array.dims for array in variables.values())
     }
-    dataset = xr.Dataset(variables, coords=of_bands)
-    return dataset.assign_coords(_coordinates(tiles, crs, line))
+    return xr.Dataset(variables, coords=of_bands).assign_coords(_coordinates(tiles, crs, line))
 
 
 def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:

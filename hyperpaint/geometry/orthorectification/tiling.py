@@ -301,8 +301,7 @@ def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]
         if "flag_masks" in array.attrs or name == "quality":
             kind = "flags"
         return tiles.plane(in_slabs(array.transpose(*_PIXEL), lines), kind, empty)
-    values = array.chunk({array.dims[0]: -1}).data
-    return tiles.row_or_column(values, array.dims == (ALONG_TRACK,), empty)
+    return tiles.row_or_column(array.chunk({array.dims[0]: -1}).data, array.dims == (ALONG_TRACK,), empty)
 
 
 class _InMemory:
