@@ -413,8 +413,7 @@ def _store(path: Path) -> Facts:
         state = store_state(location, groups)
         yield "NOT WHOLE", "\n".join(state.problems)
         yield "note", "\n".join(state.notes)
-    for name in groups:
-        yield f"/{name}", _joined(_group(path, name))
+    yield from ((f"/{name}", _joined(_group(path, name))) for name in groups)
 
 
 def _group(path: Path, name: str) -> Facts:

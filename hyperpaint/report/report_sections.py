@@ -194,8 +194,7 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
         "facts",
         lambda: page_part("facts", pairs=[("paints", usable.sizes[SIGNATURE]), *facts_of_bands(usable)]),
     )
-    for problem in wrong:
-        yield "variables", partial(_raise, problem)
+    yield from (("variables", partial(_raise, problem)) for problem in wrong)
     caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
     yield "spectra", lambda: figure_part(library_overview(usable), caption)
     if "reflectance_u_random" in usable.variables:

@@ -227,9 +227,7 @@ def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
     stored = dataset["overview"]
     row = schema.VARIABLES["overview"]
     fits = stored.dims == row.dims and stored.dtype == row.dtype and stored.shape[-1] == 3 and stored.size
-    if not (fits and _is_at_hand(stored)):
-        return None
-    return np.asarray(stored.values)
+    return np.asarray(stored.values) if fits and _is_at_hand(stored) else None
 
 
 def _printable(text: str) -> str:
@@ -268,8 +266,7 @@ def _kind(dataset: xr.Dataset) -> tuple[str, Any]:
 
 
 def _forms(dataset: xr.Dataset) -> Facts:
-    for name in list(dataset.data_vars)[:_MAX_NAMES]:
-        yield str(name), form_of(dataset[name])
+    yield from ((str(name), form_of(dataset[name])) for name in list(dataset.data_vars)[:_MAX_NAMES])
 
 
 def _line(line: xr.Dataset) -> Facts:

@@ -135,9 +135,7 @@ def bands_of(signature: Measured, references: list[Measured]) -> Measured:
     for each in references:
         shared = (each.wavelength >= first) & (each.wavelength <= last)
         widths.append(np.median(each.fwhm[shared]) if shared.any() else 0.0)
-    if min(widths) > _SAME_WIDTH_RATIO * np.median(signature.fwhm):
-        return references[0]
-    return signature
+    return references[0] if min(widths) > _SAME_WIDTH_RATIO * np.median(signature.fwhm) else signature
 
 
 def operator_onto(bands: Measured, spectrum: Measured) -> Operator:

@@ -424,6 +424,4 @@ def _is_lazy(*values: Any) -> bool:
 
 def _call(function: Any, **inputs: Any) -> Any:
     # at once from arrays in memory, else as a node of the graph
-    if _is_lazy(*inputs.values()):
-        return dask.delayed(function, pure=True)(**inputs)
-    return function(**inputs)
+    return dask.delayed(function, pure=True)(**inputs) if _is_lazy(*inputs.values()) else function(**inputs)

@@ -130,9 +130,7 @@ def row_motion(picture: Array) -> RowMotion | None:
             good = np.isfinite(own).all(axis=1)
             structure += own[good].sum(axis=0)
             weight += float(good.sum())
-    if not weight:
-        return None
-    return RowMotion(shift, unlike, structure / weight, starts + (width - 1) / 2)
+    return RowMotion(shift, unlike, structure / weight, starts + (width - 1) / 2) if weight else None
 
 
 def _levelled(picture: Array) -> Floats:
