@@ -391,12 +391,11 @@ def _detection_table(detections: xr.Dataset) -> str:
     from hyperpaint.validation.validation_result import aligned
 
     numbers = detections["best_paint"].values[detections["detected"].values]
-    counts = np.bincount(numbers, minlength=detections.sizes["signature"])
     rows = [
         (str(name), f"{count} pixels", f"threshold {threshold:.4g}", f"distance {limit:.3g} at the most")
         for name, count, threshold, limit in zip(
             detections["signature"].values,
-            counts,
+            np.bincount(numbers, minlength=detections.sizes["signature"]),
             detections["score_threshold"].values,
             detections["distance_limit"].values,
             strict=True,

@@ -340,8 +340,7 @@ def adjacency_figure(
                 axes.fill_between(nm[order][is_finite], low, high, color=colour, alpha=0.15, linewidth=0)
             axes.plot(nm[order], mean, style, color=colour, label=label_for(region.name) if named else None)
     if without is not None:
-        added = transects[""] - transects["without"]
-        _draw_bands(plots["added"], away, added, nm, wavelengths, "-", False)
+        _draw_bands(plots["added"], away, transects[""] - transects["without"], nm, wavelengths, "-", False)
     if "adjacency" in line.variables:
         layer = line["adjacency"].transpose(ALONG_TRACK, CROSS_TRACK).values
         flagged = _mean(layer[route[..., 0], route[..., 1]], axis=1)

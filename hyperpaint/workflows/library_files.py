@@ -201,8 +201,7 @@ def _lines(
         if is_flagged(line):
             flagged.add(name)
         if "counts" in line.variables:
-            has_noise = {"electrons_per_count", "read_noise"} <= set(line.variables)
-            line = reflectance(line, uncertainty=has_noise)
+            line = reflectance(line, uncertainty={"electrons_per_count", "read_noise"} <= set(line.variables))
         lines[name] = line
     return lines, frozenset(flagged)
 

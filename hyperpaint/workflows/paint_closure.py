@@ -125,13 +125,12 @@ class _Signature:
 
     def agreement(self, name: str, field: Floats) -> PaintAgreement:
         recovered, true = np.asarray(self.recovered) / self.pixels, np.asarray(self.true) / self.pixels
-        error = float(np.sqrt(np.mean((recovered / true - 1.0) ** 2)))
         return PaintAgreement(
             paint=name,
             cars=len(self.cars),
             pixels=self.pixels,
             recovered=float(recovered.mean()),
-            error=error,
+            error=float(np.sqrt(np.mean((recovered / true - 1.0) ** 2))),
             field=float(field.mean()),
         )
 

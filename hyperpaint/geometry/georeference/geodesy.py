@@ -149,8 +149,7 @@ def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs:
     latitude, longitude = np.broadcast_arrays(np.asarray(latitude, float), np.asarray(longitude, float))
     if system.is_geographic:
         return np.zeros(latitude.shape)
-    factors = pyproj.Proj(system).get_factors(longitude, latitude)
-    return np.asarray(factors.meridian_convergence, np.float64)
+    return np.asarray(pyproj.Proj(system).get_factors(longitude, latitude).meridian_convergence, np.float64)
 
 
 def grid_mapping_attrs(crs: str) -> dict[str, Any]:

@@ -271,8 +271,7 @@ def _light_offset(
     # the offset at which the light and the brightness of lines change together
     part = line if lines is None else line.isel({ALONG_TRACK: lines})
     part_image = image if image is None or lines is None else image.isel({ALONG_TRACK: lines})
-    asked = [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "irradiance"]
-    record = require(irradiance, asked, "a clock's offset")
+    record = require(irradiance, [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "irradiance"], "a clock's offset")
     ticks = record[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(ticks)
     time = require(part, ["time"], "a clock's offset")["time"].values.astype("datetime64[ns]")

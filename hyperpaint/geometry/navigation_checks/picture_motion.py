@@ -180,8 +180,7 @@ def _shift(before: Floats, after: Floats, window: slice) -> Floats:
         slope = (np.gradient(first, axis=1) + np.gradient(second, axis=1)) / 2
         step = (slope * (second - first)).sum(axis=1) / np.maximum((slope**2).sum(axis=1), _FLAT)
         moved = moved + np.clip(step, -0.5, 0.5)
-    edge = (best == 0) | (best == 2 * REACH) | (np.abs(moved) > REACH)
-    return np.where(edge, np.nan, moved)
+    return np.where((best == 0) | (best == 2 * REACH) | (np.abs(moved) > REACH), np.nan, moved)
 
 
 def _moved(rows: Floats, window: slice, by: Floats) -> Floats:
