@@ -15,6 +15,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.io.store import list_groups
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 from hyperpaint.validation.validation_result import aligned
 
@@ -136,8 +137,6 @@ def compare(store: Path, truth: Path) -> Comparison:
     the truth of a rendered scene cannot be read.
     """
     import xarray as xr
-
-    from hyperpaint.io.store import list_groups
 
     true_scene = xr.open_zarr(truth)
     names = str(true_scene["surface"].attrs["flag_meanings"]).split()
@@ -339,8 +338,6 @@ def run_demonstration(
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
     import xarray as xr
-
-    from hyperpaint.io.store import list_groups
 
     group = next(name for name in list_groups(store) if name.startswith("flightlines/"))
     try:

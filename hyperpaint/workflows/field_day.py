@@ -12,15 +12,16 @@ import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
+from hyperpaint.io.collect.collect_toml import Collect, read_collect
+from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.regions import Regions, read_regions
 
-if TYPE_CHECKING:
-    from hyperpaint.io.collect.collect_toml import Collect
-    from hyperpaint.regions import Regions
+from .maps import map_of_store, mosaic_of_store, write_map
 
 #: What a field day is made of, in this order; each may be left out, but for the first.
 STEPS = ("process", "signatures", "validate", "map", "mosaic", "dirsig", "report")
@@ -137,9 +138,6 @@ def run_field_day(
     --------
     >>> print(run_field_day("2021_07_20/collect.toml"))                           # doctest: +SKIP
     """
-    from hyperpaint.io.collect.collect_toml import read_collect
-    from hyperpaint.regions import read_regions
-
     problems = Problems("the field day cannot be run", SchemaError)
     for name in skip:
         if name == "process":
@@ -313,15 +311,12 @@ class _Day:
         return (self.out / _PRODUCTS[step],)
 
     def _mapped(self) -> tuple[str, ...]:
-        from hyperpaint.io.store import list_groups, open_store
-
         lines = [name for name in list_groups(self.store) if name.startswith("flightlines/")]
         located = [name for name in lines if "latitude" in open_store(self.store, name).variables]
         return tuple(name.removeprefix("flightlines/") for name in located)
 
     def _digest(self, step: str) -> str:
         # of groups of the store, regions, settings, version
-        from hyperpaint.io.store import list_groups, open_store
         from hyperpaint.io.store.groups import version_of_program
         from hyperpaint.io.store.manifest import INPUTS
 
@@ -415,8 +410,6 @@ class _Day:
     def _map(self) -> str:
         from hyperpaint.geometry.orthorectification.plausibility import describe_swath
 
-        from .maps import map_of_store, write_map
-
         lines, texts = self._mapped(), []
         for number, line in enumerate(lines):
             share = part_of(self.progress("map"), number, len(lines))
@@ -429,8 +422,6 @@ class _Day:
         return "\n".join(texts)
 
     def _mosaic(self) -> str:
-        from .maps import mosaic_of_store, write_map
-
         path = self.out / _PRODUCTS["mosaic"]
         # lines without navigation have no place; the step map lists them
         lines = self._mapped()

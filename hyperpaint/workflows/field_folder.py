@@ -11,16 +11,23 @@ import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, Problems
 from hyperpaint.base.schema import CROSS_TRACK
-
-if TYPE_CHECKING:
-    from hyperpaint.io.spectrometers.asd import Spectrum
+from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
+from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.flightline.headwall import (
+    cube_number,
+    find_exposure,
+    frame_index_beside,
+    lens_lengths,
+    navigation_beside,
+    read_frame_index,
+)
+from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra
 
 _MAX_SURVEY_BYTES = 1 << 20
 MAX_DEPTH = 6
@@ -176,9 +183,6 @@ class _Seen:
                 self.add(path)
 
     def _add_cube(self, path: Path, *, is_dark: bool) -> None:
-        from hyperpaint.io.envi.envi_cubes import find_pair
-        from hyperpaint.io.envi.envi_header import read_header
-
         try:
             header = read_header(path)
             find_pair(path)
@@ -222,16 +226,6 @@ class _Seen:
         )
 
     def _flight_cubes(self) -> Iterator[FlightCube]:
-        from hyperpaint.io.envi.envi_cubes import open_envi
-        from hyperpaint.io.envi.envi_header import read_header
-        from hyperpaint.io.flightline.headwall import (
-            cube_number,
-            find_exposure,
-            frame_index_beside,
-            lens_lengths,
-            navigation_beside,
-        )
-
         for header in sorted(self.raw, key=lambda path: (path.parent, cube_number(path) or 0, path.name)):
             has_exposure, lens = False, None
             with contextlib.suppress(PaintError), warnings.catch_warnings():
@@ -346,7 +340,6 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
 
 def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
     # a later reading repeats the warnings
-    from hyperpaint.io.spectrometers.asd import read_spectra
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
@@ -390,7 +383,6 @@ def _record_times(files: list[Path]) -> _Record:
 
 def _flown(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
     # times of the first and the last line of the frame index [UTC]
-    from hyperpaint.io.flightline.headwall import read_frame_index
     from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     if cube.frame_index is None or cube.navigation is None:

@@ -25,14 +25,17 @@ from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.files.text_cells import safe_cell
+from hyperpaint.io.store import budget, list_groups, open_store, to_store
+from hyperpaint.regions import Regions, regions_from
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 from hyperpaint.surroundings.scratch import survey_planned
+from hyperpaint.validation import Validation, validate
+
+from .maps import location_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from hyperpaint.regions import Regions
-    from hyperpaint.validation import Validation
 
 MAX_LISTED_REJECTIONS = 10
 MAX_STORED_REJECTIONS = 200
@@ -91,10 +94,8 @@ def write_signatures(
         The store has no finished flight line of the regions; or the library cannot be written, or its store
         holds something else, and ``overwrite`` is False.
     """
-    from hyperpaint.io.store import budget, to_store
     from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
     from hyperpaint.paints.signatures.extraction import GATHERED_BYTES
-    from hyperpaint.regions import regions_from
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
@@ -150,8 +151,6 @@ def _placed(
 ) -> dict[str, xr.Dataset]:
     from hyperpaint.geometry import locate
 
-    from .maps import location_of
-
     problems = Problems("signatures cannot be extracted", SchemaError)
     if maps and regions is None:
         problems.add(
@@ -176,7 +175,6 @@ def _lines(
     store: str | os.PathLike[str], wanted: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
     # second, the names of lines that have flags
-    from hyperpaint.io.store import list_groups, open_store
     from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
     listed = list_groups(store)
@@ -235,7 +233,6 @@ def _proposed(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
 ) -> tuple[Regions, list[str]]:
     # accepted regions, and rejected ones with place and reasons, cars first
-    from hyperpaint.regions import Regions
     from hyperpaint.regions.proposals import propose_regions
 
     # with several lines, names of paints begin with the name of the line
@@ -300,7 +297,6 @@ def validate_files(
     from hyperpaint.io.library import open_library
     from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
     from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
-    from hyperpaint.validation import validate
 
     signatures = open_library(library)
     named = None if pairs is None else read_pairs(pairs)

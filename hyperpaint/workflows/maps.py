@@ -15,6 +15,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.mosaicking import mosaic, seamlines
 from hyperpaint.geometry.orthorectification import orthorectify
+from hyperpaint.io.store import budget, list_groups, open_store, to_store
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -123,8 +124,6 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
 
     Raises `SchemaError`: the store has no named flight lines, or not these.
     """
-    from hyperpaint.io.store import list_groups, open_store
-
     prefix = "flightlines/"
     held = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
     missing = [name for name in names if name not in held]
@@ -193,8 +192,6 @@ def write_map(
     if geozarr and not is_tiff:
         orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
     if not is_tiff and not companions:
-        from hyperpaint.io.store import to_store
-
         with plan:
             to_store(orthomap, path, overwrite=overwrite, progress=progress)
         return ""
@@ -212,8 +209,6 @@ def write_map(
             factors = ", ".join(f"1:{factor}" for factor in read_geotiff_header(target).overviews)
             notes.append(f"overviews {factors}" if factors else "too small for overviews")
         else:
-            from hyperpaint.io.store import open_store, to_store
-
             to_store(orthomap, target, progress=progress)
             orthomap = open_store(target)
         if stac:
@@ -232,8 +227,6 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
 
     Entering it raises `StoreError` where not even one thread fits.
     """
-    from hyperpaint.io.store import budget
-
     cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
     tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
     rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
@@ -245,15 +238,12 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
 
 def _no_map(folder: Path) -> str:
     # empty for a store of one map
-    from hyperpaint.io.store import list_groups
 
     return "" if list_groups(folder) == [""] else "something other than a map"
 
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     """Return a flight line of a store by its name, by default the only one; or the map of a store."""
-    from hyperpaint.io.store import list_groups, open_store
-
     prefix = "flightlines/"
     lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
     if not lines and line is not None:

@@ -22,8 +22,10 @@ from hyperpaint.base.errors import (
     needs_extra,
 )
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
-from hyperpaint.io.store.layout import Layout
+from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
+from hyperpaint.io.store.layout import Codec, Layout, with_layout
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
+from hyperpaint.io.store.writer import TakeUp, check_codec, check_room, run_contents, whole_run
 
 from .collect_check import check_accepted, refuse_findings, warn_of_flags
 from .store_inputs import finishing_command, inputs_digest, refuse_to_write_over, settings_of
@@ -35,8 +37,6 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.io.collect.collect_toml import Collect
     from hyperpaint.io.store.budget import Demand
-    from hyperpaint.io.store.layout import Codec
-    from hyperpaint.io.store.writer import TakeUp
 
 #: How long a cluster without workers is waited for [s].
 WORKERS_WAIT = 60
@@ -87,7 +87,6 @@ def kept_groups(
     from hyperpaint.io.store.groups import check_above, groups_above
     from hyperpaint.io.store.location import Location
     from hyperpaint.io.store.manifest import Manifest, content_of, numerics_of
-    from hyperpaint.io.store.writer import run_contents
 
     if not out.exists():
         return []
@@ -141,8 +140,6 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
     `StoreError`: the cluster has no worker.
     """
     import dask
-
-    from hyperpaint.io.store.computing import client_in_force, scheduler_in_force
 
     if address is None:
         client = client_in_force()
@@ -322,9 +319,6 @@ def run(
     ``take_up`` hands over blocks of a line in flight (`hyperpaint.workflows.following`).
     """
     from hyperpaint.io.store.budget import limited_threads, parse_size, share_one_heap
-    from hyperpaint.io.store.computing import errors_of_the_cluster
-    from hyperpaint.io.store.layout import with_layout
-    from hyperpaint.io.store.writer import check_codec, check_room, run_contents, whole_run
 
     problems = Problems("cannot process", SchemaError)
     for word, value, allowed in (
@@ -468,7 +462,6 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
 def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
     # the first slab of every line finds impossible values before writing; on a cluster this also compiles the
     # kernels once, where the workers share a cache
-    from hyperpaint.io.store.computing import RETRIES, errors_of_the_cluster
 
     options = {} if client is None else {"retries": RETRIES}
     problems = Problems(f"{collect} cannot be processed", CollectError)

@@ -44,18 +44,23 @@ from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
+from hyperpaint.io.store import list_groups, open_group, open_store
 from hyperpaint.io.store.budget import size_text
+from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
+from hyperpaint.io.store.writer import check_room, run_contents, whole_run
 from hyperpaint.simulation.settings import MOST_SAMPLES
 
 from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
+from .render_libraries import read_paints, spectra_digest
+from .render_products import Render, pose_of
+from .scene_files import SceneFile, read_scene_file
+from .scene_parts import Parts, build_parts, chosen_atmospheres
 from .store_inputs import finishing_command, refuse_to_write_over
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from .scene_files import SceneFile
-    from .scene_parts import Parts
 
 #: Group of the traced scene.
 TRANSPORT = "transport"
@@ -186,13 +191,6 @@ def run(
     progress: bool = False,
 ) -> Outcome:
     """Render a scene, as `render_scene` does with the same arguments, and return the groups written."""
-    from hyperpaint.io.store import open_group
-    from hyperpaint.io.store.computing import errors_of_the_cluster
-    from hyperpaint.io.store.writer import check_room, run_contents, whole_run
-
-    from .scene_files import read_scene_file
-    from .scene_parts import build_parts, chosen_atmospheres
-
     out = local_folder(out, "render")
     file = _changed(read_scene_file(path), samples, to)
     if hold_edges is not None:
@@ -270,8 +268,6 @@ def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Pa
     from hyperpaint.simulation.rendering.painting import dealt_paints
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
-    from .render_libraries import read_paints
-
     library = by_name(read_paints(paints))
     dealt = dealt_paints(SceneRecord.of(parts.scene), list(library))
     file = dataclasses.replace(file, paints={**dealt, **file.paints})
@@ -297,8 +293,6 @@ def _check_disk_roughly(file: SceneFile, out: Path) -> None:
 
 def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
     from hyperpaint.simulation.rendering.tracing import trace
-
-    from .render_products import pose_of
 
     sampling = file.sampling
     traced = trace(
@@ -328,9 +322,6 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
 def _renders(
     traced: xr.Dataset, file: SceneFile, parts: Parts, names: Sequence[str]
 ) -> dict[str, xr.Dataset]:
-    from .render_libraries import spectra_digest
-    from .render_products import Render
-
     renders = {}
     for atmosphere in parts.atmospheres:
         if atmosphere.name in names:
@@ -359,7 +350,6 @@ def _renders(
 
 def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
     # renders of other parameters keep the traced scene below them
-    from hyperpaint.io.store import list_groups
 
     if TRANSPORT in complete or not out.exists():
         return
@@ -401,7 +391,6 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     Raises `MissingExtraError`: matplotlib is not installed; `StoreError`: no group has an overview, of fewer
     than three visible bands; `SchemaError`: matplotlib writes no such picture.
     """
-    from hyperpaint.io.store import open_store
     from hyperpaint.pictures.figures import new_figure, save_figure
 
     opened = {group: open_store(store, group) for group in groups}

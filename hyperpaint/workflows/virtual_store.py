@@ -15,8 +15,20 @@ import numpy as np
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.io.envi.envi_array import EnviArray
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store.manifest import SETTINGS
+from hyperpaint.io.store.raw_references import (
+    RawFile,
+    VirtualCube,
+    check_url,
+    is_virtual,
+    open_virtual,
+    refuse_kerchunk,
+    summary_of,
+    virtual_groups,
+    write_icechunk,
+)
 from hyperpaint.io.store.stage import Staging, staging
 
 from .collect_check import refuse_findings
@@ -27,8 +39,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from hyperpaint.io.collect.collect_opening import OpenedCollect
-    from hyperpaint.io.envi.envi_array import EnviArray
-    from hyperpaint.io.store.raw_references import RawFile, VirtualCube
 
 #: Of a cube; beyond it a stored cube is the better one [1].
 MAX_COPIED_SHARE = 0.1
@@ -92,8 +102,6 @@ def virtualise(
     --------
     >>> virtualise("collect.toml", "lot.icechunk").path                               # doctest: +SKIP
     """
-    from hyperpaint.io.store.raw_references import check_url, is_virtual, refuse_kerchunk, write_icechunk
-
     out = local_folder(out, "virtual")
     refuse_kerchunk(out, write=True)
     if prefix is not None:
@@ -140,7 +148,6 @@ def virtualise(
 
 def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
     # empty without any difference
-    from hyperpaint.io.store.raw_references import is_virtual, open_virtual, summary_of, virtual_groups
 
     if not is_virtual(out):
         return "and no virtual store"
@@ -198,7 +205,6 @@ def _cubes(
 
 
 def _array(entry: Any) -> EnviArray:
-    from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.envi.envi_cubes import open_envi
 
     with warnings.catch_warnings():  # given when the collect was opened
@@ -218,7 +224,6 @@ def _array(entry: Any) -> EnviArray:
 
 def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
     # the local file, or its copy below a URL
-    from hyperpaint.io.store.raw_references import RawFile
 
     local = RawFile.of(f"file://{os.path.realpath(path)}")
     if prefix is None:
@@ -254,7 +259,6 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
 
 def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
     from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
-    from hyperpaint.io.store.raw_references import VirtualCube
 
     first = arrays[0]
     interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first.axes)
