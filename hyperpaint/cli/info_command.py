@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
@@ -34,8 +35,6 @@ from .console import EXISTING
 from .options import command
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.workflows.field_folder import FieldFolder
 
 
@@ -489,7 +488,6 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
 
     ``allow``: as of `open_virtual`.
     """
-    from hyperpaint.base.errors import StoreError
     from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
 
     groups = virtual_groups(path)

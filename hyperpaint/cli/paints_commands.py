@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.schema import flags_named
 
 from .console import (
     EXISTING,
@@ -23,8 +27,6 @@ from .console import (
 from .options import command, settable, takes
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.regions import Regions
 
 
@@ -338,7 +340,6 @@ def detect_paints(
     **options: Any,
 ) -> None:
     """Find the paints of a library in a flight line of a store, or in a map."""
-    from hyperpaint.base.schema import flags_named
     from hyperpaint.io.library import open_library
     from hyperpaint.io.store import open_store, to_store
     from hyperpaint.paints.detection import detect, detected_regions
@@ -386,8 +387,6 @@ def _of_line(path: Path, line: xr.Dataset) -> Regions:
 
 
 def _detection_table(detections: xr.Dataset) -> str:
-    import numpy as np
-
     from hyperpaint.validation.validation_result import aligned
 
     numbers = detections["best_paint"].values[detections["detected"].values]

@@ -6,10 +6,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, StoreError
@@ -27,9 +28,6 @@ from .paint_closure import (
     signature_table,
 )
 from .pipeline import run
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 STORE, PICTURE = "lot.zarr", "quicklook.png"
 _OURS = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
@@ -136,8 +134,6 @@ def compare(store: Path, truth: Path) -> Comparison:
     Raises `StoreError`: the store holds no flight line; `FormatError`: files of the field spectrometer beside
     the truth of a rendered scene cannot be read.
     """
-    import xarray as xr
-
     true_scene = xr.open_zarr(truth)
     names = str(true_scene["surface"].attrs["flag_meanings"]).split()
     groups = [name for name in list_groups(store) if name.startswith("flightlines/")]
@@ -337,8 +333,6 @@ def run_demonstration(
 
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
-    import xarray as xr
-
     group = next(name for name in list_groups(store) if name.startswith("flightlines/"))
     try:
         xr.open_zarr(store, group=group).paint.quicklook(picture)

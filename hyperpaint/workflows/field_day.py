@@ -16,6 +16,7 @@ from typing import Any
 
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.io.collect.collect_toml import Collect, read_collect
 from hyperpaint.io.store import list_groups, open_store
@@ -340,8 +341,6 @@ class _Day:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
     def _record(self) -> dict[str, Any]:
-        from hyperpaint.base.input_files import read_limited
-
         path = self.out / RECORD
         if not path.is_file():
             return {}

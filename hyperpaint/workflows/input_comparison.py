@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
@@ -16,9 +18,6 @@ from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.manifest import Manifest, content_of
 
 from .store_inputs import inputs_digest
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 #: What a cube holds; the first of them that a line has is what its file holds.
 _RAW = ("counts", "radiance")
@@ -97,8 +96,6 @@ def _words(location: Location, manifest: Manifest | None) -> list[str]:
 
 
 def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> Iterator[str]:
-    import numpy as np
-
     name = str(cube.name)
     if cube.shape != stored.shape:
         yield f"/{group}: {name} of {cube.shape} samples, stored are {stored.shape}"

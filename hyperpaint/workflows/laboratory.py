@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK, label
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
@@ -202,7 +203,6 @@ def _column_angles(path: Path, columns: int) -> Floats:
 
 def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
     # the field of view lies between outer edges of the columns [degree]
-    from hyperpaint.base.attitude_conventions import Convention
     from hyperpaint.geometry.georeference import PinholeCamera
 
     declared = Convention.from_attrs(line.attrs)

@@ -16,9 +16,10 @@ import operator
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
@@ -32,10 +33,6 @@ from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.validation import Validation, validate
 
 from .maps import location_of
-
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 MAX_LISTED_REJECTIONS = 10
 MAX_STORED_REJECTIONS = 200

@@ -8,7 +8,9 @@ import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+
+import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
@@ -16,9 +18,6 @@ from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.mosaicking import mosaic, seamlines
 from hyperpaint.geometry.orthorectification import orthorectify
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.validation.validation_result import aligned
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 #: Of a signature of many pixels against its truth: RMS over bands, relative.
 MAX_ERROR = 0.01
@@ -53,8 +50,6 @@ def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tupl
 
     Raises `FormatError`: the spectrometer's files are missing or cannot be read.
     """
-    import xarray as xr
-
     from hyperpaint.io.store import list_groups
 
     true_scene = xr.open_zarr(truth)

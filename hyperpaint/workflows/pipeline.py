@@ -12,6 +12,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import xarray as xr
+
 from hyperpaint.base.constants import ALIGNMENTS, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
     CollectError,
@@ -31,7 +33,6 @@ from .collect_check import check_accepted, refuse_findings, warn_of_flags
 from .store_inputs import finishing_command, inputs_digest, refuse_to_write_over, settings_of
 
 if TYPE_CHECKING:
-    import xarray as xr
     from distributed import Client
 
     from hyperpaint.io.collect.collect_opening import OpenedCollect

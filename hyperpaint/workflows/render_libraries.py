@@ -6,16 +6,14 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.input_files import input_path, read_limited
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _PLAIN = (".csv", ".txt", ".tsv", ".asc", "")
 MAX_EXPORT_BYTES = 64 << 20

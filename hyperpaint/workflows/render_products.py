@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats, Floats32, round_bits
@@ -15,8 +16,6 @@ from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.simulation.camera import Camera, Detector
     from hyperpaint.simulation.optics import Optics
     from hyperpaint.simulation.rendering.camera_bands import BandSet
@@ -92,7 +91,6 @@ class Render:
 
 def _rounded(cube: xr.DataArray) -> xr.DataArray:
     # mantissa bits of a stored reflectance, to nearest-even
-    import xarray as xr
 
     rounded: xr.DataArray = xr.apply_ufunc(
         round_bits, cube, KEPT_BITS, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
@@ -148,7 +146,6 @@ def counts_of(
     ``exposure_time`` is in [s].
     """
     import dask.array as da
-    import xarray as xr
 
     # a mean radiance of one gives t A INT R counts; elements that see no light give none
     scale, factor = exposure_time * camera.etendue * camera.response_area, np.where(camera.bad, 0.0, 1.0)

@@ -37,7 +37,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
@@ -57,10 +60,6 @@ from .render_products import Render, pose_of
 from .scene_files import SceneFile, read_scene_file
 from .scene_parts import Parts, build_parts, chosen_atmospheres
 from .store_inputs import finishing_command, refuse_to_write_over
-
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 #: Group of the traced scene.
 TRANSPORT = "transport"
@@ -363,8 +362,6 @@ def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[st
 
 
 def _light(atmosphere: Any) -> str:
-    import numpy as np
-
     digest = hashlib.sha256()
     for field in dataclasses.fields(atmosphere):
         value = getattr(atmosphere, field.name)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
@@ -36,8 +37,6 @@ from .pipeline import Outcome, aligned_group, local_folder, opened_groups
 from .store_inputs import refuse_to_write_over
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.io.collect.collect_opening import OpenedCollect
 
 #: Of a cube; beyond it a stored cube is the better one [1].
