@@ -176,7 +176,7 @@ class Validation:
             parts += ["", "references against one another, the first minus the second:"]
             parts += lines[len(rows) + 1 :]
         parts += ["", *_LEGEND, *self._remarks(), self.verdict]
-        return "\n".join(_printable(line) for line in parts)
+        return "\n".join("".join(sign if sign.isprintable() else "\ufffd" for sign in line) for line in parts)
 
     def __repr__(self) -> str:
         return f"<Validation>\n{self.table()}"
@@ -204,7 +204,10 @@ class Validation:
             paint, reference, instrument = (
                 _short(self._texts(name)[row]) for name in ("signature", "reference", "instrument")
             )
-            oxygen = self._oxygen(row)
+            oxygen = " / ".join(
+                _plain(float(self.statistics[name][row]), 3)
+                for name in ("oxygen_residual", "reference_oxygen_residual")
+            )
             for column in range(statistics.sizes["part"]):
                 one = statistics.isel(pair=row, part=column)
                 count, left = int(one["bands"]), int(one["bands_left_out"])
@@ -220,12 +223,6 @@ class Validation:
                 rows.append((*names, f"{count}/{count + left}", *cells, oxygen, verdict))
                 oxygen = ""  # once a pair
         return rows
-
-    def _oxygen(self, row: int) -> str:
-        depths = (
-            float(self.statistics[name][row]) for name in ("oxygen_residual", "reference_oxygen_residual")
-        )
-        return " / ".join(_plain(depth, 3) for depth in depths)
 
     def _remarks(self) -> list[str]:
         rows: dict[str, list[int]] = {}
@@ -275,10 +272,6 @@ def _plain(value: float, digits: int) -> str:
 
 def _short(name: str) -> str:
     return name if len(name) <= _MAX_NAME_CHARS else name[: _MAX_NAME_CHARS - 3] + "..."
-
-
-def _printable(text: str) -> str:
-    return "".join(sign if sign.isprintable() else "\ufffd" for sign in text)
 
 
 def aligned(rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:

@@ -119,7 +119,15 @@ def write_signatures(
     for number, name in enumerate(wanted):
         share = part_of(progress, number, len(wanted) + 1)
         with survey_planned(lines[name], f"the survey of {name or store}"):
-            flagged[name] = _flagged(lines[name], name, {**surveys, "progress": share})
+            try:
+                flagged[name] = flag_line(lines[name], **{**surveys, "progress": share})
+            except PaintError as error:
+                error.note(
+                    f"flight line {name!r} has no flags of glint or shadow yet",
+                    mend="flags=False does without",
+                    option="--no-flags does without",
+                )
+                raise
     origin = _origin(lines, flagged, looked_at)
     targets, refused = _proposed(lines, flagged, surveys) if given is None else (given, [])
     lines |= {name: done.line for name, done in flagged.items()}
@@ -199,18 +207,6 @@ def _lines(
             line = reflectance(line, uncertainty={"electrons_per_count", "read_noise"} <= set(line.variables))
         lines[name] = line
     return lines, frozenset(flagged)
-
-
-def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged:
-    try:
-        return flag_line(line, **options)
-    except PaintError as error:
-        error.note(
-            f"flight line {name!r} has no flags of glint or shadow yet",
-            mend="flags=False does without",
-            option="--no-flags does without",
-        )
-        raise
 
 
 def _origin(

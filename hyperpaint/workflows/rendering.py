@@ -195,7 +195,17 @@ def run(
     if hold_edges is not None:
         file = dataclasses.replace(file, hold_edges=hold_edges)
     refuse_to_write_over(out, (file, library and Path(library)), "render")
-    _check_disk_roughly(file, out)
+    # before the scene is built; `check_room` is exact later
+    folder = next(parent for parent in out.absolute().parents if parent.exists())
+    pixels = file.platform["lines"] * file.platform["columns"]
+    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
+    free = shutil.disk_usage(folder).free
+    if least > free:
+        raise StoreError(
+            f"{file.path} needs at least {size_text(least)} of disk; {size_text(free)} are free in {folder}",
+            mend="take fewer lines, columns or bands, or another disk",
+            code="disk-full",
+        )
     parts = build_parts(file)
     if library is not None:
         file, parts = _painted(file, parts, Path(library))
@@ -271,20 +281,6 @@ def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Pa
     dealt = dealt_paints(SceneRecord.of(parts.scene), list(library))
     file = dataclasses.replace(file, paints={**dealt, **file.paints})
     return file, dataclasses.replace(parts, spectra={**library, **parts.spectra})
-
-
-def _check_disk_roughly(file: SceneFile, out: Path) -> None:
-    # before the scene is built; `check_room` is exact later
-    folder = next(parent for parent in out.absolute().parents if parent.exists())
-    pixels = file.platform["lines"] * file.platform["columns"]
-    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
-    free = shutil.disk_usage(folder).free
-    if least > free:
-        raise StoreError(
-            f"{file.path} needs at least {size_text(least)} of disk; {size_text(free)} are free in {folder}",
-            mend="take fewer lines, columns or bands, or another disk",
-            code="disk-full",
-        )
 
 
 # --- groups to write ---------------------------------------------------------------------------------------

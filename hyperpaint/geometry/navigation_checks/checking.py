@@ -216,7 +216,8 @@ def _findings(setting: Setting) -> list[Finding]:
             _north(declared, setting)
         ]
     best = _best(scored, declared)
-    fitted = _fitted_height(setting, best, used)
+    poses, view = best.poses(setting.recorded), best.view(setting.view)
+    fitted = fit_height(setting.seen, poses, view, used, setting.interval, _height(best, setting))
     if given > 0.0 and _is_off(fitted, given):
         setting = _at_height(setting, best, fitted.value)
         scored, used = _scores(setting)
@@ -324,11 +325,6 @@ def _square(hypothesis: Hypothesis, setting: Setting) -> float:
     north, east = local_metres(*hypothesis.poses(setting.recorded)[:2])
     way = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
     return max(way / float(np.abs(setting.view.step).mean()), 1.0)
-
-
-def _fitted_height(setting: Setting, hypothesis: Hypothesis, used: Bools) -> Refined:
-    poses, view = hypothesis.poses(setting.recorded), hypothesis.view(setting.view)
-    return fit_height(setting.seen, poses, view, used, setting.interval, _height(hypothesis, setting))
 
 
 def _is_off(fitted: Refined, given: float) -> bool:

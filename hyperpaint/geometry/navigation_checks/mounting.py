@@ -203,7 +203,10 @@ def solve_boresight(
     """
     pairs = control_points.sizes["point"] if "side" in control_points.dims else 0
     if pairs:
-        control_points = _sides(control_points)
+        # points that the first line of each pair sees, then those of the second
+        control_points = xr.concat(
+            [control_points.isel(side=side) for side in range(2)], "point", data_vars="all"
+        )
     names = _checked((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
     forward, right, down = (float(length) for length in lever_arm)
@@ -238,11 +241,6 @@ def solve_boresight(
         _labelled(np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64), names),
         _residuals(control_points, misses, fit.used), float(np.sqrt(variance)), condition,
     )  # fmt: skip
-
-
-def _sides(ties: xr.Dataset) -> xr.Dataset:
-    # points that the first line of each pair sees, then those of the second
-    return xr.concat([ties.isel(side=side) for side in range(2)], "point", data_vars="all")
 
 
 def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
