@@ -19,11 +19,11 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 EXISTING = click.Path(exists=True, path_type=Path)
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
+#: Exit status of a command: the data fail a check, or the call or an input is wrong.
 FAILED_CHECK, WRONG_INPUT = 1, 2
-"""Exit status of a command: the data fail a check, or the call or an input is wrong."""
 
+#: Added to the number of a signal that stopped a command, as shells do: 130 for Ctrl-C, 143 for SIGTERM.
 SIGNALLED = 128
-"""Added to the number of a signal that stopped a command, as shells do: 130 for Ctrl-C, 143 for SIGTERM."""
 
 
 def program_option(name: str) -> Any:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
@@ -34,8 +35,6 @@ from .console import EXISTING
 from .options import command
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.workflows.field_folder import FieldFolder
 
 
@@ -178,8 +177,7 @@ def _regions(path: Path) -> Facts:
         corners = np.concatenate([region.polygon for region in regions])
         (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
         yield "bounds", f"x {x0:.10g} to {x1:.10g}, y {y0:.10g} to {y1:.10g}"
-    properties = dict.fromkeys(name for region in regions for name in region.properties)
-    yield "also says", ", ".join(properties)
+    yield "also says", ", ".join(dict.fromkeys(name for region in regions for name in region.properties))
 
 
 def _asd(path: Path) -> Facts:
@@ -245,7 +243,7 @@ def _irradiance_csv(path: Path) -> Facts:
 
 
 def _spectra_if_any(path: Path) -> Facts:
-    """Yield the facts of a table of spectra; an error says that it may be no table of spectra."""
+    # an error adds that the file may be no table of spectra
     try:
         yield from _library(path)
     except FormatError as error:
@@ -287,8 +285,7 @@ def _materials(path: Path) -> Facts:
 def _frame_index(path: Path) -> Facts:
     from hyperpaint.io.flightline.headwall import read_frame_index
 
-    index = read_frame_index(path)
-    frames = index.frame
+    frames = read_frame_index(path).frame
     missing = int(frames[-1] - frames[0] + 1 - frames.size)
     yield "is", "Headwall frame index"
     yield "frames", f"{frames.size}, number {frames[0]} to {frames[-1]}, {missing} missing"
@@ -415,12 +412,10 @@ def _store(path: Path) -> Facts:
         state = store_state(location, groups)
         yield "NOT WHOLE", "\n".join(state.problems)
         yield "note", "\n".join(state.notes)
-    for name in groups:
-        yield f"/{name}", _joined(_group(path, name))
+    yield from ((f"/{name}", _joined(_group(path, name))) for name in groups)
 
 
 def _group(path: Path, name: str) -> Facts:
-    """Yield the facts of a group, and its state."""
     from hyperpaint.io.store import is_complete, open_group, open_unverified
 
     # dask, pint and other imports of xarray for chunks, times and indexes are avoided
@@ -493,7 +488,6 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
 
     ``allow``: as of `open_virtual`.
     """
-    from hyperpaint.base.errors import StoreError
     from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
 
     groups = virtual_groups(path)

@@ -20,12 +20,13 @@ import click
 
 _PACKAGE = Path(__file__).parents[1]
 _NUMBERS = {"int": int, "float": float}
+#: Parameters that a command supplies.
 _HIDDEN = ("progress",)
-"""Parameters that a command supplies."""
 
+#: Names that the help of ``--set`` lists.
 MAX_LISTED = 20
-"""Names that the help of ``--set`` lists."""
 
+#: Spelling, placeholder and help on the command line, where they are not those of the function.
 ODD: dict[str, dict[str, Any]] = {
     "accept": {"metavar": "FINDING", "help": "Continue despite this finding of check; repeatable."},
     "boresight": {"metavar": "R P H"},
@@ -36,7 +37,6 @@ ODD: dict[str, dict[str, Any]] = {
     "picture": {"metavar": "PICTURE", "type": click.Path(dir_okay=False, path_type=Path)},
     "srf_shape": {"spelling": "--shape"},
 }
-"""Spelling, placeholder and help on the command line, where they are not those of the function."""
 
 
 class Parameter(NamedTuple):
@@ -100,7 +100,6 @@ def parameters_of(place: str) -> dict[str, Parameter]:
 
 
 def _home(module: str, name: str) -> tuple[str, str]:
-    """Return the module that defines a name, and its name there."""
     for node in _tree(module).body:
         for statement in node.body if isinstance(node, ast.If) else [node]:  # also where TYPE_CHECKING
             for alias in statement.names if isinstance(statement, ast.ImportFrom) else ():
@@ -113,7 +112,7 @@ def _home(module: str, name: str) -> tuple[str, str]:
 
 
 def _assigned(module: str, name: str) -> tuple[ast.expr | None, str]:
-    """Return the expression that a module-level name of this package stands for, and its module."""
+    # the expression of a module-level name of this package, and the module that has it
     module, name = _home(module, name)
     if not (_PACKAGE / module.split(".")[0]).exists() and not (_PACKAGE / f"{module}.py").exists():
         return None, module
@@ -124,7 +123,7 @@ def _assigned(module: str, name: str) -> tuple[ast.expr | None, str]:
 
 
 def _value(node: ast.expr | None, module: str) -> Any:
-    """Return the value of a default; None where it is computed."""
+    # None where the default is computed
     if node is None:
         return ...
     if isinstance(node, ast.Name):
@@ -136,7 +135,6 @@ def _value(node: ast.expr | None, module: str) -> Any:
 
 
 def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
-    """Return the attributes of an option whose values have this annotation."""
     words = ast.unparse(node) if node is not None else "Any"
     parts = [part.strip() for part in words.split(" | ") if part != "None"]
     if "bool" in parts:
@@ -164,7 +162,6 @@ def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
 
 
 def _described(docstring: str) -> dict[str, str]:
-    """Return the help of every parameter that a numpydoc text describes."""
     section = re.search(
         r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-{3}|\Z)", docstring, re.M | re.S
     )
@@ -194,13 +191,11 @@ def _shared(function: ast.FunctionDef | ast.ClassDef) -> dict[str, str]:
     return table | {name: table.get(text, text) for name, text in own.items()}
 
 
+#: Options that are made when their command is called, since the source of a function is read for them.
 Deferred = Callable[[], list[click.Option]]
-"""Options that are made when their command is called, since the source of a function is read for them."""
 
 
 def _adds(options: Deferred) -> Callable[[Any], Any]:
-    """Return a decorator that adds options to a command."""
-
     def decorate(command: Any) -> Any:
         vars(command).setdefault("__click_params__", []).append(options)
         return command

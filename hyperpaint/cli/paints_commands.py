@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
+import xarray as xr
+
+from hyperpaint.base.schema import flags_named
 
 from .console import (
     EXISTING,
@@ -23,8 +27,6 @@ from .console import (
 from .options import command, settable, takes
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.regions import Regions
 
 
@@ -144,7 +146,7 @@ _PART = re.compile(r"(?P<name>[^=]+)=(?P<first>[0-9]+(\.[0-9]*)?)-(?P<last>[0-9]
 
 
 def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> dict[str, float] | None:
-    """Return tolerances by name of a statistic: each is a number, or NAME=NUMBER."""
+    # each value is a number, or NAME=NUMBER
     tolerances = {}
     for value in values:
         name, _, number = value.rpartition("=")
@@ -160,7 +162,7 @@ def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...
 def _parts(
     _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> dict[str, tuple[float, float]] | None:
-    """Return parts of the spectrum: each is NAME=FIRST-LAST [nm]."""
+    # each is NAME=FIRST-LAST [nm]
     parts = {}
     for value in values:
         match = _PART.fullmatch(value)
@@ -258,8 +260,7 @@ def validate(
         from hyperpaint.pictures.figures import check_picture
 
         check_picture(picture)
-    given = without_none(options)
-    validation = validate_files(library, references, **given)
+    validation = validate_files(library, references, **without_none(options))
     click.echo(validation.table())
     if out is not None:
         write_table(validation, out, overwrite=overwrite)
@@ -339,7 +340,6 @@ def detect_paints(
     **options: Any,
 ) -> None:
     """Find the paints of a library in a flight line of a store, or in a map."""
-    from hyperpaint.base.schema import flags_named
     from hyperpaint.io.library import open_library
     from hyperpaint.io.store import open_store, to_store
     from hyperpaint.paints.detection import detect, detected_regions
@@ -376,7 +376,6 @@ def detect_paints(
 
 
 def _of_line(path: Path, line: xr.Dataset) -> Regions:
-    """Return the regions of a file on this flight line; print how many are on others."""
     from hyperpaint.regions import Regions, read_regions
 
     regions = read_regions(path)
@@ -388,18 +387,14 @@ def _of_line(path: Path, line: xr.Dataset) -> Regions:
 
 
 def _detection_table(detections: xr.Dataset) -> str:
-    """Return a line of text for every paint, and one on the false-alarm rate."""
-    import numpy as np
-
     from hyperpaint.validation.validation_result import aligned
 
     numbers = detections["best_paint"].values[detections["detected"].values]
-    counts = np.bincount(numbers, minlength=detections.sizes["signature"])
     rows = [
         (str(name), f"{count} pixels", f"threshold {threshold:.4g}", f"distance {limit:.3g} at the most")
         for name, count, threshold, limit in zip(
             detections["signature"].values,
-            counts,
+            np.bincount(numbers, minlength=detections.sizes["signature"]),
             detections["score_threshold"].values,
             detections["distance_limit"].values,
             strict=True,
@@ -532,7 +527,7 @@ def _opened(library: Path | None, members: int | None) -> xr.Dataset:
 
 
 def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
-    """Return the spectrum of a file; a name of the library stays one."""
+    # a name of the library stays a name
     if like is None or like in [str(name) for name in paints["signature"].values]:
         return like
     path = Path(like)
@@ -554,7 +549,6 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
 
 
 def _paint_table(matches: xr.Dataset) -> str:
-    """Return a line of text for every paint, with its difference from the one asked for."""
     from hyperpaint.validation.validation_result import aligned
 
     columns = [[str(name) for name in matches["signature"].values]]
@@ -566,8 +560,7 @@ def _paint_table(matches: xr.Dataset) -> str:
         columns.append([f"looks {value:.1f} off" for value in matches["colour_difference"].values])
     if "spectral_angle" in matches.coords:
         columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
-    rows = aligned(list(zip(*columns, strict=True)), names=len(columns))
-    return "\n".join(f"  {row}" for row in rows)
+    return "\n".join(f"  {row}" for row in aligned(list(zip(*columns, strict=True)), names=len(columns)))
 
 
 @command(

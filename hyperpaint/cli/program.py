@@ -26,6 +26,7 @@ from hyperpaint.base.errors import PaintError, PaintWarning
 from .console import SIGNALLED, WRONG_INPUT, is_watched
 from .options import Command
 
+#: Every command by its group, with one line of help.
 GROUPS = {
     "Start": {
         "demo": "Simulate a collect, process it, compare with the truth.",
@@ -65,13 +66,12 @@ GROUPS = {
         "warm": "Compile the kernels in advance.",
     },
 }
-"""Every command by its group, with one line of help."""
 
+#: Commands that resume an interrupted run.
 RESUMED = ("follow", "process", "render", "run")
-"""Commands that resume an interrupted run."""
 
+#: Commands that plan their memory, also without ``--memory-limit``.
 PLANNED = ("detect", "mosaic", "orthorectify", "render", "report", "signatures", "site")
-"""Commands that plan their memory, also without ``--memory-limit``."""
 
 
 class Program(click.Group):
@@ -151,7 +151,7 @@ class Program(click.Group):
 
 @contextlib.contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """End a command in order at the first Ctrl-C or SIGTERM; a second one kills the process."""
+    # the first Ctrl-C or SIGTERM ends the command in order; a second one kills the process
     if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
         yield
         return
@@ -175,7 +175,7 @@ def _stopped_by_signals() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _short_warnings() -> Iterator[None]:
-    """Print each of hyperpaint's own warnings once, without Python's file and line."""
+    # once each, without Python's file and line
     seen: set[str] = set()
     with warnings.catch_warnings():
         otherwise = warnings.showwarning

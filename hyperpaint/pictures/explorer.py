@@ -172,7 +172,7 @@ class Explorer:
             button.on_click(self._unless_showing(lambda _, press=press: press()))
 
     def _unless_showing(self, call: Any) -> Any:
-        """Return a callback that does nothing while the program itself sets widgets."""
+        # does nothing while the program itself sets widgets
         import panel
 
         def run(event: Any) -> None:
@@ -318,7 +318,7 @@ class Explorer:
         return f"{count} region{'' if count == 1 else 's'}" + f" (and {others} of other lines)" * bool(others)
 
     def _show_pictures(self, *, base: bool = True) -> None:
-        """Show the lines in view; with ``base`` also the picture of the whole line behind them."""
+        # ``base`` also shows the whole line behind the lines in view
         recipe = _RECIPES.get(self._recipe.value) or ()
         if self._recipe.value == _ONE_BAND:
             recipe = (self._band.value,)
@@ -344,7 +344,7 @@ class Explorer:
         place(self._picture.flags, self._state.flag_picture(flags, self._window) if flags else None)
 
     def _show(self, name: str | None) -> None:
-        """Show all regions and spectra; the region ``name`` is bold, with handles in edit mode."""
+        # region ``name`` is bold, with handles in edit mode
         regions, picture = self._state.drawn, self._picture
         chosen = name if name in regions.names else None
         if chosen is not None or isinstance(self._current, str):
@@ -373,13 +373,11 @@ class Explorer:
 
     @property
     def _looked_at(self) -> Place | None:
-        """The pixel or region chosen last."""
         if isinstance(self._current, str):
             return next(one for one in self._state.drawn if one.name == self._current)
         return self._current
 
     def _show_spectra(self) -> None:
-        """Show the spectra of all regions, of the last click, and of similar paints."""
         import panel
 
         rows: list[tuple[Spectrum, str, str, float]] = []

@@ -252,7 +252,7 @@ class Explored:
         return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
 
     def _pixels_of(self, region: Region) -> tuple[Array, Array, int]:
-        """Return the pixels inside a region; of a large one only those of every ``step``-th line."""
+        # only every ``step``-th line of a large region
         along, across = pixels_of(Regions((Region(region.name, region.polygon),)), self.line)[0]
         if not along.size:
             raise SchemaError(
@@ -372,14 +372,14 @@ class Explored:
 
     @functools.cached_property
     def _means(self) -> xr.Dataset | None:
-        """Stored means of blocks of pixels; None where the store holds none."""
+        # None where the store holds no means of blocks of pixels
         if "coarse_reflectance" not in self.line.variables:
             return None
         means = coarse(self.line)
         return means if means["reflectance"].attrs["level"] == "stored" else None
 
     def _read_linear(self, lines: Lines | None, recipe: tuple[float, ...]) -> Array:
-        """Return linear red, green and blue (line, column, 3) of some lines, or of the stored means."""
+        # (line, column, 3) of some lines, or of the stored means
         if recipe != TRUE_COLOUR:
             values = self._bands(lines, recipe)
             return np.broadcast_to(values, (*values.shape[:2], 3))
@@ -391,7 +391,7 @@ class Explored:
         return linear
 
     def _bands(self, lines: Lines | None, wavelength: Any) -> Array:
-        """Return reflectance of some bands (line, column, band)."""
+        # (line, column, band)
         nm = list(wavelength)
         if lines is None and self._means is not None:
             values = at(self._means, nm)["reflectance"]
@@ -400,7 +400,7 @@ class Explored:
         return np.asarray(values.transpose(ALONG_TRACK, CROSS_TRACK, BAND).values)
 
     def _levels(self, recipe: tuple[float, ...], stretch: tuple[float, float]) -> tuple[Array, Array]:
-        """Return the values shown black and white, for each colour, from lines over the whole line."""
+        # black and white for each colour, from lines over the whole line
         step = self._step_of(self.shape[0])
         lines = (0, self.shape[0], step) if step == 1 or self._means is None else None
         linear = self._linear(lines, recipe).reshape(-1, 3)
@@ -461,7 +461,7 @@ def _flag_text(names: Sequence[str]) -> str:
 
 
 def _rgba(picture: Array, is_there: Array | None = None) -> npt.NDArray[np.uint32]:
-    """Return a picture (line, column, 3) as bokeh draws it: columns are rows, lines run to the right."""
+    # as bokeh draws it: columns are rows, lines run to the right
     colours = np.full((*picture.shape[:2], 4), 255, np.uint8)
     colours[..., :3] = (np.nan_to_num(picture).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     if is_there is not None:

@@ -244,7 +244,6 @@ def _is_line(group: xr.Dataset) -> bool:
 
 
 def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
-    """Return the heading of a page: the line shown, links to other lines, a link to the other theme."""
     import panel
 
     nm, (count, columns) = state.wavelength, state.shape

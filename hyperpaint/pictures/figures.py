@@ -152,8 +152,7 @@ def check_picture(path: Path) -> None:
     hyperpaint.base.errors.SchemaError: the picture cannot be written to calibration.xls:
       the name ends in '.xls', expected ..., .svg, ... [suffix-unknown]
     """
-    kinds = new_figure("a picture").canvas.get_supported_filetypes()
-    suffixes = [f".{kind}" for kind in sorted(kinds)]
+    suffixes = [f".{kind}" for kind in sorted(new_figure("a picture").canvas.get_supported_filetypes())]
     check_place(
         path, "the picture", example="agreement.png", kinds=suffixes, overwrite=True, error=SchemaError
     )

@@ -89,7 +89,7 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
 
 
 def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
-    """Return (east, north) of one step along and one step across the track [m]; None where unknown."""
+    # (east, north) of one step along and one step across the track [m]; None where unknown
     if not all(
         name in dataset.coords and set(dataset[name].dims) == {ALONG_TRACK, CROSS_TRACK}
         for name in ("east", "north")
@@ -111,7 +111,7 @@ def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
 
 
 def _mean_step(values: Array) -> float:
-    """Return the mean difference of neighbours between the first and the last finite value."""
+    # of neighbours between the first and the last finite value
     places = np.flatnonzero(np.isfinite(values))
     if places.size < 2:
         return float("nan")

@@ -120,7 +120,6 @@ def paint_card(
 
 
 def _region_of(paint: xr.Dataset) -> Region:
-    """Return the region a paint was measured in; `SchemaError` where it is on no flight line."""
     name = str(paint[SIGNATURE].item())
     if "region" not in paint.variables or not str(paint["region"].item()):
         raise SchemaError(
@@ -153,12 +152,11 @@ def _paint_of(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
 
 
 def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
-    """Return the lines and columns around a region, in memory, and the pixels inside (line, column)."""
+    # lines and columns around the region, and the pixels inside (line, column)
     ((along, across),) = pixels_of(Regions((region,)), line)
     if not along.size:
         raise SchemaError(f"region {region.name!r} holds no pixel of this line", code="region-empty")
-    longer = max(np.ptp(along), np.ptp(across)) + 1
-    margin = max(MIN_MARGIN_PX, int(MARGIN * longer))
+    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(along), np.ptp(across)) + 1)))
     rows, columns = (
         slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
         for places in (along, across)
@@ -177,7 +175,6 @@ def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
 
 
 def _draw_exclusions(axes: Any, around: xr.Dataset, inside: Bools, region: Region, excluded: int) -> None:
-    """Draw the pixels used, and the flags of the pixels inside and around the region."""
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
@@ -224,7 +221,7 @@ def _draw_signature(axes: Any, signature: xr.Dataset, colour: Array) -> None:
 
 
 def _interval(signature: xr.Dataset) -> Array | None:
-    """Return half of the 95 % interval (band,) [1]; None where the library states no uncertainty."""
+    # half of the 95 % interval (band,) [1]; None without stated uncertainty
     names = ["reflectance_u_random", "reflectance_u_systematic"]
     if "reflectance_u_coat" in signature.variables and not (
         names[1] in signature.variables and np.isfinite(signature[names[1]]).any()

@@ -196,8 +196,7 @@ def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = Fal
             "level": _level_text("overview", every_line, every_column),
         },
     )
-    places = {schema.ALONG_TRACK: every_line, schema.CROSS_TRACK: every_column}
-    for dim, number in places.items():
+    for dim, number in {schema.ALONG_TRACK: every_line, schema.CROSS_TRACK: every_column}.items():
         axis = dataset.coords.get(dim)
         if axis is not None and axis.dims == (dim,):
             picture = picture.assign_coords({dim: axis[::number].variable})
@@ -218,7 +217,7 @@ def linear_srgb(values: Array, *, weights: Array) -> Array:
 
 
 def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:
-    """Return the brightness of black and white (lazy) from at most some 64 lines."""
+    # brightness of black and white (lazy), from at most some 64 lines
     some = linear.isel({lines: slice(None, None, max(1, linear.sizes[lines] // 64))})
     if some.chunks is not None:
         some = some.chunk(-1)
@@ -237,8 +236,7 @@ def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> t
 
 def _percentiles(picture: Array, *, stretch: tuple[float, float]) -> Array:
     brightness = picture.mean(axis=-1)[picture.any(axis=-1)]
-    levels = np.percentile(brightness if brightness.size else [0.0], stretch)
-    return np.asarray(levels, np.float32)
+    return np.asarray(np.percentile(brightness if brightness.size else [0.0], stretch), np.float32)
 
 
 def overview(dataset: xr.Dataset) -> xr.DataArray | None:

@@ -125,7 +125,7 @@ def calibration_report(
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
-    """Return the arrays to draw, in the units of the schema, and the column that stands out."""
+    # in the units of the schema; last, the column that stands out
     variables = schema.require(calibration, list(_DIMS), "a calibration report")
     sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
     problems = Problems("the calibration report cannot be drawn", SchemaError)
@@ -178,7 +178,6 @@ def _draw_lamp_lines(
 
 
 def _edges(centres: Array) -> Array:
-    """Return the edges of cells around their centres."""
     if centres.size < 2:
         return np.asarray([centres[0] - 0.5, centres[0] + 0.5])
     inner = 0.5 * (centres[1:] + centres[:-1])
@@ -186,7 +185,6 @@ def _edges(centres: Array) -> Array:
 
 
 def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: Any) -> Any:
-    """Draw values over wavelength and columns; unknown values stay grey."""
     columns = np.arange(values.shape[1] + 1) - 0.5
     picture = axes.pcolormesh(
         _edges(wavelength), columns, np.ma.masked_invalid(values.T), rasterized=True, **style
@@ -200,7 +198,7 @@ def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: 
 
 
 def _draw_residuals(axes: Any, values: Values) -> None:
-    """Draw wavelength by the map minus wavelength of the monochromator, for every lamp line."""
+    # map minus monochromator, for every lamp line
     residual = values["line_centre"] - values["step_wavelength"][:, None]
     residual = np.where(values["line_trusted"], residual, np.nan)
     finite = residual[np.isfinite(residual)]
@@ -317,8 +315,7 @@ def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
     plots[1].set(ylabel="FWHM [nm]")
     plots[1].set_title("width of the bands", fontsize="medium")
     shift = values["wavelength_shift"].values if "wavelength_shift" in values else np.zeros(gain.shape[1])
-    rows = np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)]
-    plots[2].plot(rows.T, lw=1.3)
+    plots[2].plot(np.atleast_2d(shift)[:: max(1, len(np.atleast_2d(shift)) // 3)].T, lw=1.3)
     plots[2].set(xlabel="column", ylabel="wavelength shift [nm]")
     plots[2].set_title("smile", fontsize="medium")
     for axes in plots[:2]:

@@ -152,7 +152,7 @@ def _pixels_of_region(
     region: Any,
     exclude: Quality | int | None,
 ) -> tuple[Array, Array, dict[str, Array]]:
-    """Return places along and across the track of a region's pixels, and their spectra (pixel, band)."""
+    # places along and across the track, and spectra (pixel, band)
     outlined = regions_from(region)
     if len(outlined) != 1:
         raise SchemaError(
@@ -178,7 +178,7 @@ def _pixels_of_region(
 
 
 def _draw_white(axes: Any, dataset: xr.Dataset, along: Array) -> None:
-    """Draw the radiance of a white surface under the irradiance of that moment, in the camera's range."""
+    # radiance of a white surface under the irradiance of that moment, in the camera's range
     if "irradiance" not in dataset.variables or "time" not in dataset.coords:
         return
     series = schema.require(dataset, ["irradiance"], "a triptych")["irradiance"]

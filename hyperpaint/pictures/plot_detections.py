@@ -85,7 +85,7 @@ def detection_curve(
 
 
 def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[float, float]]:
-    """Return false alarm and detection rates along all thresholds, and the rates of the detections made."""
+    # false alarm and detection rates along all thresholds, and the rates of the detections
     names = ("detection_score", "best_paint", "score_threshold", "detected")
     arrays = schema.require(schema.rename_to_roles(detections), names, "a detection curve")
     score, paint, threshold, detected = (arrays[name].values for name in names)

@@ -32,6 +32,11 @@ from .figures import (
 from .orientation import Orientation, orientation_of, show_picture
 from .plot import flag_label, flags_of, percent, rgb, stored_picture
 
+#: Colour of every flag, the same in all pictures.
+#:
+#: Palettes for colour-blind readers have 8 colours (Okabe and Ito) or 10 (Tol), flags are 13: these were
+#: searched so that any two differ by 15 or more in CIEDE2000, also as protanopes and deuteranopes see them
+#: (Machado et al., IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009).
 FLAG_COLOURS: Mapping[Quality, str] = {
     Quality.SATURATED: "#ff3300",
     Quality.BELOW_DARK: "#330080",
@@ -47,12 +52,6 @@ FLAG_COLOURS: Mapping[Quality, str] = {
     Quality.NO_DATA: "#000000",
     Quality.TIMING_SENSITIVE: "#e6cc00",
 }
-"""Colour of every flag, the same in all pictures.
-
-Palettes for colour-blind readers have 8 colours (Okabe and Ito) or 10 (Tol), flags are 13: these were
-searched so that any two differ by 15 or more in CIEDE2000, also as protanopes and deuteranopes see them
-(Machado et al., IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009).
-"""
 
 
 @documented()
@@ -175,7 +174,7 @@ def _draw_flags(
     step: int,
     opacity: float,
 ) -> None:
-    """Draw one colour per flag over the picture, the rarest on top, with a legend of shares."""
+    # one colour a flag, the rarest on top, with a legend of shares
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
@@ -213,7 +212,7 @@ def reduced_lines(values: Array, step: int, combine: Any) -> Array:
 def _draw_layer(
     axes: Any, dataset: xr.Dataset, orientation: Orientation, layer: str, step: int, opacity: float
 ) -> None:
-    """Draw a layer over the picture: transparent at zero, opaque from a third of the range on."""
+    # transparent at zero, opaque from a third of the range on
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
@@ -341,8 +340,7 @@ def adjacency_figure(
                 axes.fill_between(nm[order][is_finite], low, high, color=colour, alpha=0.15, linewidth=0)
             axes.plot(nm[order], mean, style, color=colour, label=label_for(region.name) if named else None)
     if without is not None:
-        added = transects[""] - transects["without"]
-        _draw_bands(plots["added"], away, added, nm, wavelengths, "-", False)
+        _draw_bands(plots["added"], away, transects[""] - transects["without"], nm, wavelengths, "-", False)
     if "adjacency" in line.variables:
         layer = line["adjacency"].transpose(ALONG_TRACK, CROSS_TRACK).values
         flagged = _mean(layer[route[..., 0], route[..., 1]], axis=1)
@@ -375,7 +373,6 @@ def _finish(plots: dict[str, Any], compared: bool) -> None:
 
 
 def _checked(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> Any:
-    """Return both regions as one collection; SchemaError where regions or lines do not fit."""
     problems = Problems("adjacency cannot be drawn", SchemaError)
     first, *others = lines.values()
     shape = dict(first["reflectance"].sizes)
@@ -402,7 +399,7 @@ def _checked(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> A
 
 
 def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tuple[Array, Array]:
-    """Return pixels (step, across, 2) from one region's middle to the other's, and distances."""
+    # pixels (step, across, 2) from one region's middle to the other's, and distances
     start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
     length = float(np.hypot(*(stop - start)))
     if length < 1.0:
@@ -419,13 +416,13 @@ def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tu
 
 
 def _gathered(cube: xr.DataArray, along: Array, across: Array) -> Array:
-    """Return spectra of pixels (pixel, band)."""
+    # spectra (pixel, band)
     spectra, _ = gather({"reflectance": cube}, {}, along, across, slice(0, cube.sizes[BAND]), {})
     return spectra["reflectance"].astype(np.float64)
 
 
 def _mean(values: Array, axis: int) -> Array:
-    """Return the mean of finite values, NaN where there are none."""
+    # of finite values; NaN where there are none
     there = np.isfinite(values)
     count = there.sum(axis=axis)
     mean = np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1)

@@ -112,7 +112,7 @@ def chips_and_renders(
 
 
 def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
-    """Return the picture of a chip (row, column, rgb), 0 to 1; its pixels are members of the population."""
+    # (row, column, rgb), 0 to 1; pixels are members of the population
     flat = np.broadcast_to(np.nan_to_num(colour), (_CHIP_PX, _CHIP_PX, 3))
     if "member_reflectance" not in paint.variables:
         return np.asarray(flat)

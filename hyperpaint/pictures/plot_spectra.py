@@ -174,8 +174,7 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
         )
     problems.raise_if_any()
     places = [names.index(name) for name in wanted]
-    styles = styles_of(paint_colours(library)[places])
-    for name, place, style in zip(wanted, places, styles, strict=True):
+    for name, place, style in zip(wanted, places, styles_of(paint_colours(library)[places]), strict=True):
         paint = library.isel({schema.SIGNATURE: place})
         wavelength = schema.require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
         is_good = good_of(paint)

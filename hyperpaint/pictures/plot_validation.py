@@ -112,7 +112,7 @@ def _by_paint(validation: Validation) -> list[list[int]]:
 
 
 def _chosen(validation: Validation) -> list[list[int]]:
-    """Return the pairs of each paint to draw: of all paints, or of those with the largest RMSE."""
+    # pairs of each paint: of all paints, or of those with the largest RMSE
     paints = _by_paint(validation)
     if len(paints) <= MAX_PAIRS:
         return paints
@@ -178,7 +178,7 @@ def _draw_differences(
 
 
 def _whole(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:
-    """Return sorted wavelengths [nm], and values, NaN in bands not compared."""
+    # sorted wavelengths [nm], and values, NaN in bands not compared
     order = np.argsort(spectra["wavelength"].values, kind="stable")
     values = np.where(spectra["used"].values, array.values, np.nan)
     return spectra["wavelength"].values[order], values[order]

@@ -75,7 +75,7 @@ def _triptych(line: xr.Dataset, regions: Sequence[Region]) -> Markup:
 
 
 def _map(line: xr.Dataset) -> Markup:
-    """Return the line as a map of some visible bands, with cells as large as the page has room for."""
+    # some visible bands, with cells as large as the page has room for
     nm = line["wavelength"].values
     visible = np.flatnonzero((nm > 400) & (nm < 700))
     few = visible[np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAX_MAP_BANDS)).astype(int))]
@@ -133,8 +133,7 @@ def validation_section(
             try:
                 agreement = validate(library, list(references))
             except SchemaError as error:
-                text = f"{name} cannot be compared: {error}"
-                yield name, partial(page_part, "paragraph", text=text)
+                yield name, partial(page_part, "paragraph", text=f"{name} cannot be compared: {error}")
                 continue
         yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
         yield "agreement", partial(_agreement, agreement)

@@ -117,7 +117,7 @@ def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterat
 
 
 def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
-    """Return the picture; an entry in ``drawn`` tells the caller that there is one."""
+    # an entry in ``drawn`` tells the caller that there is a picture
     if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
         raise SchemaError(
             f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",
@@ -194,8 +194,7 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
         "facts",
         lambda: page_part("facts", pairs=[("paints", usable.sizes[SIGNATURE]), *facts_of_bands(usable)]),
     )
-    for problem in wrong:
-        yield "variables", partial(_raise, problem)
+    yield from (("variables", partial(_raise, problem)) for problem in wrong)
     caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
     yield "spectra", lambda: figure_part(library_overview(usable), caption)
     if "reflectance_u_random" in usable.variables:

@@ -67,7 +67,7 @@ def groups_to_show(
 
 
 def _opened(store: str | os.PathLike[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
-    """Return the readable groups, and the reasons why others are unreadable."""
+    # readable groups, and the reasons why others are unreadable
     groups = list_groups(store)
     opened = {}
     # finished groups of an unfinished store are shown
@@ -134,7 +134,7 @@ def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | Non
 
 
 def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
-    """Return a line with flags and layers in memory, detected in one pass after a survey."""
+    # detected in one pass after a survey
     calibrated = line if "reflectance" in line.variables else reflectance(line)
     with survey_planned(line, "the survey"):
         flags = flag_line(calibrated, sun_zenith=sun_zenith, progress=part_of(progress, 0, 2)).line

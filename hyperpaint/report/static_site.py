@@ -178,8 +178,6 @@ def write_site(
 
 
 class _Site(NamedTuple):
-    """Content of a site: groups of its store by path, pictures, and the entries of its index."""
-
     groups: dict[str, xr.Dataset]
     lines: list[dict[str, Any]]
     libraries: list[dict[str, Any]]
@@ -187,7 +185,6 @@ class _Site(NamedTuple):
     problems: list[str]
 
     def add(self, path: str, name: str, group: xr.Dataset, shown: tuple[_Picture, dict[str, Any]]) -> None:
-        """Add a line or map with its picture and the geometry of its pixels on the picture."""
         picture, places = shown
         file = f"pictures/{len(self.pictures)}.png"  # names in a store are not used for files
         self.groups[path], self.pictures[file] = group, picture
@@ -198,7 +195,6 @@ class _Site(NamedTuple):
         self.lines.append(entry)
 
     def add_library(self, path: str, name: str, library: xr.Dataset) -> None:
-        """Add a paint library; problems of its variables are noted."""
         usable, wrong = find_usable(library)
         self.problems.extend(f"/{name}: {text}" for text in wrong)
         self.groups[path] = usable.drop_vars(_LEFT_OUT, errors="ignore")
@@ -229,7 +225,7 @@ class _Site(NamedTuple):
 
 
 def _copied(group: xr.Dataset, *, stored: bool) -> xr.Dataset:
-    """Return the variables of a line or map that a page reads; with ``stored`` nothing is computed."""
+    # with ``stored`` nothing is computed
     if "reflectance" not in group.variables:
         if stored:
             raise StoreError(
@@ -249,7 +245,7 @@ def _copied(group: xr.Dataset, *, stored: bool) -> xr.Dataset:
 
 
 def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Picture, dict[str, Any]]:
-    """Return the picture of a line or map as the page shows it, and the geometry of its pixels."""
+    # the picture as the page shows it, and the geometry of its pixels
     named = rename_to_roles(group)
     rows, columns = (named.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     is_line = CROSS_TRACK in group.dims
@@ -269,7 +265,7 @@ def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Pictur
 
 
 def _origin_of(link: str) -> str:
-    """Return the origin that the page must be allowed to read from; empty for a path beside the page."""
+    # the origin that the page must be allowed to read from; empty for a path beside the page
     parts = urlsplit(link)
     if not parts.scheme and not parts.netloc and parts.path:
         return ""

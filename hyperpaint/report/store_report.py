@@ -172,7 +172,6 @@ def _flagged_section(
     sun_zenith: float | None,
     progress: Progress | None,
 ) -> Iterator[Part]:
-    """Yield the parts of a flight line's section, after detecting flags where the line has none."""
     line, note = flagged(line, sun_zenith, progress) if flags else (line, "")
     for part in line_section(line, lines, [paint.region for paint in measured], note):
         yield part
@@ -196,7 +195,7 @@ class _Measured(NamedTuple):
 def _measured(
     lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset], problems: list[str]
 ) -> dict[str, list[_Measured]]:
-    """Return, for every flight line, the paints of the libraries measured on it."""
+    # for every flight line, the paints of the libraries measured on it
     paints: list[tuple[str, _Measured]] = []
     for name, library in libraries.items():
         try:
@@ -213,7 +212,7 @@ def _measured(
 
 
 def _drawn(name: str, parts: Iterator[Part], problems: list[str]) -> list[Markup]:
-    """Return the parts of a section; a part that cannot be drawn is replaced by its problem."""
+    # a part that cannot be drawn is replaced by its problem
     drawn: list[Markup] = []
     for part, draw in parts:
         try:

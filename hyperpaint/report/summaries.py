@@ -203,7 +203,7 @@ def _picture_of(dataset: xr.Dataset) -> str:
 
 
 def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
-    """Return colour, name and number of pixels of the first paints of a library that is cheap to read."""
+    # colour, name and number of pixels of the first paints, if the library is cheap to read
     if _kind(dataset)[0] != "paint library":
         return []
     library = dataset.isel({schema.SIGNATURE: slice(_MAX_NAMES)})
@@ -215,7 +215,7 @@ def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
 
 
 def _is_at_hand(array: xr.DataArray) -> bool:
-    """Return whether an array can be read without computing, and is small."""
+    # readable without computing, and small
     # arrays from a store have its chunks in their encoding
     return (array.chunks is None or "chunks" in array.encoding) and array.nbytes <= _MAX_READ_BYTES
 
@@ -227,13 +227,10 @@ def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
     stored = dataset["overview"]
     row = schema.VARIABLES["overview"]
     fits = stored.dims == row.dims and stored.dtype == row.dtype and stored.shape[-1] == 3 and stored.size
-    if not (fits and _is_at_hand(stored)):
-        return None
-    return np.asarray(stored.values)
+    return np.asarray(stored.values) if fits and _is_at_hand(stored) else None
 
 
 def _printable(text: str) -> str:
-    """Return a text with control characters replaced, safe for a terminal."""
     return "".join(sign if sign.isprintable() or sign == "\n" else "\ufffd" for sign in text)
 
 
@@ -241,7 +238,7 @@ def _printable(text: str) -> str:
 
 
 def _summary(dataset: xr.Dataset) -> tuple[str, list[tuple[str, str]]]:
-    """Return title and facts; unreadable parts are left out, so that a summary never raises."""
+    # unreadable parts are left out, so that a summary never raises
     dataset = _attempt(lambda: schema.rename_to_roles(dataset), dataset)
     kind, source = _kind(dataset)
     name = dataset.attrs.get("name") or dataset.attrs.get("title") or ""
@@ -269,8 +266,7 @@ def _kind(dataset: xr.Dataset) -> tuple[str, Any]:
 
 
 def _forms(dataset: xr.Dataset) -> Facts:
-    for name in list(dataset.data_vars)[:_MAX_NAMES]:
-        yield str(name), form_of(dataset[name])
+    yield from ((str(name), form_of(dataset[name])) for name in list(dataset.data_vars)[:_MAX_NAMES])
 
 
 def _line(line: xr.Dataset) -> Facts:

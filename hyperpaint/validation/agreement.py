@@ -58,12 +58,11 @@ def statistics_of(signature: Floats, reference: Floats) -> dict[str, Floats]:
         scale = (signature * reference).sum(axis=-1, keepdims=True) / other**2
         left = signature / np.where(scale > 0.0, scale, np.nan) - reference
     shaped = shape[-1] >= _MIN_SHAPE_BANDS
-    there = shaped & ((length * other)[..., 0] > 0.0)
     return {
         "bias": difference.mean(axis=-1),
         "rmse": np.sqrt((difference**2).mean(axis=-1)),
         "mae": np.abs(difference).mean(axis=-1),
-        "spectral_angle": np.where(there, np.degrees(angle), np.nan),
+        "spectral_angle": np.where(shaped & ((length * other)[..., 0] > 0.0), np.degrees(angle), np.nan),
         "scale": scale[..., 0],
         "scale_free_error": np.where(shaped, np.sqrt((left**2).mean(axis=-1)), np.nan),
     }
@@ -136,9 +135,7 @@ def bands_of(signature: Measured, references: list[Measured]) -> Measured:
     for each in references:
         shared = (each.wavelength >= first) & (each.wavelength <= last)
         widths.append(np.median(each.fwhm[shared]) if shared.any() else 0.0)
-    if min(widths) > _SAME_WIDTH_RATIO * np.median(signature.fwhm):
-        return references[0]
-    return signature
+    return references[0] if min(widths) > _SAME_WIDTH_RATIO * np.median(signature.fwhm) else signature
 
 
 def operator_onto(bands: Measured, spectrum: Measured) -> Operator:

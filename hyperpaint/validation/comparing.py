@@ -77,8 +77,7 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
                 code="paint-duplicate",
             )
         used.update(matching)
-        instruments = dict.fromkeys(references[k].instrument for k in matching)
-        for instrument in instruments:
+        for instrument in dict.fromkeys(references[k].instrument for k in matching):
             group = tuple(references[k] for k in matching if references[k].instrument == instrument)
             matched.append(Pair(signature, group))
     problems.raise_if_any()
@@ -96,10 +95,8 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
 
 
 def _called(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
-    """Return which references a name means: of each instrument those that own it, else a longer one.
-
-    Files of one name in different folders are no repeated readings of one paint; that is a problem.
-    """
+    # of each instrument the references that own the name, else a longer one; files of one name in different
+    # folders are no repeated readings of one paint: a problem
     matches: dict[str, list[int]] = {}
     for rank in range(3):
         hits: dict[str, list[int]] = {}
@@ -130,7 +127,6 @@ def _called(name: str, references: Sequence[Measured], problems: Problems) -> li
 def _named_pairs(
     signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any
 ) -> dict[str, tuple[str, ...]]:
-    """Return the pairs named by the caller, checked."""
     if not isinstance(pairs, Mapping):
         raise SchemaError(
             f"pairs is {type(pairs).__name__}",
@@ -177,7 +173,7 @@ def between_references(pairs: Sequence[Pair]) -> list[Pair]:
 
 
 def _mean_of(pair: Pair) -> Measured:
-    """Return the mean of repeated readings, on the channels of the first, under the name of the paint."""
+    # on the channels of the first reading
     first = pair.references[0]
     named = replace(first, names=replace(first.names, shown=pair.signature.name))
     if len(pair.references) == 1:
@@ -306,7 +302,6 @@ class Compared:
         return tuple(dict.fromkeys([*notes, *self._uncertainty()]))
 
     def _uncertainty(self) -> list[str]:
-        """Return remarks on unknown parts of the uncertainties."""
         signature, references = self.pair.signature, self.pair.references
         has_uncertainty = {
             "signature": signature.has_uncertainty,
@@ -355,7 +350,6 @@ class Compared:
         )
 
     def _spreads(self) -> dict[str, Floats]:
-        """Return standard deviations of the pixels or readings behind signature and reference (band,)."""
         spreads = {}
         signature_sd, references = self.pair.signature.sd, self.pair.references
         if signature_sd is not None:

@@ -104,8 +104,7 @@ def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: s
             return widths, f"widths of channels as usual for {kind.upper()}"
     if wavelength.size < 2:
         return np.ones(wavelength.size), "widths of channels assumed, 1 nm"
-    spacing = np.gradient(wavelength)
-    return 2.0 * spacing, "widths of channels assumed, twice their distance"
+    return 2.0 * np.gradient(wavelength), "widths of channels assumed, twice their distance"
 
 
 UNKNOWN = "unknown"
@@ -242,7 +241,7 @@ def _of_library(
 
 
 def _as_seen(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict[str, str]:
-    """Return the quantity of a paint with its coat, in a library whose other paints had it divided out."""
+    # a paint with its coat, in a library whose other paints had it divided out
     if attrs.get("quantity") != BODY or "coat_transmission" not in dataset.variables:
         return {}
     names = ("coat_transmission", "coat_transmission_u")
@@ -254,7 +253,6 @@ def _as_seen(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict
 
 
 def _light_of(dataset: xr.Dataset, number: int) -> list[str]:
-    """Return remarks on the light a paint was measured in."""
     values = {
         name: dataset[name].isel({SIGNATURE: number}).values[()]
         for name in ("sun_zenith", "sky_state")
@@ -320,7 +318,6 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
 
 
 def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
-    """Return the text of a coordinate for one spectrum; empty where there is none."""
     if key not in dataset.variables:
         return ""
     held = dataset[key]
@@ -338,7 +335,7 @@ def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
 
 
 def _instrument_errors(dataset: xr.Dataset, number: int) -> list[str]:
-    """Return the error bits that the instrument recorded for its scans."""
+    # error bits that the instrument recorded for its scans
     errors = []
     for scan in ("target", "reference"):
         key = f"error_{scan}"
@@ -360,8 +357,6 @@ def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Channels:
-    """Channels that the spectra of a dataset share."""
-
     order: npt.NDArray[np.intp]
     wavelength: Floats
     fwhm: Floats
@@ -371,7 +366,7 @@ class _Channels:
     def of(
         cls, wavelength: Any, held: Any, given: float | None, instrument: str, detector: Any = None
     ) -> _Channels:
-        """Return channels on one increasing axis; widths ``given`` by the user or ``held`` by the data."""
+        # one increasing axis; widths ``given`` by the user or ``held`` by the data
         wavelength = np.asarray(wavelength, np.float64)
         axis = join_detectors(wavelength)
         nm_sorted = wavelength[axis.order]
@@ -393,7 +388,7 @@ class _Channels:
     def spectrum(
         self, values: Floats, spreads: Mapping[str, Any], count: float | None, **about: Any
     ) -> Measured:
-        """Return one spectrum on these channels; a spread of missing values only becomes None."""
+        # a spread of missing values only becomes None
         u_random, u_systematic, sd = (_known(spreads.get(name), self.order) for name in _SPREADS)
         return Measured(
             wavelength=self.wavelength,
@@ -408,7 +403,7 @@ class _Channels:
 
 
 def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
-    """Refuse widths of channels that no instrument has; a single one sets the step of all responses."""
+    # a single wrong width sets the step of all responses
     spacing = float(np.median(np.diff(wavelength))) if wavelength.size > 1 else np.inf
     if not ((fwhm >= _MIN_WIDTH_NM) & (fwhm <= _MAX_WIDTH_SPACINGS * spacing)).all():
         raise SchemaError(

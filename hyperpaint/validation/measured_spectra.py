@@ -156,8 +156,7 @@ class Measured:
             missing = np.isnan(np.diagonal(self.covariance))
             # correlations that were cut leave eigenvalues a little below zero
             sizes, shapes = np.linalg.eigh(np.nan_to_num(self.covariance))
-            root = shapes * np.sqrt(np.maximum(sizes, 0.0))
-            drawn = rng.standard_normal((draws, sizes.size)) @ root.T
+            drawn = rng.standard_normal((draws, sizes.size)) @ (shapes * np.sqrt(np.maximum(sizes, 0.0))).T
             return np.asarray(np.where(missing, np.nan, drawn))
         errors = np.zeros((draws, self.values.size))
         if self.u_random is not None:

@@ -22,17 +22,17 @@ from .dataset_spectra import references_from, signatures_from
 from .measured_spectra import scaled_by_panel
 from .validation_result import FLOOR, MAX_TOLERANCE_SHARE, MEANINGS, RELATIVE, STATISTICS, Validation
 
+#: Parts of the spectrum [nm]: the first wavelength belongs to it, the last does not.
 PARTS: Mapping[str, tuple[float, float]] = {
     "VIS": (400.0, 700.0),
     "NIR": (700.0, 1000.0),
     "all": (0.0, np.inf),
 }
-"""Parts of the spectrum [nm]: the first wavelength belongs to it, the last does not."""
 
+#: Largest RMSE between signature and reference: a share of the paint's level plus a floor [1]. It is the
+#: specification of surface reflectance of MODIS and Landsat, +-(0.005 + 0.05 rho): Vermote and Kotchenova,
+#: J. Geophys. Res. 113, D23S90 (2008).
 TOLERANCE: Mapping[str, float] = {RELATIVE: 0.05, FLOOR: 0.005}
-"""Largest RMSE between signature and reference: a share of the paint's level plus a floor [1]. It is the
-specification of surface reflectance of MODIS and Landsat, +-(0.005 + 0.05 rho): Vermote and Kotchenova,
-J. Geophys. Res. 113, D23S90 (2008)."""
 
 _MIN_BANDS, _MIN_SHARE = 3, 0.5  # bands compared in a part that is judged, and their share of its bands
 
@@ -228,7 +228,6 @@ def validate(
 
 
 def _disagreements(between: xr.Dataset) -> list[str]:
-    """Return the paints whose references disagree, with the instruments."""
     outside = (between["judged"] & ~between["passes"]).values
     return [
         f"{one['signature'].item()}: {one['instrument'].item()} is beyond the tolerance in "
@@ -245,8 +244,7 @@ _EXCHANGED_MAX_PAINTS = 200  # searched, those furthest from their references
 
 
 def _exchanged(compared: Sequence[Compared]) -> list[str]:
-    """Return the paints that agree with each other's references better than with their own."""
-
+    # paints that agree with each other's references better than with their own
     def rmse(seen: Compared, known: Compared) -> float:
         used = seen.used & known.used
         return (
@@ -277,7 +275,7 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
 
 
 def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
-    """Return the largest RMSE that passes at levels of the reference; NaN without a limit."""
+    # NaN without a limit
     most = np.full(np.shape(level), limits.get("rmse", np.inf))
     if RELATIVE in limits:
         most = np.fmin(most, limits[FLOOR] + limits[RELATIVE] * np.abs(level))
@@ -285,7 +283,7 @@ def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
 
 
 def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
-    """Return a remark where repeated readings scatter more than the tolerance of their mean."""
+    # repeated readings that scatter more than the tolerance of their mean
     level = np.asarray(compared.reference[compared.used].mean())
     limit = float(np.fmin(_rmse_limit(limits, level), limits.get("mae", np.nan)))
     if not compared.scatter > limit:
@@ -393,11 +391,8 @@ def _attrs(name: str) -> dict[str, str]:
 def _passes(
     statistics: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, named: bool
 ) -> Bools:
-    """Return the parts that pass.
-
-    A part that is not judged fails outside of a limit, if the user named it, or if no part of the pair is
-    judged.
-    """
+    # a part that is not judged fails outside of a limit, if the user named it, or if no part of the pair is
+    # judged
     within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
     of_statistics: dict[str, Any] = {
         name: limit for name, limit in limits.items() if name in STATISTICS and name != "rmse"

@@ -139,7 +139,7 @@ class Validation:
         return (*failures, *(f"{name}: its reference is not there" for name in self.missing))
 
     def _failure(self, row: int, column: int) -> str:
-        """Return the name of a part that does not pass, with the reason where it cannot be judged."""
+        # with the reason where the part cannot be judged
         one = self.statistics.isel(pair=row, part=column)
         count, left = int(one["bands"]), int(one["bands_left_out"])
         if one["judged"]:
@@ -176,7 +176,7 @@ class Validation:
             parts += ["", "references against one another, the first minus the second:"]
             parts += lines[len(rows) + 1 :]
         parts += ["", *_LEGEND, *self._remarks(), self.verdict]
-        return "\n".join(_printable(line) for line in parts)
+        return "\n".join("".join(sign if sign.isprintable() else "\ufffd" for sign in line) for line in parts)
 
     def __repr__(self) -> str:
         return f"<Validation>\n{self.table()}"
@@ -204,7 +204,10 @@ class Validation:
             paint, reference, instrument = (
                 _short(self._texts(name)[row]) for name in ("signature", "reference", "instrument")
             )
-            oxygen = self._oxygen(row)
+            oxygen = " / ".join(
+                _plain(float(self.statistics[name][row]), 3)
+                for name in ("oxygen_residual", "reference_oxygen_residual")
+            )
             for column in range(statistics.sizes["part"]):
                 one = statistics.isel(pair=row, part=column)
                 count, left = int(one["bands"]), int(one["bands_left_out"])
@@ -221,14 +224,7 @@ class Validation:
                 oxygen = ""  # once a pair
         return rows
 
-    def _oxygen(self, row: int) -> str:
-        depths = (
-            float(self.statistics[name][row]) for name in ("oxygen_residual", "reference_oxygen_residual")
-        )
-        return " / ".join(_plain(depth, 3) for depth in depths)
-
     def _remarks(self) -> list[str]:
-        """Return the remarks, each with the paints it applies to."""
         rows: dict[str, list[int]] = {}
         for row, texts in enumerate(self.notes):
             for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts):
@@ -243,7 +239,6 @@ class Validation:
         return remarks
 
     def _whom(self, rows: Sequence[int]) -> str:
-        """Return the pairs as text: all, all of an instrument, or paints by name."""
         instruments = self._texts("instrument")
         named = {instruments[row] for row in rows}
         if len(rows) == len(instruments):
@@ -270,18 +265,13 @@ def _with_uncertainty(value: float, u: float) -> str:
 
 
 def _plain(value: float, digits: int) -> str:
-    """Return a number without the sign of a zero; a dash for NaN."""
+    # no sign of a zero; a dash for NaN
     text = f"{value:.{digits}f}"
     return "-" if not np.isfinite(value) else text.lstrip("-") if float(text) == 0.0 else text
 
 
 def _short(name: str) -> str:
     return name if len(name) <= _MAX_NAME_CHARS else name[: _MAX_NAME_CHARS - 3] + "..."
-
-
-def _printable(text: str) -> str:
-    """Return a text with control characters replaced, safe for a terminal."""
-    return "".join(sign if sign.isprintable() else "\ufffd" for sign in text)
 
 
 def aligned(rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:

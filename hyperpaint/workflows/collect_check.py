@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperpaint.base.errors import CollectError, PaintWarning, Problems
+from hyperpaint.base.schema import flag_shares
+from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
 
 if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
-    from hyperpaint.plausibility import Finding
 
+#: Share of flagged pixels of a line from which `process` warns [1].
 MANY_FLAGGED = 0.2
-"""Share of flagged pixels of a line from which `process` warns [1]."""
 
 _LINES_A_READ = 4096
 
@@ -80,8 +81,6 @@ def refuse_findings(
 
 def check_accepted(accept: Collection[str], problems: Problems) -> None:
     """Note names that no finding has."""
-    from hyperpaint.plausibility import KINDS
-
     for name in [accept] if isinstance(accept, str) else accept:
         if name not in KINDS or isinstance(accept, str):
             expected = f"a list of some of {', '.join(KINDS)}"
@@ -89,8 +88,7 @@ def check_accepted(accept: Collection[str], problems: Problems) -> None:
 
 
 def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
-    """Return the findings of lines by group; findings on a dark cube count for the first line with it."""
-    from hyperpaint.plausibility import judge_dark_cube, judge_line
+    # findings on a dark cube count for the first line with it
 
     cubes = {str(entry.name): entry for entry in opened.settings.flightlines}
     findings: dict[str, list[Finding]] = {}
@@ -109,8 +107,6 @@ def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict
 def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
     """Warn of every flag that many pixels of a stored line have, with its share."""
     import zarr
-
-    from hyperpaint.base.schema import flag_shares
 
     for name in lines:
         if not (store / name / "quality").exists():

@@ -54,8 +54,7 @@ def write_collect_toml(
         raise StoreError(
             f"{path} exists and is not a .toml file", mend="choose another path", code="file-foreign"
         )
-    text = "\n".join(_text(files, path.parent))
-    publish_file(path, text.encode(), overwrite=overwrite)
+    publish_file(path, "\n".join(_text(files, path.parent)).encode(), overwrite=overwrite)
     return path
 
 
@@ -66,8 +65,6 @@ def unknown_keys(path: Path) -> list[str]:
 
 
 def _text(files: FieldFolder, base: Path) -> Iterator[str]:
-    """Yield the file, line by line."""
-
     def relative(path: Path) -> str:
         return Path(os.path.relpath(path, base)).as_posix()
 
@@ -97,8 +94,7 @@ def _text(files: FieldFolder, base: Path) -> Iterator[str]:
         yield key("path", UNKNOWN if calibration is None else _checked(relative(calibration)))
 
     table = "dark"
-    darks = [_checked(relative(path)) for path in files.darks]
-    yield from ("", "[dark]", key("cubes", darks or UNKNOWN))
+    yield from ("", "[dark]", key("cubes", [_checked(relative(path)) for path in files.darks] or UNKNOWN))
 
     table = "navigation"
     yield from ("", "[navigation]  # for maps only")
@@ -172,7 +168,7 @@ def _text(files: FieldFolder, base: Path) -> Iterator[str]:
 
 
 def _clock_offset(offsets: tuple[float, float] | None) -> tuple[float | str, str]:
-    """Return the offset of the clock and its comment: 0 where the record then covers the flight."""
+    # the offset stays 0 where the record then covers the flight
     if offsets is None or offsets[0] <= 0.0 <= offsets[1]:
         return 0.0, "added to the clock of the logging PC [s]: no file states it, 0 is assumed"
     if offsets[0] > offsets[1]:
@@ -182,7 +178,7 @@ def _clock_offset(offsets: tuple[float, float] | None) -> tuple[float | str, str
 
 
 def _tables(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> Iterator[tuple[FlightCube, str]]:
-    """Yield one cube for each table, with the cube or the pattern of cubes that the table names."""
+    # one cube for each table, with the cube or the pattern of cubes that the table names
     for folder, inside in itertools.groupby(cubes, key=lambda cube: cube.header.parent):
         several = list(inside)
         shared = {(cube.navigation, cube.frame_index is None) for cube in several}
@@ -194,7 +190,7 @@ def _tables(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> Ite
 
 
 def _folder_ids(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> dict[Path, str]:
-    """Return an id for each folder; empty where all cubes have different names."""
+    # empty where all cubes have different names
     stems = [_stem(cube).lower() for cube in cubes]
     if len(set(stems)) == len(stems):
         return {}
@@ -213,12 +209,10 @@ def _stem(cube: FlightCube) -> str:
 
 
 def _checked(text: str) -> str:
-    """Return a name that a TOML file can hold."""
     if any(ord(letter) < 32 for letter in text):
         raise FormatError(f"{text!r}: a name with control characters", mend="rename it", code="name-invalid")
     return text
 
 
 def _quoted(text: str) -> str:
-    """Return a TOML basic string."""
     return toml_text(_checked(text))

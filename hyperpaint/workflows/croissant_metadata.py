@@ -20,8 +20,8 @@ from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError
 if TYPE_CHECKING:
     import xarray as xr
 
+#: Of one attribute; longer ones (tables of materials, records of a scene) are only named.
 MAX_TEXT_CHARACTERS = 4096
-"""Of one attribute; longer ones (tables of materials, records of a scene) are only named."""
 
 _ALIASES = (
     "arrayShape citeAs column containedIn equivalentProperty extract field fileObject fileProperty fileSet "
@@ -140,7 +140,6 @@ def write_croissant(
 
 
 def _check(place: Path, folder: Path, about: dict[str, str | None]) -> None:
-    """Refuse invalid arguments before the store is read."""
     from datetime import date
 
     allowed = ("licence", "name", "description", "creator", "cite_as", "version", "published", "url")
@@ -176,7 +175,6 @@ def _identity(*parts: str) -> str:
 
 
 def _files(root: str, group: str, description: str) -> dict[str, Any]:
-    """Return all files of a group, or of the store."""
     within = {"containedIn": {"@id": _identity(root)}} if group else {}
     return {
         "@type": "cr:FileSet",
@@ -190,7 +188,6 @@ def _files(root: str, group: str, description: str) -> dict[str, Any]:
 
 
 def _metadata(folder: Path, root: str, group: str) -> dict[str, Any]:
-    """Return the file that describes a group and its arrays."""
     content = (folder / group / "zarr.json").read_bytes()
     return {
         "@type": "cr:FileObject",
@@ -204,7 +201,6 @@ def _metadata(folder: Path, root: str, group: str) -> dict[str, Any]:
 
 
 def _record_set(root: str, group: str, line: xr.Dataset) -> dict[str, Any]:
-    """Return a group as a set of one record, with the seeds and scene of its attributes."""
     identity = f"records/{_identity(group)}" if group else "records"
     return {
         "@type": "cr:RecordSet",
@@ -227,7 +223,6 @@ def _text(value: Any) -> str:
 
 
 def _field(root: str, group: str, record_set: str, name: str, array: xr.DataArray) -> dict[str, Any]:
-    """Return a variable as a field."""
     shape = ",".join(map(str, array.shape))
     dims = f" ({', '.join(map(str, array.dims))})" if array.ndim else ""
     units = array.attrs.get("units")
@@ -245,7 +240,6 @@ def _field(root: str, group: str, record_set: str, name: str, array: xr.DataArra
 
 
 def _data_type(dtype: Any) -> str:
-    """Return the type of a value, as Croissant or schema.org call it."""
     if dtype.kind in "fiu":
         kind = {"f": "Float", "i": "Int", "u": "UInt"}[dtype.kind]
         return f"cr:{kind}{8 * dtype.itemsize}"

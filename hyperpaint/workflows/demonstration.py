@@ -6,15 +6,17 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import MissingExtraError, StoreError
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.io.store import list_groups
 from hyperpaint.simulation.collect import CAMERA_SOFTWARE, MARKER, PARTS
 from hyperpaint.validation.validation_result import aligned
 
@@ -27,26 +29,23 @@ from .paint_closure import (
 )
 from .pipeline import run
 
-if TYPE_CHECKING:
-    import xarray as xr
-
 STORE, PICTURE = "lot.zarr", "quicklook.png"
 _OURS = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
 
+#: Outside, the camera is too blind for a noisy count to say much.
 BANDS_NM = (420.0, 980.0)
-"""Outside, the camera is too blind for a noisy count to say much."""
+#: Around the oxygen A band, where a wrong wavelength shows first.
 OXYGEN_NM = (750.0, 780.0)
-"""Around the oxygen A band, where a wrong wavelength shows first."""
 
+#: Of any material's mean over its pixels and bands.
 MAX_BIAS = 0.002
-"""Of any material's mean over its pixels and bands."""
+#: Of all single samples, sensor noise included.
 MAX_RMSE = 0.005
-"""Of all single samples, sensor noise included."""
+#: Of the scene's mean spectrum in the oxygen window, relative.
 MAX_OXYGEN = 0.002
-"""Of the scene's mean spectrum in the oxygen window, relative."""
 
+#: What makes the demonstration's collect a real one, beside noise and a clock 37.25 s slow.
 EFFECTS: dict[str, Any] = {"smile_nm": 0.5, "dropped": 3, "glint": 0.002, "drift_per_minute": 0.02}
-"""What makes the demonstration's collect a real one, beside noise and a clock 37.25 s slow."""
 
 
 _LEGEND = """\
@@ -135,10 +134,6 @@ def compare(store: Path, truth: Path) -> Comparison:
     Raises `StoreError`: the store holds no flight line; `FormatError`: files of the field spectrometer beside
     the truth of a rendered scene cannot be read.
     """
-    import xarray as xr
-
-    from hyperpaint.io.store import list_groups
-
     true_scene = xr.open_zarr(truth)
     names = str(true_scene["surface"].attrs["flag_meanings"]).split()
     groups = [name for name in list_groups(store) if name.startswith("flightlines/")]
@@ -157,8 +152,7 @@ def compare(store: Path, truth: Path) -> Comparison:
 
 @dataclass
 class _Sums:
-    """Running sums over pixels, (material, band), float64."""
-
+    # running sums over pixels, (material, band), float64
     wavelength: Floats
     used: npt.NDArray[np.bool_]
     count: Floats
@@ -175,7 +169,6 @@ class _Sums:
         return cls(wavelength[used], used, count, true, error, squared)
 
     def add(self, slab: xr.Dataset, truth: xr.Dataset) -> None:
-        """Add the pixels of a slab that carry no flag."""
         order = (ALONG_TRACK, CROSS_TRACK, BAND)
         clean = slab["quality"].values == 0
         self.pixels += clean.size
@@ -191,7 +184,6 @@ class _Sums:
         self.squared += member @ error**2
 
     def comparison(self, names: list[str]) -> Comparison:
-        """Return the statistics of the sums."""
         counts = self.count.max(axis=1)
         seen = [index for index in range(len(names)) if counts[index] > 0]
         materials = tuple(self._agreement(names[index], [index]) for index in seen)
@@ -215,8 +207,8 @@ class _Sums:
 
 # --- the demonstration -------------------------------------------------------------------------------------
 
+#: Bytes at the begin of a file in which a simulation says that it wrote it.
 _HEAD_BYTES = 2**16
-"""Bytes at the begin of a file in which a simulation says that it wrote it."""
 
 
 def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
@@ -341,11 +333,6 @@ def run_demonstration(
 
 
 def _draw(store: Path, picture: Path, say: Callable[[str], None]) -> None:
-    """Write a quicklook of the first line, where matplotlib is installed."""
-    import xarray as xr
-
-    from hyperpaint.io.store import list_groups
-
     group = next(name for name in list_groups(store) if name.startswith("flightlines/"))
     try:
         xr.open_zarr(store, group=group).paint.quicklook(picture)

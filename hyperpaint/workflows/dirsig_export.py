@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from .scene_parts import Parts
 
 _GRID_NM = np.arange(380.0, 1051.0, 2.0)  # of spectra that are formulas
@@ -124,13 +124,9 @@ def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
 
 
 def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
-    """Return the spectra of a scene from the simulator: those of the file, and the built-in ones.
+    # spectra of the file and built-in ones; the reflectance of a paint with flakes is the sum of pigment and
+    # flakes, since DIRSIG has no flakes
 
-    The reflectance of a paint with flakes is the sum of pigment and flakes; DIRSIG has no flakes.
-    """
-    import xarray as xr
-
-    from hyperpaint.base.errors import SchemaError
     from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
     flakes = {each.spectrum: each.flakes for each in parts.scene.materials if each.flakes is not None}

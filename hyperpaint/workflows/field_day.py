@@ -12,22 +12,24 @@ import os
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.progress_reports import part_of
+from hyperpaint.io.collect.collect_toml import Collect, read_collect
+from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.regions import Regions, read_regions
 
-if TYPE_CHECKING:
-    from hyperpaint.io.collect.collect_toml import Collect
-    from hyperpaint.regions import Regions
+from .maps import map_of_store, mosaic_of_store, write_map
 
+#: What a field day is made of, in this order; each may be left out, but for the first.
 STEPS = ("process", "signatures", "validate", "map", "mosaic", "dirsig", "report")
-"""What a field day is made of, in this order; each may be left out, but for the first."""
 
+#: What every step was made from, and what it wrote: a step of the same inputs is not done again, and what
+#: something else wrote is not replaced unasked.
 RECORD = "steps.json"
-"""What every step was made from, and what it wrote: a step of the same inputs is not done again, and what
-something else wrote is not replaced unasked."""
 
 _PRODUCTS = {
     "signatures": "paints.zarr",
@@ -76,8 +78,7 @@ class FieldDay:
 
     def __str__(self) -> str:
         width = max(map(len, STEPS))
-        rows = [f"{one.step:<{width}}  {one.state:<9}  {one.text}" for one in self.outcomes]
-        return "\n".join(rows)
+        return "\n".join([f"{one.step:<{width}}  {one.state:<9}  {one.text}" for one in self.outcomes])
 
 
 def run_field_day(
@@ -138,9 +139,6 @@ def run_field_day(
     --------
     >>> print(run_field_day("2021_07_20/collect.toml"))                           # doctest: +SKIP
     """
-    from hyperpaint.io.collect.collect_toml import read_collect
-    from hyperpaint.regions import read_regions
-
     problems = Problems("the field day cannot be run", SchemaError)
     for name in skip:
         if name == "process":
@@ -196,8 +194,6 @@ def store_of(collect: Path) -> Path:
 
 @dataclass
 class _Day:
-    """A run in progress."""
-
     settings: Collect
     out: Path
     regions: Regions | None
@@ -222,7 +218,6 @@ class _Day:
         return self.out / "paints.zarr"
 
     def do(self, step: str) -> None:
-        """Run one step, unless it is left out or its products are current."""
         if step in self.skip:
             self._note(StepOutcome(step, "left out", "as asked"))
             return
@@ -264,7 +259,6 @@ class _Day:
         self._note(StepOutcome(step, "done", text, products))
 
     def _refuse_foreign(self, entry: Any, products: Collection[Path]) -> None:
-        """Refuse to replace products of other commands (`StoreError`)."""
         if self.overwrite or entry == _UNKNOWN:
             return
         states = entry["products"] if entry else {}
@@ -290,7 +284,7 @@ class _Day:
     # --- inputs of a step ---
 
     def _lacks(self, step: str) -> str:
-        """Return the reason to leave out a step; empty where its inputs exist."""
+        # empty where the inputs of the step exist
         needs_library = step in ("validate", "dirsig")
         if needs_library and self._library_failed:
             return "the signatures failed; a library that is there is of an earlier run"
@@ -318,16 +312,12 @@ class _Day:
         return (self.out / _PRODUCTS[step],)
 
     def _mapped(self) -> tuple[str, ...]:
-        """Return the flight lines of the store that have navigation."""
-        from hyperpaint.io.store import list_groups, open_store
-
         lines = [name for name in list_groups(self.store) if name.startswith("flightlines/")]
         located = [name for name in lines if "latitude" in open_store(self.store, name).variables]
         return tuple(name.removeprefix("flightlines/") for name in located)
 
     def _digest(self, step: str) -> str:
-        """Return a digest of the inputs of a step: groups of the store, regions, settings, version."""
-        from hyperpaint.io.store import list_groups, open_store
+        # of groups of the store, regions, settings, version
         from hyperpaint.io.store.groups import version_of_program
         from hyperpaint.io.store.manifest import INPUTS
 
@@ -351,8 +341,6 @@ class _Day:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()
 
     def _record(self) -> dict[str, Any]:
-        from hyperpaint.base.input_files import read_limited
-
         path = self.out / RECORD
         if not path.is_file():
             return {}
@@ -421,8 +409,6 @@ class _Day:
     def _map(self) -> str:
         from hyperpaint.geometry.orthorectification.plausibility import describe_swath
 
-        from .maps import map_of_store, write_map
-
         lines, texts = self._mapped(), []
         for number, line in enumerate(lines):
             share = part_of(self.progress("map"), number, len(lines))
@@ -435,8 +421,6 @@ class _Day:
         return "\n".join(texts)
 
     def _mosaic(self) -> str:
-        from .maps import mosaic_of_store, write_map
-
         path = self.out / _PRODUCTS["mosaic"]
         # lines without navigation have no place; the step map lists them
         lines = self._mapped()
@@ -446,7 +430,6 @@ class _Day:
 
     @property
     def _heights(self) -> dict[str, Any]:
-        """Arguments of a height model for `hyperpaint.geometry.locate`; empty without one."""
         geometry = self.settings.geometry
         return {name: geometry[name] for name in ("dem", "dem_heights", "geoid") if name in geometry}
 
@@ -479,15 +462,15 @@ class _Day:
         return f"{done.path}{problems}"
 
 
+#: Entry of a step that is under way, or of which nothing is known: any product may be its own.
 _UNKNOWN: dict[str, Any] = {"inputs": None, "products": None}
-"""Entry of a step that is under way, or of which nothing is known: any product may be its own."""
 
 
 _HASH = "blake2b"
 
 
 def _is_entry(entry: Any) -> bool:
-    """Return whether an entry is a record of checksums, as version 0.3 writes it."""
+    # checksums by name, as version 0.3 writes them
     products = entry["products"] if isinstance(entry, dict) and set(entry) == set(_UNKNOWN) else None
     return isinstance(products, dict) and all(
         not state or str(state).startswith(f"{_HASH}:") for state in products.values()
@@ -495,7 +478,7 @@ def _is_entry(entry: Any) -> bool:
 
 
 def _states(paths: Iterable[Path]) -> dict[str, str]:
-    """Return a checksum for every file, every folder (all its files) and every store (its metadata)."""
+    # a file by its content, a folder by all its files, a store by its metadata
     states: dict[str, str] = {}
     for path in paths:
         files = [path] if path.is_file() else []

@@ -11,29 +11,36 @@ import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperpaint.base.errors import CollectError, FormatError, PaintError, PaintWarning, Problems
 from hyperpaint.base.schema import CROSS_TRACK
-
-if TYPE_CHECKING:
-    from hyperpaint.io.spectrometers.asd import Spectrum
+from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
+from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.flightline.headwall import (
+    cube_number,
+    find_exposure,
+    frame_index_beside,
+    lens_lengths,
+    navigation_beside,
+    read_frame_index,
+)
+from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra
 
 _MAX_SURVEY_BYTES = 1 << 20
 MAX_DEPTH = 6
+#: Folders below the one that is looked at, and files and folders in it, beyond which it is no field day.
 MAX_ENTRIES = 50_000
-"""Folders below the one that is looked at, and files and folders in it, beyond which it is no field day."""
 
 _STORES = (".zarr", ".nc")
 _SURVEY = re.compile(r"survey|gcp|control.?point", re.IGNORECASE)
 _HEIGHT = re.compile(r"(?:(?:ellipsoid(?:al)?|ell|wgs84|hae)[ _-]?(?:height|elevation|h)|hae)", re.IGNORECASE)
 
+#: Between the lowest and the highest point, up to which one height stands for the ground; 1 m seen from 50 m
+#: moves the outer columns of a 20 degree swath by 0.18 m.
 MAX_SURVEY_SPREAD_M = 1.0
-"""Between the lowest and the highest point, up to which one height stands for the ground; 1 m seen from 50 m
-moves the outer columns of a 20 degree swath by 0.18 m."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +148,6 @@ def find_field_files(
 
 
 class _Seen:
-    """Files of a folder by their kind."""
-
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.raw: list[Path] = []
@@ -153,12 +158,11 @@ class _Seen:
         self.notes: list[str] = []
 
     def add(self, path: Path) -> None:
-        """Add a file or a store by its name and, of a cube, by its header."""
+        # a cube by its header, other files by their names
         suffix = path.suffix.lower()
         if suffix == ".hdr":
             inner = path.relative_to(self.folder) if path.is_relative_to(self.folder) else path
-            is_dark = any("dark" in part.lower() for part in inner.parts)
-            self._add_cube(path, is_dark=is_dark)
+            self._add_cube(path, is_dark=any("dark" in part.lower() for part in inner.parts))
         elif suffix in (".asd", ".sig"):
             self.spectra.setdefault((path.parent, suffix), []).append(path)
         elif suffix in _STORES and not (path / "flightlines").is_dir():  # a processed collect holds its own
@@ -167,7 +171,7 @@ class _Seen:
             self.surveys.append(path)
 
     def add_folder(self, folder: Path, kind: str) -> None:
-        """Add files that lie elsewhere; a dark there needs no ``dark`` in its name."""
+        # a dark outside of the field folder needs no ``dark`` in its name
         if not folder.is_dir():
             raise CollectError(
                 f"{folder} is not a folder", expected=f"a folder of {kind} files", code="folder-not-found"
@@ -179,9 +183,6 @@ class _Seen:
                 self.add(path)
 
     def _add_cube(self, path: Path, *, is_dark: bool) -> None:
-        from hyperpaint.io.envi.envi_cubes import find_pair
-        from hyperpaint.io.envi.envi_header import read_header
-
         try:
             header = read_header(path)
             find_pair(path)
@@ -199,7 +200,6 @@ class _Seen:
         return os.path.relpath(path, self.folder)
 
     def result(self) -> FieldFolder:
-        """Return all files, cubes in the order of flight."""
         if not self.raw:
             seen = f"; {'; '.join(self.notes)}" if self.notes else ""
             raise CollectError(
@@ -226,30 +226,19 @@ class _Seen:
         )
 
     def _flight_cubes(self) -> Iterator[FlightCube]:
-        from hyperpaint.io.envi.envi_cubes import open_envi
-        from hyperpaint.io.envi.envi_header import read_header
-        from hyperpaint.io.flightline.headwall import (
-            cube_number,
-            find_exposure,
-            frame_index_beside,
-            lens_lengths,
-            navigation_beside,
-        )
-
         for header in sorted(self.raw, key=lambda path: (path.parent, cube_number(path) or 0, path.name)):
             has_exposure, lens = False, None
             with contextlib.suppress(PaintError), warnings.catch_warnings():
                 warnings.simplefilter("ignore", PaintWarning)
                 opened = open_envi(header)
                 has_exposure = find_exposure(None, header, header.name, opened, required=False)[0] is not None
-                comments = read_header(header).comments
-                lengths = lens_lengths(comments)
+                lengths = lens_lengths(read_header(header).comments)
                 lens = None if lengths is None else Lens(*lengths, opened.sizes[CROSS_TRACK])
             beside = frame_index_beside(header), navigation_beside(header)
             yield FlightCube(header, *beside, has_exposure, lens)
 
     def _survey(self) -> Survey | None:
-        """Return the surveyed points of the one such file, where their heights agree."""
+        # only of one such file, and where its heights agree
         if len(self.surveys) != 1:
             if self.surveys:
                 names = ", ".join(map(self._shown, self.surveys))
@@ -271,7 +260,7 @@ class _Seen:
         return Survey(path, float(np.median(heights)), spread, heights.size)
 
     def _calibration(self) -> tuple[Path | None, Path | None]:
-        """Return the one calibration, else the one lab sweep."""
+        # the one calibration, else the one lab sweep
         from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 
         calibrations, sweeps, reasons = [], [], []
@@ -295,7 +284,7 @@ class _Seen:
         return (several[0], None) if calibrations else (None, several[0] if sweeps else None)
 
     def _instruments(self) -> tuple[list[tuple[Path, str]], list[tuple[str, Path, str]]]:
-        """Return folders of irradiance, and folders of reflectance with their instruments."""
+        # folders of irradiance, and folders of reflectance with their instruments
         irradiance: list[tuple[Path, str]] = []
         references: list[tuple[str, Path, str]] = []
         for (folder, suffix), files in sorted(self.spectra.items()):
@@ -317,10 +306,7 @@ class _Seen:
 
 
 def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
-    """Return the heights above the ellipsoid [m] of a table of surveyed points.
-
-    Raises `FormatError`: no column is named as ellipsoidal height, or a height is not a finite number.
-    """
+    # heights above the ellipsoid [m]
     from hyperpaint.io.files.reading import read_limited_text
     from hyperpaint.io.navigation.control_points import column_heading, metres_of
 
@@ -353,8 +339,7 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
 
 
 def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
-    """Return spectra and quantity of ASD files, without the warnings of a later reading."""
-    from hyperpaint.io.spectrometers.asd import read_spectra
+    # a later reading repeats the warnings
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
@@ -363,14 +348,13 @@ def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
 
 @dataclass(frozen=True)
 class _Record:
-    """Times of the irradiance record, by the clock of its PC."""
-
+    # times of the irradiance record, by the clock of its PC
     first: np.datetime64 | None = None
     last: np.datetime64 | None = None
     utc_offset_h: float | None = None
 
     def offsets_for(self, cubes: Iterable[FlightCube]) -> tuple[float, float] | None:
-        """Return the clock offsets [s] with which the record covers all cubes."""
+        # clock offsets [s] with which the record covers all cubes
         spans = [span for cube in cubes if (span := _flown(cube)) is not None]
         if self.first is None or self.last is None or self.utc_offset_h is None or not spans:
             return None
@@ -381,7 +365,7 @@ class _Record:
 
 
 def _record_times(files: list[Path]) -> _Record:
-    """Return the times of the first and the last file by name."""
+    # the first and the last file by name
     if not files:
         return _Record()
     ordered = sorted(files)
@@ -398,8 +382,7 @@ def _record_times(files: list[Path]) -> _Record:
 
 
 def _flown(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
-    """Return the times of the first and the last line of a cube's frame index [UTC]."""
-    from hyperpaint.io.flightline.headwall import read_frame_index
+    # times of the first and the last line of the frame index [UTC]
     from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     if cube.frame_index is None or cube.navigation is None:
@@ -414,7 +397,6 @@ def _flown(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
 
 
 def _walk(folder: Path) -> Iterator[Path]:
-    """Yield files and stores in the order of their names; hidden ones are left out."""
     entries = 0
     for place, folders, names in os.walk(folder):
         entries += len(folders) + len(names)

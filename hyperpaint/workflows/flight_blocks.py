@@ -13,17 +13,15 @@ import re
 import threading
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.io.store.chunks import Target, whole_chunk
 from hyperpaint.io.store.layout import Codec
 from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.stage import Staging, flight_content
 from hyperpaint.io.store.writer import Job
-
-if TYPE_CHECKING:
-    import numpy as np
-    import xarray as xr
 
 _LOG = "slabs.log"
 _ENTRY = re.compile(r"(\d{1,9}) ([0-9a-f]{32})")
@@ -56,7 +54,7 @@ class FlightBlocks:
         return begun[0] if begun else cls(stage.build(group, flight_content(codec)), form, codec)
 
     def _logged(self) -> dict[int, str]:
-        """Return the digests of slabs; a line that was cut short by a kill counts for nothing."""
+        # a line that was cut short by a kill counts for nothing
         try:
             text = (self.folder / _LOG).read_text(encoding="ascii", errors="replace")
         except FileNotFoundError:

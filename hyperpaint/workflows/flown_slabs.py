@@ -5,26 +5,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, CROSS_TRACK, CUBE
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.io.store.layout import Codec
     from hyperpaint.io.store.stage import Staging
     from hyperpaint.io.store.writer import Job
     from hyperpaint.radiometry.slabs import Plan
 
+#: What is made of counts in flight.
 PRODUCTS = ("reflectance", "quality")
-"""What is made of counts in flight."""
 
 
 def form_of(bands: int, columns: int, dtype: np.dtype[Any]) -> xr.Dataset:
     """Return arrays of counts and products, with lines enough for any flight and no values."""
     import dask.array as da
-    import xarray as xr
 
     lines = CHUNK_LINES * 2**20
     cube = {"counts": dtype, "reflectance": np.dtype(np.float32)}

@@ -42,21 +42,21 @@ if TYPE_CHECKING:
 
     from .flight_blocks import FlightBlocks
 
+#: Time between two looks at the files [s].
 POLL_S = 0.1
-"""Time between two looks at the files [s]."""
+#: Time without growth after which a flight counts as ended [s].
 IDLE_S = 10.0
-"""Time without growth after which a flight counts as ended [s]."""
+#: How long what follows the last line is waited for: until nothing more comes, and as long as the record
+#: belongs to the line [s].
 QUIET_S, RECORD_S = 3.0, 60.0
-"""How long what follows the last line is waited for: until nothing more comes, and as long as the record
-belongs to the line [s]."""
+#: Lines that are planned together at the most: what is read for a plan does not grow with the flight.
 WINDOW_LINES = 2048
-"""Lines that are planned together at the most: what is read for a plan does not grow with the flight."""
+#: Rows of the navigation and files of the record that are read again from before the first line.
 MARGIN_POSES, MARGIN_SPECTRA = 500, 30
-"""Rows of the navigation and files of the record that are read again from before the first line."""
+#: Slabs between two looks at the files, where many wait.
 SLABS_A_TURN = 16
-"""Slabs between two looks at the files, where many wait."""
+#: Over how long the rate is taken [s].
 RECENT_S = 3.0
-"""Over how long the rate is taken [s]."""
 
 
 @dataclass
@@ -87,8 +87,6 @@ class FlightState:
 
 
 class _Line:
-    """A flight line in flight, and its blocks."""
-
     def __init__(self, group: str, growing: GrowingLine) -> None:
         self.group, self.growing = group, growing
         self.blocks: FlightBlocks | None = None
@@ -101,7 +99,7 @@ class _Line:
         self.marks: list[tuple[int, int, int, float]] = []
 
     def mark_before(self, line: int) -> tuple[int, int, int, float]:
-        """Return the last mark at which a line was not there yet."""
+        # the last mark at which a line was not there yet
         place = bisect.bisect_right(self.marks, line, key=lambda mark: mark[0])
         return self.marks[place - 1] if place else (0, 0, 0, 0.0)
 
@@ -190,7 +188,6 @@ class Following:
         self, number: int, tables: Mapping[str, Any], table: Mapping[str, Any], cubes: list[Path],
         problems: Problems,
     ) -> tuple[_Line, list[tuple[Path, int, int]]]:  # fmt: skip
-        """Return a line of which there is a cube, as far as it has come, and the files of the record."""
         from hyperpaint.io.collect.collect_toml import parse_collect
         from hyperpaint.io.flightline.headwall import frame_index_beside, navigation_beside
 
@@ -219,7 +216,6 @@ class Following:
         return line, sorted(files, key=lambda file: (file[2], file[0]))
 
     def _advance(self, line: _Line, files: list[tuple[Path, int, int]]) -> None:
-        """Write the products of slabs that are final."""
         while line.blocks is not None and line.done + CHUNK_LINES <= line.lines:
             if line.done + CHUNK_LINES > line.final and not self._plan(line, files):
                 break
@@ -230,7 +226,7 @@ class Following:
             self._plan(line, files)  # the last lines fill no slab, and wait for their light as well
 
     def _judge_lag(self, line: _Line) -> None:
-        """Note how old the oldest line is that is in no block."""
+        # the age of the oldest line that is in no block
         state, now = self.state, self._clock()
         state.lines = sum(each.lines for each in self._lines.values())
         state.done = sum(each.done for each in self._lines.values())
@@ -245,7 +241,7 @@ class Following:
     # --- blocks ---
 
     def _begin(self, line: _Line) -> None:
-        """Take up the blocks of earlier attempts, from the first slab on."""
+        # from the first slab on
         from .flight_blocks import FlightBlocks
 
         header = line.growing.header
@@ -256,7 +252,7 @@ class Following:
         line.counted = line.done
 
     def _count(self, line: _Line) -> None:
-        """Write counts of slabs that cannot be calibrated yet."""
+        # counts only, of slabs that cannot be calibrated yet
         slabs = range(line.counted // CHUNK_LINES, line.lines // CHUNK_LINES)[:SLABS_A_TURN]
         if line.blocks is None or not slabs:
             return
@@ -265,7 +261,6 @@ class Following:
             line.counted += CHUNK_LINES
 
     def _write(self, line: _Line) -> None:
-        """Write slabs with their products, as far as they are final."""
         begun = self._clock()
         slabs = range(line.done // CHUNK_LINES, line.final // CHUNK_LINES)[:SLABS_A_TURN]
         for quality in self._pool.map(lambda slab: self._slab(line, slab), slabs):
@@ -279,7 +274,6 @@ class Following:
         return line.growing.counts(slab * CHUNK_LINES, (slab + 1) * CHUNK_LINES)
 
     def _slab(self, line: _Line, slab: int) -> Any:
-        """Calibrate and write a slab; return its quality."""
         from hyperpaint.radiometry.slabs import run_slab
 
         assert line.blocks is not None
@@ -301,7 +295,7 @@ class Following:
     # --- plan ---
 
     def _plan(self, line: _Line, files: list[tuple[Path, int, int]]) -> bool:
-        """Plan the lines that have none yet; return whether a slab of them is final."""
+        # returns whether a slab of the planned lines is final
         from hyperpaint.radiometry.counts_to_reflectance import reflectance
         from hyperpaint.radiometry.slabs import plan_of
 
@@ -323,7 +317,7 @@ class Following:
         return is_final
 
     def _assembled(self, line: _Line, inputs: FlightlineInputs, record: xr.Dataset) -> xr.Dataset:
-        """Return the line as it would be opened; what never changes is opened once."""
+        # calibration and dark never change and are opened once
         from hyperpaint.io.flightline.flightline_opening import assemble
 
         assert line.settings is not None
@@ -335,7 +329,6 @@ class Following:
         return flown
 
     def _constants(self, settings: Collect, dark: Any) -> tuple[Any, Any]:
-        """Return calibration and dark of all lines, opened once."""
         from hyperpaint.io.flightline.calibration_store import open_calibration
         from hyperpaint.io.flightline.dark import open_dark
 
@@ -356,7 +349,6 @@ class Following:
         return self._opened[path]
 
     def _irradiance(self, line: _Line, files: list[tuple[Path, int, int]]) -> xr.Dataset:
-        """Return the record of some files."""
         from hyperpaint.io.spectrometers.irradiance import open_irradiance
 
         entry = None if line.settings is None else line.settings.irradiance

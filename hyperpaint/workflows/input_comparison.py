@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import PaintError, StoreError
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
@@ -17,11 +19,8 @@ from hyperpaint.io.store.manifest import Manifest, content_of
 
 from .store_inputs import inputs_digest
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: What a cube holds; the first of them that a line has is what its file holds.
 _RAW = ("counts", "radiance")
-"""What a cube holds; the first of them that a line has is what its file holds."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,6 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
 
 
 def _words(location: Location, manifest: Manifest | None) -> list[str]:
-    """Return the words of the command that wrote a store."""
     try:
         words = shlex.split(manifest.command) if manifest is not None else []
     except ValueError:  # unbalanced quotes: hyperpaint did not write it
@@ -98,9 +96,6 @@ def _words(location: Location, manifest: Manifest | None) -> list[str]:
 
 
 def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> Iterator[str]:
-    """Yield the blocks of a cube whose samples differ from the stored ones."""
-    import numpy as np
-
     name = str(cube.name)
     if cube.shape != stored.shape:
         yield f"/{group}: {name} of {cube.shape} samples, stored are {stored.shape}"

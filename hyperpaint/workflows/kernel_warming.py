@@ -75,7 +75,6 @@ def warm_kernels(progress: Progress | None = None) -> Warmth:
 
 
 def _on_disk(place: Path) -> int:
-    """Return the number of kernels in the folders of all modules."""
     # .../kernels_<hash> beside .../transport_<hash>, or .../kernels/__pycache__ in the package
     above = place.parents[1] if place.name == "__pycache__" else place.parent
     return sum(1 for _ in above.rglob("*.nbc"))
@@ -97,7 +96,6 @@ def _process(folder: Path) -> None:
 
 
 def _calibrate(_: Path) -> None:
-    """Calibrate with and without smile, rounding and uncertainties."""
     from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
     from hyperpaint.radiometry.pixel_reading import pixels
     from hyperpaint.simulation.collect import simulate_line
@@ -124,7 +122,6 @@ def _smooth(_: Path) -> None:
 
 
 def _look(folder: Path) -> None:
-    """Flag and map a line, as stored."""
     import xarray as xr
 
     line = xr.open_zarr(folder / "lot.zarr", group=_LINE)

@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
+from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import CROSS_TRACK, label
@@ -145,7 +146,6 @@ def opened_collect(
 
 
 def _declare_panels(opened: OpenedCollect) -> None:
-    """Set the attribute ``panels`` of every flight line from ``[[panels]]``."""
     from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 
     lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
@@ -164,17 +164,12 @@ def _declare_panels(opened: OpenedCollect) -> None:
         row = {**vars(panel), "reflectance": known}
         declared.setdefault(panel.line, []).append(row)
     for name, rows in declared.items():
-        line = lines[name].to_dataset()
-        lines[name].dataset = line.assign_attrs(panels=json.dumps(rows))
+        lines[name].dataset = lines[name].to_dataset().assign_attrs(panels=json.dumps(rows))
 
 
 def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
-    """Return a flight line with the geometry of its camera and of the ground from ``[geometry]``.
-
-    Attributes ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are defaults of
-    `hyperpaint.geometry.locate`; the field of view, or the file ``look_angle``, becomes the angle of every
-    column, which a crop of the line keeps.
-    """
+    # ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are defaults of `locate`; the field
+    # of view, or the file ``look_angle``, becomes the angle of every column, which a crop of the line keeps
     names = {"ground": "ground", "boresight_deg": "boresight", "lever_arm_m": "lever_arm"}
     attrs = {
         names[key]: list(value) if isinstance(value, tuple) else float(value)
@@ -195,7 +190,7 @@ _MAX_ANGLE_FILE_BYTES = 2**20
 
 
 def _column_angles(path: Path, columns: int) -> Floats:
-    """Return the angles of a text file with one number a column, positive to the right [degree]."""
+    # one number a column, positive to the right [degree]
     expected = "a text file with the angle of every column, positive to the right [degree]"
     text = decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, expected))
     angles = numbers(text.replace(",", " ").split())
@@ -208,8 +203,7 @@ def _column_angles(path: Path, columns: int) -> Floats:
 
 
 def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
-    """Return the angles of the columns of a pinhole with a field of view between outer edges [degree]."""
-    from hyperpaint.base.attitude_conventions import Convention
+    # the field of view lies between outer edges of the columns [degree]
     from hyperpaint.geometry.georeference import PinholeCamera
 
     declared = Convention.from_attrs(line.attrs)

@@ -16,30 +16,30 @@ import operator
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.files.text_cells import safe_cell
+from hyperpaint.io.store import budget, list_groups, open_store, to_store
+from hyperpaint.regions import Regions, regions_from
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 from hyperpaint.surroundings.scratch import survey_planned
+from hyperpaint.validation import Validation, validate
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from hyperpaint.regions import Regions
-    from hyperpaint.validation import Validation
+from .maps import location_of
 
 MAX_LISTED_REJECTIONS = 10
 MAX_STORED_REJECTIONS = 200
+#: Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours.
 NOT_LOOKED_FOR = "not looked for"
-"""Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours."""
+#: Options of flags that proposals take as well.
 _SHARED = ("glint", "shadow", "adjacency", "sun_zenith")
-"""Options of flags that proposals take as well."""
 
 
 def write_signatures(
@@ -91,10 +91,8 @@ def write_signatures(
         The store has no finished flight line of the regions; or the library cannot be written, or its store
         holds something else, and ``overwrite`` is False.
     """
-    from hyperpaint.io.store import budget, to_store
     from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
     from hyperpaint.paints.signatures.extraction import GATHERED_BYTES
-    from hyperpaint.regions import regions_from
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
@@ -121,7 +119,15 @@ def write_signatures(
     for number, name in enumerate(wanted):
         share = part_of(progress, number, len(wanted) + 1)
         with survey_planned(lines[name], f"the survey of {name or store}"):
-            flagged[name] = _flagged(lines[name], name, {**surveys, "progress": share})
+            try:
+                flagged[name] = flag_line(lines[name], **{**surveys, "progress": share})
+            except PaintError as error:
+                error.note(
+                    f"flight line {name!r} has no flags of glint or shadow yet",
+                    mend="flags=False does without",
+                    option="--no-flags does without",
+                )
+                raise
     origin = _origin(lines, flagged, looked_at)
     targets, refused = _proposed(lines, flagged, surveys) if given is None else (given, [])
     lines |= {name: done.line for name, done in flagged.items()}
@@ -148,10 +154,7 @@ def write_signatures(
 def _placed(
     lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
 ) -> dict[str, xr.Dataset]:
-    """Return the lines with ground coordinates."""
     from hyperpaint.geometry import locate
-
-    from .maps import location_of
 
     problems = Problems("signatures cannot be extracted", SchemaError)
     if maps and regions is None:
@@ -176,8 +179,7 @@ def _placed(
 def _lines(
     store: str | os.PathLike[str], wanted: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
-    """Return the named flight lines (all by default), and the names of those that have flags."""
-    from hyperpaint.io.store import list_groups, open_store
+    # second, the names of lines that have flags
     from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
     listed = list_groups(store)
@@ -202,29 +204,14 @@ def _lines(
         if is_flagged(line):
             flagged.add(name)
         if "counts" in line.variables:
-            has_noise = {"electrons_per_count", "read_noise"} <= set(line.variables)
-            line = reflectance(line, uncertainty=has_noise)
+            line = reflectance(line, uncertainty={"electrons_per_count", "read_noise"} <= set(line.variables))
         lines[name] = line
     return lines, frozenset(flagged)
-
-
-def _flagged(line: xr.Dataset, name: str, options: Mapping[str, Any]) -> Flagged:
-    """Return a line with its flags; an error gets a note on ``flags=False``."""
-    try:
-        return flag_line(line, **options)
-    except PaintError as error:
-        error.note(
-            f"flight line {name!r} has no flags of glint or shadow yet",
-            mend="flags=False does without",
-            option="--no-flags does without",
-        )
-        raise
 
 
 def _origin(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], looked_at: frozenset[str]
 ) -> str:
-    """Return the source of the flags of glint, shadow and neighbours."""
     origins = []
     for name, line in lines.items():
         if name in flagged:
@@ -238,8 +225,7 @@ def _origin(
 def _proposed(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
 ) -> tuple[Regions, list[str]]:
-    """Return the proposed regions, and the rejected ones with place and reasons, cars first."""
-    from hyperpaint.regions import Regions
+    # accepted regions, and rejected ones with place and reasons, cars first
     from hyperpaint.regions.proposals import propose_regions
 
     # with several lines, names of paints begin with the name of the line
@@ -304,7 +290,6 @@ def validate_files(
     from hyperpaint.io.library import open_library
     from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
     from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
-    from hyperpaint.validation import validate
 
     signatures = open_library(library)
     named = None if pairs is None else read_pairs(pairs)
@@ -314,7 +299,6 @@ def validate_files(
 
 
 def _store_of(signatures: xr.Dataset, library: Path) -> Path:
-    """Return the store that a library was extracted from."""
     name = signatures.attrs.get("store")
     place = library.absolute().parent / str(name)
     # only a name: no path from inside a file leads out of the folder
@@ -369,7 +353,6 @@ def _as_csv(validation: Validation) -> str:
 
 
 def _pairs_of(validation: Validation) -> list[dict[str, Any]]:
-    """Return the statistics of each pair, ready for JSON."""
     table = validation.statistics
     pairs = []
     for row in range(table.sizes["pair"]):
@@ -410,7 +393,6 @@ def _as_json(validation: Validation) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as a Python object; None for NaN and infinity."""
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

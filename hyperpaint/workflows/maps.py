@@ -8,16 +8,16 @@ import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+
+import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.mosaicking import mosaic, seamlines
 from hyperpaint.geometry.orthorectification import orthorectify
-
-if TYPE_CHECKING:
-    import xarray as xr
+from hyperpaint.io.store import budget, list_groups, open_store, to_store
 
 
 def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
@@ -114,8 +114,8 @@ def location_of(
     return {name: value for name, value in location.items() if value is not None}
 
 
+#: Names of the options of `location_of`.
 LOCATION = frozenset(inspect.signature(location_of).parameters) - {"flightline"}
-"""Names of the options of `location_of`."""
 
 
 def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dataset:
@@ -123,8 +123,6 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
 
     Raises `SchemaError`: the store has no named flight lines, or not these.
     """
-    from hyperpaint.io.store import list_groups, open_store
-
     prefix = "flightlines/"
     held = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
     missing = [name for name in names if name not in held]
@@ -136,8 +134,7 @@ def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dat
     lines = {name: open_store(store, f"{prefix}{name}") for name in names or held}
     given = {name: options.pop(name) for name in LOCATION & set(options)}
     # one camera flew them all
-    location = location_of(next(iter(lines.values())), **given)
-    return mosaic(lines, **options, **location)
+    return mosaic(lines, **options, **location_of(next(iter(lines.values())), **given))
 
 
 def write_map(
@@ -194,8 +191,6 @@ def write_map(
     if geozarr and not is_tiff:
         orthomap = orthomap.assign_attrs(geozarr_attrs(orthomap))
     if not is_tiff and not companions:
-        from hyperpaint.io.store import to_store
-
         with plan:
             to_store(orthomap, path, overwrite=overwrite, progress=progress)
         return ""
@@ -213,8 +208,6 @@ def write_map(
             factors = ", ".join(f"1:{factor}" for factor in read_geotiff_header(target).overviews)
             notes.append(f"overviews {factors}" if factors else "too small for overviews")
         else:
-            from hyperpaint.io.store import open_store, to_store
-
             to_store(orthomap, target, progress=progress)
             orthomap = open_store(target)
         if stac:
@@ -233,8 +226,6 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
 
     Entering it raises `StoreError` where not even one thread fits.
     """
-    from hyperpaint.io.store import budget
-
     cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
     tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
     rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
@@ -245,16 +236,13 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
 
 
 def _no_map(folder: Path) -> str:
-    """Return "something other than a map" for a folder that is not a store of one map, else nothing."""
-    from hyperpaint.io.store import list_groups
+    # empty for a store of one map
 
     return "" if list_groups(folder) == [""] else "something other than a map"
 
 
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     """Return a flight line of a store by its name, by default the only one; or the map of a store."""
-    from hyperpaint.io.store import list_groups, open_store
-
     prefix = "flightlines/"
     lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
     if not lines and line is not None:
@@ -267,10 +255,9 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     name = lines[0] if line is None and len(lines) == 1 else line
     if lines and name not in lines:
         found = "several flight lines" if line is None else f"no flight line {line!r}"
-        expected = f"one of {', '.join(map(repr, lines))}"
         raise SchemaError(
             f"{store} has {found}",
-            expected=expected,
+            expected=f"one of {', '.join(map(repr, lines))}",
             mend="pass line=",
             option="give --line",
             code="flightline-unknown",
@@ -280,7 +267,6 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
 
 
 def _track(line: xr.Dataset) -> tuple[Any, Any, Any] | None:
-    """Return longitudes, latitudes and altitudes of a line, where it has all three."""
     names = ("longitude", "latitude", "altitude")
     return tuple(line[name].values for name in names) if set(names) <= set(line.variables) else None  # type: ignore[return-value]
 

@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
 from hyperpaint.validation.validation_result import aligned
 
-if TYPE_CHECKING:
-    import xarray as xr
-
+#: Of a signature of many pixels against its truth: RMS over bands, relative.
 MAX_ERROR = 0.01
-"""Of a signature of many pixels against its truth: RMS over bands, relative."""
 
 _MANY = 200  # pixels; below, sensor noise is all there is to see
 _ROOF = 0.7  # m; roofs, bonnets and boots are above
@@ -53,8 +50,6 @@ def compare_paints(store: Path, truth: Path, bands: tuple[float, float]) -> tupl
 
     Raises `FormatError`: the spectrometer's files are missing or cannot be read.
     """
-    import xarray as xr
-
     from hyperpaint.io.store import list_groups
 
     true_scene = xr.open_zarr(truth)
@@ -92,7 +87,7 @@ Pixels = tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.int64]]
 
 
 def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, used: npt.NDArray[np.bool_]) -> Iterator[Pixels]:
-    """Yield recovered and true reflectance (pixel, band), paint and car of the clean pixels."""
+    # recovered and true reflectance (pixel, band), paint and car of the clean pixels
     labels = ["reflectance", "paint_id", "car_id", "purity", "shadow", "up", "glint"]
     for seen, true in blocks_with_truth(line, truth, labels):
         chosen = (true["paint_id"].values >= 0) & (true["purity"].values > _PURE)
@@ -112,8 +107,6 @@ def _paint_pixels(line: xr.Dataset, truth: xr.Dataset, used: npt.NDArray[np.bool
 
 
 class _Signature:
-    """Running sums of one paint."""
-
     def __init__(self) -> None:
         self.pixels, self.cars = 0, set[int]()
         self.recovered: Floats | float = 0.0
@@ -127,19 +120,17 @@ class _Signature:
 
     def agreement(self, name: str, field: Floats) -> PaintAgreement:
         recovered, true = np.asarray(self.recovered) / self.pixels, np.asarray(self.true) / self.pixels
-        error = float(np.sqrt(np.mean((recovered / true - 1.0) ** 2)))
         return PaintAgreement(
             paint=name,
             cars=len(self.cars),
             pixels=self.pixels,
             recovered=float(recovered.mean()),
-            error=error,
+            error=float(np.sqrt(np.mean((recovered / true - 1.0) ** 2))),
             field=float(field.mean()),
         )
 
 
 def _field_spectra(folder: Path, wavelength: Floats) -> dict[str, Floats]:
-    """Return the field spectrum of every paint, at the bands of the camera."""
     from hyperpaint.io.spectrometers.asd import open_asd
 
     seen = open_asd(folder)

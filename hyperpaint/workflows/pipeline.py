@@ -12,6 +12,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import xarray as xr
+
 from hyperpaint.base.constants import ALIGNMENTS, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
     CollectError,
@@ -23,27 +25,26 @@ from hyperpaint.base.errors import (
 )
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
-from hyperpaint.io.store.layout import Layout
+from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
+from hyperpaint.io.store.layout import Codec, Layout, with_layout
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
+from hyperpaint.io.store.writer import TakeUp, check_codec, check_room, run_contents, whole_run
 
 from .collect_check import check_accepted, refuse_findings, warn_of_flags
 from .store_inputs import finishing_command, inputs_digest, refuse_to_write_over, settings_of
 
 if TYPE_CHECKING:
-    import xarray as xr
     from distributed import Client
 
     from hyperpaint.io.collect.collect_opening import OpenedCollect
     from hyperpaint.io.collect.collect_toml import Collect
     from hyperpaint.io.store.budget import Demand
-    from hyperpaint.io.store.layout import Codec
-    from hyperpaint.io.store.writer import TakeUp
 
+#: How long a cluster without workers is waited for [s].
 WORKERS_WAIT = 60
-"""How long a cluster without workers is waited for [s]."""
 
+#: A URL of fsspec, also one that has been made a `Path`; no drive's letter.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
-"""A URL of fsspec, also one that has been made a `Path`; no drive's letter."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,6 @@ def kept_groups(
     from hyperpaint.io.store.groups import check_above, groups_above
     from hyperpaint.io.store.location import Location
     from hyperpaint.io.store.manifest import Manifest, content_of, numerics_of
-    from hyperpaint.io.store.writer import run_contents
 
     if not out.exists():
         return []
@@ -143,8 +143,6 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
     """
     import dask
 
-    from hyperpaint.io.store.computing import client_in_force, scheduler_in_force
-
     if address is None:
         client = client_in_force()
         if client is not None:
@@ -171,7 +169,7 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
 
 
 def _wait_for_workers(client: Client) -> None:
-    """Wait for the first worker, whose memory sizes the tasks; refuse a cluster without any."""
+    # memory of the first worker sizes the tasks
     try:
         client.wait_for_workers(1, timeout=WORKERS_WAIT)
     except TimeoutError as error:
@@ -187,8 +185,8 @@ def token_of(dataset: xr.Dataset) -> str:
     return str(dataset.attrs[INPUTS])
 
 
+#: Lines in one task on a cluster, where a task costs more than on threads.
 CLUSTER_LINES = 256
-"""Lines in one task on a cluster, where a task costs more than on threads."""
 
 Product = Literal["radiance", "reflectance"]
 Kept = Literal["none", "stored"]
@@ -320,9 +318,6 @@ def run(
     ``take_up`` hands over blocks of a line in flight (`hyperpaint.workflows.following`).
     """
     from hyperpaint.io.store.budget import limited_threads, parse_size, share_one_heap
-    from hyperpaint.io.store.computing import errors_of_the_cluster
-    from hyperpaint.io.store.layout import with_layout
-    from hyperpaint.io.store.writer import check_codec, check_room, run_contents, whole_run
 
     problems = Problems("cannot process", SchemaError)
     for word, value, allowed in (
@@ -442,7 +437,6 @@ def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr
 
 
 def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.Dataset:
-    """Return a flight line with all its stored products; other groups unchanged."""
     if not name.startswith("flightlines/"):
         return dataset
     product: xr.Dataset
@@ -454,8 +448,7 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
     from hyperpaint.radiometry.coarse_lines import coarse_reflectance
     from hyperpaint.radiometry.panels import declared_panels
 
-    panels = declared_panels(dataset)
-    product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=panels or None)
+    product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=declared_panels(dataset) or None)
     product["reflectance"].attrs["keep_bits"] = KEPT_BITS
     split = split_of_lines(dataset)
     if split is not None:
@@ -466,11 +459,8 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
 
 
 def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
-    """Compute the first slab of every line, to find impossible values before writing.
-
-    On a cluster this also compiles the kernels once, where the workers share a cache.
-    """
-    from hyperpaint.io.store.computing import RETRIES, errors_of_the_cluster
+    # the first slab of every line finds impossible values before writing; on a cluster this also compiles the
+    # kernels once, where the workers share a cache
 
     options = {} if client is None else {"retries": RETRIES}
     problems = Problems(f"{collect} cannot be processed", CollectError)
@@ -490,7 +480,7 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Cli
 
 
 def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None) -> Demand:
-    """Return lines a task and threads that keep this process, or each worker, within its memory."""
+    # lines a task and threads that keep this process, or each worker, within its memory
     from hyperpaint.io.store import budget
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}

@@ -6,16 +6,14 @@ import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.input_files import input_path, read_limited
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 _PLAIN = (".csv", ".txt", ".tsv", ".asc", "")
 MAX_EXPORT_BYTES = 64 << 20
@@ -63,7 +61,6 @@ def read_paints(path: Path) -> dict[str, xr.Dataset] | xr.Dataset:
 
 
 def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
-    """Return the paints of a DIRSIG material list, each with its own wavelengths."""
     from hyperpaint.io.dirsig.material_list import read_materials
     from hyperpaint.io.library import open_library
 
@@ -92,7 +89,7 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
 
 
 def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
-    """Return a paint with the reflectance of another file on the same wavelengths."""
+    # reflectance of another file on the same wavelengths
     own, other = paint["wavelength"].values, centre["wavelength"].values
     if own.shape != other.shape or not np.allclose(own, other, rtol=0.0, atol=1e-3):
         return paint
@@ -100,7 +97,7 @@ def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
 
 
 def _records_of_export(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the record of each paint by ID from an export of ours; empty for other material lists."""
+    # empty for material lists of other programs
     try:
         document = json.loads(read_limited(folder / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
         return {str(record["id"]): dict(record) for record in document["paints"]}

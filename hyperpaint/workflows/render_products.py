@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats, Floats32, round_bits
@@ -15,8 +16,6 @@ from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.simulation.camera import Camera, Detector
     from hyperpaint.simulation.optics import Optics
     from hyperpaint.simulation.rendering.camera_bands import BandSet
@@ -82,10 +81,8 @@ class Render:
         return line
 
     def _bands(self, product: str) -> BandSet:
-        """Return the bands: weighted by the detector for counts, line shapes alone for radiance.
-
-        Readers of radiance know no responsivity, and match the irradiance without one too.
-        """
+        # weighted by the detector for counts, line shapes alone for radiance; readers of radiance know no
+        # responsivity, and match the irradiance without one too
         from hyperpaint.simulation.rendering.camera_bands import BandSet
 
         bands = BandSet.of(self.camera.imager)
@@ -93,8 +90,7 @@ class Render:
 
 
 def _rounded(cube: xr.DataArray) -> xr.DataArray:
-    """Return a float32 cube with the mantissa bits that a stored reflectance has, to nearest-even."""
-    import xarray as xr
+    # mantissa bits of a stored reflectance, to nearest-even
 
     rounded: xr.DataArray = xr.apply_ufunc(
         round_bits, cube, KEPT_BITS, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
@@ -115,12 +111,14 @@ def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
     time = (first + seconds.astype("timedelta64[s]")).astype("datetime64[ns]")
     spectrum = np.asarray(relit["irradiance"][0].values)
     wavelength = relit[IRRADIANCE_WAVELENGTH].variable
-    line = relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
-    series = np.broadcast_to(spectrum, (count, len(spectrum)))
-    return line.assign(
-        irradiance=_variable("irradiance", series),
-        irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL),
-    ).assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
+    return (
+        relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
+        .assign(
+            irradiance=_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
+            irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL),
+        )
+        .assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
+    )
 
 
 def pose_of(platform: Platform) -> dict[str, xr.Variable]:
@@ -131,7 +129,7 @@ def pose_of(platform: Platform) -> dict[str, xr.Variable]:
 
 
 def _look_angle(platform: Platform) -> xr.Variable:
-    """Return the viewing angles of the column centres, from the camera's axis to the right."""
+    # column centres, from the camera's axis to the right
     edges = platform.column_edges
     return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
@@ -148,7 +146,6 @@ def counts_of(
     ``exposure_time`` is in [s].
     """
     import dask.array as da
-    import xarray as xr
 
     # a mean radiance of one gives t A INT R counts; elements that see no light give none
     scale, factor = exposure_time * camera.etendue * camera.response_area, np.where(camera.bad, 0.0, 1.0)
@@ -178,9 +175,8 @@ def counts_of(
             meta=np.empty((0, 0, 0), dtype=np.uint16),
         )
         blocks.append(block)
-    counts = da.concatenate(blocks)
     variables = {
-        "counts": xr.Variable(CUBE, counts, VARIABLES["counts"].attrs),
+        "counts": xr.Variable(CUBE, da.concatenate(blocks), VARIABLES["counts"].attrs),
         "dark_counts": _variable("dark_counts", _dark(detector, key) if noise else detector.dark),
         "radiance_gain": _variable("radiance_gain", camera.radiance_gain()),
         "exposure_time": _variable("exposure_time", exposure_time),
@@ -193,8 +189,6 @@ def counts_of(
 
 @dataclass(frozen=True)
 class _Exposure:
-    """Counting of the lines of a scene by a camera."""
-
     detector: Detector
     optics: Optics | None
     scale: Floats  # Counts of a mean radiance of one, shape (band, cross_track)
@@ -204,7 +198,7 @@ class _Exposure:
     number: int  # Lines of the scene
 
     def counts(self, cube: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
-        """Return the counts of lines, of a cube that begins at line ``first``, one line after the other."""
+        # the cube begins at line ``first``; lines follow one another, as afterglow does
         cube = np.nan_to_num(cube, nan=0.0)  # from beyond the scene there comes no light
         counts = np.empty((len(lines), *cube.shape[1:]), dtype=np.uint16)
         for line, row in zip(lines, counts, strict=True):
@@ -223,14 +217,13 @@ class _Exposure:
 
 
 def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
-    """Return the mean of simulated dark frames: dark, with the residue of noise and rounding."""
+    # the mean of frames keeps a residue of noise and rounding
     rng = np.random.default_rng([key[0], _DARK])
     spread = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
     return np.asarray(detector.dark + spread * rng.standard_normal(detector.dark.shape))
 
 
 def _variable(name: str, values: Any) -> xr.Variable:
-    """Return values with dims, dtype and attributes from the table of variables."""
     from hyperpaint.simulation.stores import labelled
 
     return labelled(VARIABLES[name], values)

@@ -37,7 +37,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
@@ -45,30 +48,31 @@ from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
+from hyperpaint.io.store import list_groups, open_group, open_store
 from hyperpaint.io.store.budget import size_text
+from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
+from hyperpaint.io.store.writer import check_room, run_contents, whole_run
 from hyperpaint.simulation.settings import MOST_SAMPLES
 
 from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
+from .render_libraries import read_paints, spectra_digest
+from .render_products import Render, pose_of
+from .scene_files import SceneFile, read_scene_file
+from .scene_parts import Parts, build_parts, chosen_atmospheres
 from .store_inputs import finishing_command, refuse_to_write_over
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-    from .scene_files import SceneFile
-    from .scene_parts import Parts
-
+#: Group of the traced scene.
 TRANSPORT = "transport"
-"""Group of the traced scene."""
 
+#: Prefix of the groups of renders.
 RENDERS = "renders/"
-"""Prefix of the groups of renders."""
 
 # lower bounds of compressed bytes: a pixel of the traced scene takes hundreds, a sample of a render two
 MIN_BYTES_PER_PIXEL, MIN_BYTES_PER_SAMPLE = 30, 1
 
+#: Lines in one task on a cluster; tracing a line takes some tenths of a second.
 CLUSTER_LINES = 64
-"""Lines in one task on a cluster; tracing a line takes some tenths of a second."""
 
 
 @renamed(paints="library")
@@ -184,19 +188,22 @@ def run(
     progress: bool = False,
 ) -> Outcome:
     """Render a scene, as `render_scene` does with the same arguments, and return the groups written."""
-    from hyperpaint.io.store import open_group
-    from hyperpaint.io.store.computing import errors_of_the_cluster
-    from hyperpaint.io.store.writer import check_room, run_contents, whole_run
-
-    from .scene_files import read_scene_file
-    from .scene_parts import build_parts, chosen_atmospheres
-
     out = local_folder(out, "render")
     file = _changed(read_scene_file(path), samples, to)
     if hold_edges is not None:
         file = dataclasses.replace(file, hold_edges=hold_edges)
     refuse_to_write_over(out, (file, library and Path(library)), "render")
-    _check_disk_roughly(file, out)
+    # before the scene is built; `check_room` is exact later
+    folder = next(parent for parent in out.absolute().parents if parent.exists())
+    pixels = file.platform["lines"] * file.platform["columns"]
+    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
+    free = shutil.disk_usage(folder).free
+    if least > free:
+        raise StoreError(
+            f"{file.path} needs at least {size_text(least)} of disk; {size_text(free)} are free in {folder}",
+            mend="take fewer lines, columns or bands, or another disk",
+            code="disk-full",
+        )
     parts = build_parts(file)
     if library is not None:
         file, parts = _painted(file, parts, Path(library))
@@ -245,7 +252,6 @@ def run(
 
 
 def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
-    """Return the scene file with values that the call replaces."""
     problems = Problems("cannot render", SchemaError)
     if samples is not None and not (
         isinstance(samples, int) and not isinstance(samples, bool) and 1 <= samples <= MOST_SAMPLES
@@ -264,12 +270,10 @@ def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
 
 
 def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Parts]:
-    """Return the file and its parts with the paints of a library; paints of the file take precedence."""
+    # paints of the file take precedence over the library
     from hyperpaint.simulation.rendering.given_spectra import by_name
     from hyperpaint.simulation.rendering.painting import dealt_paints
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
-
-    from .render_libraries import read_paints
 
     library = by_name(read_paints(paints))
     dealt = dealt_paints(SceneRecord.of(parts.scene), list(library))
@@ -277,28 +281,11 @@ def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Pa
     return file, dataclasses.replace(parts, spectra={**library, **parts.spectra})
 
 
-def _check_disk_roughly(file: SceneFile, out: Path) -> None:
-    """Refuse a scene larger than the free disk before it is built; `check_room` is exact later."""
-    folder = next(parent for parent in out.absolute().parents if parent.exists())
-    pixels = file.platform["lines"] * file.platform["columns"]
-    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
-    free = shutil.disk_usage(folder).free
-    if least > free:
-        raise StoreError(
-            f"{file.path} needs at least {size_text(least)} of disk; {size_text(free)} are free in {folder}",
-            mend="take fewer lines, columns or bands, or another disk",
-            code="disk-full",
-        )
-
-
 # --- groups to write ---------------------------------------------------------------------------------------
 
 
 def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
-    """Return the scene, traced lazily in blocks of ``lines`` lines."""
     from hyperpaint.simulation.rendering.tracing import trace
-
-    from .render_products import pose_of
 
     sampling = file.sampling
     traced = trace(
@@ -328,10 +315,6 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
 def _renders(
     traced: xr.Dataset, file: SceneFile, parts: Parts, names: Sequence[str]
 ) -> dict[str, xr.Dataset]:
-    """Return the renders of a traced scene by group."""
-    from .render_libraries import spectra_digest
-    from .render_products import Render
-
     renders = {}
     for atmosphere in parts.atmospheres:
         if atmosphere.name in names:
@@ -359,8 +342,7 @@ def _renders(
 
 
 def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
-    """Refuse to replace the traced scene below renders of other parameters."""
-    from hyperpaint.io.store import list_groups
+    # renders of other parameters keep the traced scene below them
 
     if TRANSPORT in complete or not out.exists():
         return
@@ -374,9 +356,6 @@ def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[st
 
 
 def _light(atmosphere: Any) -> str:
-    """Return a digest of all fields of an atmosphere."""
-    import numpy as np
-
     digest = hashlib.sha256()
     for field in dataclasses.fields(atmosphere):
         value = getattr(atmosphere, field.name)
@@ -391,8 +370,7 @@ def _content(path: Path) -> str:
 
 
 def _digest(inputs: Mapping[str, Any]) -> str:
-    text = json.dumps(inputs, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
 
 _WIDTH, _DPI = 4.0, 150  # of one picture [inch]
@@ -404,7 +382,6 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     Raises `MissingExtraError`: matplotlib is not installed; `StoreError`: no group has an overview, of fewer
     than three visible bands; `SchemaError`: matplotlib writes no such picture.
     """
-    from hyperpaint.io.store import open_store
     from hyperpaint.pictures.figures import new_figure, save_figure
 
     opened = {group: open_store(store, group) for group in groups}

@@ -21,11 +21,11 @@ from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.settings import FLEETS, MAX_SEED, MOST_SAMPLES, SimulationSettings
 
+#: Kinds of generated scenes; any of them may hold meshes as well.
 SCENE_KINDS = ("car_park", "plane", "empty")
-"""Kinds of generated scenes; any of them may hold meshes as well."""
 
+#: Quantities of a rendered cube.
 PRODUCTS = ("radiance", "counts")
-"""Quantities of a rendered cube."""
 
 _MAX_TRIANGLES = 5_000_000  # of a car park: some 2000 cars and their trees
 _MAX_VALUES = 10**11  # of a cube; a day's flying has a hundredth
@@ -97,6 +97,7 @@ def _whole(name: str, doc: str, least: int, most: int, **options: Any) -> Fact:
     return Fact(name=name, kind="whole", doc=doc, least=least, most=most, **options)
 
 
+#: Keys of a material of a mesh.
 MATERIAL = by_key([
     Fact(name="spectrum", doc="name of the reflectance spectrum", example="red"),
     Fact(name="class", kind="choice", choices=KINDS, doc="class of the surface"),
@@ -106,7 +107,6 @@ MATERIAL = by_key([
     _number("coat_waviness_deg", "waviness of the clear coat", 0.0, 5.0, unit="degree"),
     _number("flakes", "share of the surface below the coat that metal flakes cover", 0.0, 1.0),
 ])  # fmt: skip
-"""Keys of a material of a mesh."""
 
 _SEED = _whole("seed", "chooses cars, paints, places and trees", 0, MAX_SEED, default=0)
 
@@ -118,6 +118,7 @@ _CAMERA_FIELDS = (
     "masked_columns",
 )  # fmt: skip
 
+#: Facts of every key of every table; the keys of `NAMED` are names.
 SCHEMA: Mapping[str, Facts] = {
     "scene": by_key([
         Fact(name="name", doc="name of the scene; by default the name of the file"),
@@ -197,16 +198,15 @@ SCHEMA: Mapping[str, Facts] = {
     "paints": {},
     "output": by_key(facts_of(SceneFile).values()),
 }  # fmt: skip
-"""Facts of every key of every table; the keys of `NAMED` are names."""
 
+#: Tables whose keys are the user's names, each with a text.
 NAMED = {
     "spectra": "your own spectrum: lines of wavelength [nm] and reflectance, or a paint library",
     "paints": "spectrum that repaints a car, a material or all that has a spectrum, without tracing again",
 }
-"""Tables whose keys are the user's names, each with a text."""
 
+#: Tables that may occur several times.
 LISTS = ("meshes", "atmospheres")
-"""Tables that may occur several times."""
 
 #: Sources of the light of an atmosphere: one of these keys.
 _SOURCES = ("preset", "table", "irradiance")
@@ -312,7 +312,6 @@ def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
 
 
 def _check_material(problems: Problems, place: str, material: Any) -> None:
-    """Note wrong keys and values of a part's material: a spectrum, or a table of `MATERIAL`."""
     table = {"spectrum": material} if isinstance(material, str) else material
     if not isinstance(table, dict) or "spectrum" not in table:
         problems.add(
@@ -331,7 +330,7 @@ def _check_material(problems: Problems, place: str, material: Any) -> None:
 
 
 def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the arguments of the platform and of the camera, checked together once each is in its range."""
+    # arguments of the platform and of the camera, checked together once each is in its range
     tables = {name: reader.one(name) for name in ("platform", "camera")}
     for key in ("lines", "columns"):
         if key not in tables["platform"]["?"]:
@@ -364,8 +363,6 @@ def camera_fields(platform: Mapping[str, Any], camera: Mapping[str, Any]) -> dic
 
 
 def _spelled(tables: Mapping[str, Mapping[str, Any]], places: Iterable[str]) -> Spelling:
-    """Return the spelling of arguments as keys of the first of these tables that has them."""
-
     def spelled(name: str, value: Any) -> str:
         for place in places:
             for key, one in SCHEMA[place].items():
@@ -459,7 +456,7 @@ def _check_size(scene_file: SceneFile, problems: Problems) -> None:
 
 
 def _triangles(scene: Mapping[str, Any]) -> float:
-    """Return the approximate number of triangles of a car park: 1300 a car, two a leaf."""
+    # 1300 a car, two a leaf
     length, width = scene.get("length_m", 50.0), scene.get("width_m", 32.0)
     bays = length / 2.5 * scene.get("rows", width / 8.0)
     trees = length / 7.5 + bays / 10.0 if "trees" in scene.get("neighbours", ["trees"]) else 0.0

@@ -137,12 +137,11 @@ def _mesh(entry: MeshEntry) -> Scene:
         for material in (default, *parts.values())
         if material is not None and material.kind == "paint"
     ]
-    instance = Instance(entry.name, kind, painted[0] if kind == "car" and painted else "")
     mesh = read_mesh(
         entry.path,
         parts,
         default=default,
-        instance=instance,
+        instance=Instance(entry.name, kind, painted[0] if kind == "car" and painted else ""),
         unit=float(options.get("unit_m", 1.0)),
         up=options.get("up"),
     )
@@ -150,7 +149,7 @@ def _mesh(entry: MeshEntry) -> Scene:
 
 
 def _coat(table: Mapping[str, Any]) -> Coat:
-    """Return a clear coat; its gloss goes before its roughness."""
+    # its gloss takes precedence over its roughness
     arguments = {_COAT[key]: float(value) for key, value in table.items() if key != "gloss"}
     if "gloss" in table:
         arguments.pop("roughness", None)
@@ -159,7 +158,7 @@ def _coat(table: Mapping[str, Any]) -> Coat:
 
 
 def _material(name: str, table: str | Mapping[str, Any], kind: str) -> Material:
-    """Return a material of a spectrum or a table; on a car it is paint unless the table has another class."""
+    # on a car it is paint unless the table has another class
     table = {"spectrum": table} if isinstance(table, str) else table
     surface = table.get("class", "paint" if kind == "car" else "other")
     coat = {key: table[f"coat_{key}"] for key in _COAT if f"coat_{key}" in table}

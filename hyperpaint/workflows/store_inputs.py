@@ -8,15 +8,15 @@ import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
 from hyperpaint.io.files.sampled_content import sampled_digest
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def paths_in(settings: Any) -> Iterator[Path]:
@@ -75,7 +75,7 @@ def settings_of(parameters: Mapping[str, Any]) -> str:
 
 
 def _stored_form(cube: Path) -> str:
-    """Return the sample format from the header of a cube: another header gives the same file other values."""
+    # another header gives the same file other values
     from hyperpaint.io.envi.envi_cubes import find_pair
     from hyperpaint.io.envi.envi_header import read_header
 
@@ -98,7 +98,6 @@ def _stored_form(cube: Path) -> str:
 def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
     """Return a digest of all values but the cubes', of samples of the cubes' content, and of the settings."""
     import dask
-    import numpy as np
 
     digest = hashlib.sha256(settings.encode())
     for cube in cubes:

@@ -11,12 +11,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
+from hyperpaint.io.envi.envi_array import EnviArray
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store.manifest import SETTINGS
+from hyperpaint.io.store.raw_references import (
+    RawFile,
+    VirtualCube,
+    check_url,
+    is_virtual,
+    open_virtual,
+    refuse_kerchunk,
+    summary_of,
+    virtual_groups,
+    write_icechunk,
+)
 from hyperpaint.io.store.stage import Staging, staging
 
 from .collect_check import refuse_findings
@@ -24,14 +37,10 @@ from .pipeline import Outcome, aligned_group, local_folder, opened_groups
 from .store_inputs import refuse_to_write_over
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from hyperpaint.io.collect.collect_opening import OpenedCollect
-    from hyperpaint.io.envi.envi_array import EnviArray
-    from hyperpaint.io.store.raw_references import RawFile, VirtualCube
 
+#: Of a cube; beyond it a stored cube is the better one [1].
 MAX_COPIED_SHARE = 0.1
-"""Of a cube; beyond it a stored cube is the better one [1]."""
 
 _FEW_SLABS = 4
 _NOT_WHOLE = "and not whole"
@@ -92,8 +101,6 @@ def virtualise(
     --------
     >>> virtualise("collect.toml", "lot.icechunk").path                               # doctest: +SKIP
     """
-    from hyperpaint.io.store.raw_references import check_url, is_virtual, refuse_kerchunk, write_icechunk
-
     out = local_folder(out, "virtual")
     refuse_kerchunk(out, write=True)
     if prefix is not None:
@@ -139,8 +146,7 @@ def virtualise(
 
 
 def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
-    """Return the difference of a store from a whole one of the same inputs; empty without any."""
-    from hyperpaint.io.store.raw_references import is_virtual, open_virtual, summary_of, virtual_groups
+    # empty without any difference
 
     if not is_virtual(out):
         return "and no virtual store"
@@ -161,7 +167,7 @@ def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, 
 
 
 def _companions(line: xr.Dataset) -> xr.Dataset:
-    """Return all variables of a flight line but its cube, in memory, with the results of its panels."""
+    # all variables but the cube, in memory
     from hyperpaint.light.diffuse_record import split_of_lines
     from hyperpaint.radiometry.panels import declared_panels
 
@@ -181,7 +187,7 @@ def _companions(line: xr.Dataset) -> xr.Dataset:
 def _cubes(
     opened: OpenedCollect, lines: Mapping[str, xr.Dataset], prefix: str | None
 ) -> dict[str, VirtualCube]:
-    """Return the cube of every line as slabs of its raw files; refuse cubes that cannot be referred to."""
+    # slabs of the raw files
     entries = {str(entry.name): entry for entry in opened.settings.flightlines}
     problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
     base = opened.settings.path.absolute().parent
@@ -198,8 +204,6 @@ def _cubes(
 
 
 def _array(entry: Any) -> EnviArray:
-    """Return the layout of a cube's samples in its file."""
-    from hyperpaint.io.envi.envi_array import EnviArray
     from hyperpaint.io.envi.envi_cubes import open_envi
 
     with warnings.catch_warnings():  # given when the collect was opened
@@ -218,8 +222,7 @@ def _array(entry: Any) -> EnviArray:
 
 
 def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
-    """Return the raw file to refer to: the local one, or its copy below a URL."""
-    from hyperpaint.io.store.raw_references import RawFile
+    # the local file, or its copy below a URL
 
     local = RawFile.of(f"file://{os.path.realpath(path)}")
     if prefix is None:
@@ -255,7 +258,6 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
 
 def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
     from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
-    from hyperpaint.io.store.raw_references import VirtualCube
 
     first = arrays[0]
     interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first.axes)

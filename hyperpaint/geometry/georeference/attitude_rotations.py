@@ -57,8 +57,7 @@ def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
     -----
     Shoemake (1985), "Animating rotation with quaternion curves".
     """
-    dot = (first * second).sum(axis=-1)
-    second = np.where((dot < 0)[..., None], -second, second)
+    second = np.where(((first * second).sum(axis=-1) < 0)[..., None], -second, second)
     # by the chord: an arc cosine near 1 loses half of its digits
     angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(second - first, axis=-1) / 2.0, 0.0, 1.0))
     near = angle < _MIN_ARC_RAD

@@ -171,5 +171,4 @@ def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
 
 def _steps(east: Floats, north: Floats) -> tuple[Floats, Floats]:
     across = np.hypot(np.diff(east, axis=1), np.diff(north, axis=1))
-    along = np.hypot(np.diff(east, axis=0), np.diff(north, axis=0))
-    return across, along
+    return across, np.hypot(np.diff(east, axis=0), np.diff(north, axis=0))

@@ -34,10 +34,8 @@ def _crs(text: str) -> pyproj.CRS:
 
 @functools.lru_cache(maxsize=64)
 def _transformer(source: str, target: str) -> pyproj.Transformer:
-    """Return the transformer between two reference systems; x or longitude come first.
-
-    Only `GEODETIC` and geocentric X, Y, Z [m] have heights [m]; other systems are taken as horizontal.
-    """
+    # x or longitude come first; only `GEODETIC` and geocentric X, Y, Z [m] have heights [m], other systems
+    # are taken as horizontal
     systems = (name if name in (GEODETIC, _GEOCENTRIC) else _crs(name) for name in (source, target))
     transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(*systems, always_xy=True)
     return transformer
@@ -151,8 +149,7 @@ def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs:
     latitude, longitude = np.broadcast_arrays(np.asarray(latitude, float), np.asarray(longitude, float))
     if system.is_geographic:
         return np.zeros(latitude.shape)
-    factors = pyproj.Proj(system).get_factors(longitude, latitude)
-    return np.asarray(factors.meridian_convergence, np.float64)
+    return np.asarray(pyproj.Proj(system).get_factors(longitude, latitude).meridian_convergence, np.float64)
 
 
 def grid_mapping_attrs(crs: str) -> dict[str, Any]:
@@ -257,9 +254,8 @@ def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, c
 def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
     phi, lam = np.radians(latitude), np.radians(longitude)
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
-    zero = np.zeros_like(sin_lat)
     rows = [
-        [-sin_lon, cos_lon, zero],
+        [-sin_lon, cos_lon, np.zeros_like(sin_lat)],
         [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
         [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
     ]
@@ -267,7 +263,7 @@ def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
 
 
 def _coefficients(value: Floats, reach: Floats) -> Floats:
-    """Return ten coefficients (line, 10) from values at `_OFFSETS` times the reach (line, 19)."""
+    # ten coefficients (line, 10) from values at `_OFFSETS` times the reach (line, 19)
     centre, ends, corners = value[:, 0], value[:, 1:7].reshape(-1, 3, 2), value[:, 7:].reshape(-1, 3, 4)
     slope = (ends[..., 0] - ends[..., 1]) / (2.0 * reach[:, None])
     square = (ends[..., 0] + ends[..., 1] - 2.0 * centre[:, None]) / (2.0 * reach[:, None] ** 2)

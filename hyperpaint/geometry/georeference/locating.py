@@ -227,8 +227,7 @@ def locate(
     crs = _map_of(poses, crs)
     surface = None if ground is None else float(ground)
     if dem is not None:
-        heights = dem.squeeze(drop=True).transpose("y", "x").data
-        surface = _call(terrain_of, heights=heights, grid=grid)
+        surface = _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
     chunks = _line_chunks(line)
     turn, arm = tuple(map(float, boresight)), tuple(map(float, lever_arm))
     swath = _call(
@@ -309,7 +308,7 @@ def _check(
 
 
 def _map_of(poses: Any, crs: Any) -> str:
-    """Return the given CRS, or the UTM zone of the middle of the lines that have a pose."""
+    # by default the UTM zone of the middle of the lines that have a pose
     if crs is None:
         with_pose = np.flatnonzero(np.isfinite(poses[0]))
         if not with_pose.size:
@@ -336,11 +335,9 @@ def _map_of(poses: Any, crs: Any) -> str:
 def _pose_inputs(
     line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention, clock_offset_s: float
 ) -> dict[str, Any]:
-    """Return the columns of poses, with recorded and wanted times where they are to be interpolated."""
     source = line if navigation is None else navigation
     dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
-    columns = pose_columns(source, convention, dim)
-    inputs = {name: column.data for name, column in columns.items()}
+    inputs = {name: column.data for name, column in pose_columns(source, convention, dim).items()}
     if navigation is None and clock_offset_s == 0.0:
         return inputs
     wanted = require(line, ["time"], "poses")["time"].data
@@ -365,7 +362,7 @@ def _poses(
     wanted: Any = None,
     **columns: Any,
 ) -> Floats:
-    """Return canonical poses of all lines (6, line), float64; a pose is complete or all NaN."""
+    # (6, line), float64; a pose is complete or all NaN
     values = canonical_values(*(columns[name] for name in POSE), convention=convention, crs=crs)
     if recorded is None:
         values[:, ~np.isfinite(values).all(axis=0)] = np.nan
@@ -389,8 +386,7 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
     for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
         attrs[name] |= {"crs": crs, "standard_name": standard}
     coordinates = {n: label(xr.DataArray(places[k], dims=dims), n, **attrs[n]) for k, n in enumerate(_PLACES)}
-    off = (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16)
-    quality = xr.Variable(dims, off)
+    quality = xr.Variable(dims, (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16))
     if "quality" in line.variables:
         quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
     reference = xr.DataArray(np.int64(0), attrs=grid_mapping_attrs(crs))
@@ -400,7 +396,7 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
 
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
-    """Return the lines of every slab: as the line is chunked, else as radiometry will chunk it."""
+    # as the line is chunked, else as radiometry will chunk it
     pixels = [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)]
     for array in sorted(pixels, key=lambda v: -v.ndim):
         if array.chunks is not None:
@@ -428,7 +424,5 @@ def _is_lazy(*values: Any) -> bool:
 
 
 def _call(function: Any, **inputs: Any) -> Any:
-    """Return the result of a function: at once from arrays in memory, else as a node of the graph."""
-    if _is_lazy(*inputs.values()):
-        return dask.delayed(function, pure=True)(**inputs)
-    return function(**inputs)
+    # at once from arrays in memory, else as a node of the graph
+    return dask.delayed(function, pure=True)(**inputs) if _is_lazy(*inputs.values()) else function(**inputs)

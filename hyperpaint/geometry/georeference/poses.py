@@ -23,14 +23,15 @@ from .geodesy import meridian_convergence
 Interpolation = Literal["linear", "cubic"]
 
 NAVIGATION_TIME = "navigation_time"
+#: Variables of a pose, in the order in which arrays (6, row) hold them.
 POSE = ("latitude", "longitude", "altitude", "roll", "pitch", "heading")
-"""Variables of a pose, in the order in which arrays (6, row) hold them."""
 ANGLES = ("roll", "pitch", "heading")
 
 _NS_PER_S = 1e9
 _NAT = np.iinfo(np.int64).min
 _GAP_INTERVALS, _MIN_GAP_S = 2.5, 0.1  # longer intervals between rows are gaps
 
+#: Units of the arguments of `locate`.
 LOCATION_UNITS = {
     "ground": "m",
     "boresight": "degree",
@@ -38,7 +39,6 @@ LOCATION_UNITS = {
     "clock_offset_s": "s",
     "max_gap_s": "s",
 }
-"""Units of the arguments of `locate`."""
 
 
 # --- canonical form ----------------------------------------------------------------------------------------
@@ -253,10 +253,9 @@ def interpolate_pose(
     """
     convention = convention_of(navigation, convention)
     columns = pose_columns(navigation, convention)
-    values = canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs)
     poses = poses_at(
         navigation[NAVIGATION_TIME].values,
-        values,
+        canonical_values(*(columns[n].values for n in POSE), convention=convention, crs=crs),
         time.values,
         clock_offset_s=clock_offset_s,
         max_gap_s=max_gap_s,
@@ -279,8 +278,7 @@ def poses_at(
     check_interpolation(interpolation, max_gap_s)
     knots = _nanoseconds(recorded)
     wanted = _nanoseconds(time)
-    offset = np.int64(round(clock_offset_s * _NS_PER_S))
-    wanted = np.where(wanted == _NAT, _NAT, wanted + offset)
+    wanted = np.where(wanted == _NAT, _NAT, wanted + np.int64(round(clock_offset_s * _NS_PER_S)))
     keep = _increasing(knots)
     knots, values = knots[keep], values[:, keep]
     steps = np.diff(knots) / _NS_PER_S
@@ -316,13 +314,7 @@ def _nanoseconds(time: Array) -> Ints:
 
 
 def _increasing(knots: Ints) -> Bools:
-    """Return the rows whose time is later than all before (row,).
-
-    Raises
-    ------
-    TimeError
-        Times run backwards.
-    """
+    # rows whose time is later than all before (row,)
     dated = np.flatnonzero(knots != _NAT)
     steps = np.diff(knots[dated])
     if np.any(steps < 0):
@@ -339,7 +331,7 @@ def _increasing(knots: Ints) -> Bools:
 
 
 def _bracket(knots: Ints, wanted: Ints, gap: float) -> tuple[Ints, Floats, Bools]:
-    """Return the row before each time, the weight of the row after, and whether interpolation is allowed."""
+    # the row before each time, the weight of the row after, and whether interpolation is allowed
     before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
     after = np.minimum(before + 1, knots.size - 1)
     inside = (wanted >= knots[0]) & (wanted <= knots[-1])
@@ -380,15 +372,14 @@ def _attitudes_between(knots: Ints, values: Floats, wanted: Ints, gap: float, in
 
         between = _by_stretch(knots, wanted, is_covered, gap, spline, size=4).T
     else:
-        after = np.minimum(before + 1, knots.size - 1)
-        between = slerp(rotation[before], rotation[after], weight)
+        between = slerp(rotation[before], rotation[np.minimum(before + 1, knots.size - 1)], weight)
     return np.where(is_covered, np.stack(angles_of(between)), np.nan)
 
 
 def _by_stretch(
     knots: Ints, wanted: Ints, is_covered: Bools, gap: float, spline: Any, size: int = 3
 ) -> Floats:
-    """Return splines (size, line) that end at every gap; a stretch of one row is that row."""
+    # splines (size, line) end at every gap; a stretch of one row is that row
     ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
     splined = np.full((size, wanted.size), np.nan)
     for start, stop in itertools.pairwise(ends):

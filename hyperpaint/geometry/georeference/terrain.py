@@ -133,7 +133,7 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
 
 
 def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
-    """Return the first coordinate and the step of an axis; SchemaError where it is missing or uneven."""
+    # first coordinate and step
     if name not in dem.coords:
         raise SchemaError(f"no coordinate {name!r} of their centres", code="variable-missing")
     values = dem[name].values.astype(np.float64)
@@ -151,10 +151,8 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
 
 
 def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bool:
-    """Return whether the rows of a raster, by its GeoTransform, do not run east or west.
-
-    The origin in the GeoTransform of a cropped raster may be stale; only the directions are used.
-    """
+    # rows that do not run east or west by the GeoTransform; its origin may be stale in a cropped raster, so
+    # only directions are used
     try:
         numbers = [float(part) for part in str(_mapping_attrs(dem).get("GeoTransform", "")).split()]
     except ValueError:

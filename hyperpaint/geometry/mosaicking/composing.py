@@ -125,8 +125,7 @@ def mosaic(
     """
     named = named_lines(lines)
     _check(rule, gsd, tile, levelling)
-    location = {name: options.pop(name) for name in _LOCATION if name in options}
-    named = located_lines(named, location)
+    named = located_lines(named, {name: options.pop(name) for name in _LOCATION if name in options})
     shared = shared_grid(named, gsd, progress)
     strips = strips_of(named, shared, variables, tile, **options)
     needed = _RANKED_BY[rule]
@@ -159,10 +158,8 @@ def _check(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
 def _planes(
     rule: str, names: list[str], fills: list[Any], size: int, recipes: dict[int, Recipe], gaps: list[Recipe]
 ) -> dict[str, Array]:
-    """Return the choice of lines for a tile, and the planes ``names`` of the chosen lines (row, col).
-
-    ``recipes`` are those of the planes, by the number of the line.
-    """
+    # the choice of lines for a tile, and the planes ``names`` of the chosen lines (row, col); ``recipes`` by
+    # the number of the line
     shape = size, size
     line, shown = np.full(shape, NO_LINE), np.zeros(shape, np.uint8)
     out = {name: np.full(shape, fill) for name, fill in zip(names, fills, strict=True)}
@@ -192,10 +189,7 @@ def _planes(
 
 
 def _spectra(line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], factors: Array | None) -> Array:
-    """Return the spectra of a tile (row, col, band) from the chosen lines; other lines are not read.
-
-    ``factors`` (line, band) multiply them.
-    """
+    # (row, col, band) from the chosen lines; other lines are not read; ``factors`` (line, band)
     out = np.full((*line.shape, bands), fill)
     for number, recipe in recipes.items():
         here = line == number
@@ -206,7 +200,7 @@ def _spectra(line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], fac
 
 
 def _ranks(rule: str, plane: Mapping[str, Array]) -> list[Array]:
-    """Return the ranks of the pixels of a line, the most important first; the smallest rank wins."""
+    # the most important rank first; the smallest rank wins
     quality = plane.get("quality", np.zeros_like(plane["hits"]))
     ranks = [(quality & _EMPTY_PIXEL) != 0]
     if rule == "newest":
@@ -220,8 +214,6 @@ def _ranks(rule: str, plane: Mapping[str, Array]) -> list[Array]:
 
 @dataclass(frozen=True)
 class _Tiles:
-    """The tiles of a mosaic, and the lines that each of them reads."""
-
     strips: list[Strip]
     first: Place  #: Row and column of the first tile
     count: Place  #: Tiles down and to the right
@@ -250,7 +242,7 @@ class _Tiles:
         return {number: strip.recipe(names, at) for number, strip in strips if strip.reaches(at)}
 
     def planes(self, rule: str, names: list[str]) -> da.Array:
-        """Return the `_planes` of every tile, as an array of one dict per tile."""
+        # one dict per tile
         first = self.strips[0].map
         fills = [fill_of(name, first[name].dtype) for name in names]
         tasks = {}
@@ -268,7 +260,6 @@ class _Tiles:
         return self._array(f"mosaic-{name}-{planes.name[14:]}", tasks, dtype, (), [planes])
 
     def spectra(self, lines: da.Array, variable: str, factors: Array | None) -> da.Array:
-        """Return the spectra (row, col, band) of the chosen lines."""
         first = self.strips[0].map[variable]
         fill, (bands,) = fill_of(variable, first.dtype), first.shape[2:]
         tasks = {}
@@ -371,7 +362,6 @@ def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
 
 
 def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
-    """Return the coordinates of a map with north up, with the attributes of the lines' coordinates."""
     rows, cols = grid.shape
     (east, _), (_, north) = (
         grid.centres(slice(0, 1), slice(0, cols)),

@@ -34,8 +34,6 @@ RULES = Rules()
 
 
 class _Ratio(NamedTuple):
-    """Ratio of two lines in one tile."""
-
     first: int
     second: int
     cells: Floats  #: (band,): number of cells
@@ -105,7 +103,7 @@ def overlap_factors(
 
 
 def _parts(incidence: Floats) -> Ints:
-    """Return the connected part of each line, as the smallest line number in it (line,)."""
+    # the smallest line number in the connected part of each line (line,)
     parts = np.arange(incidence.shape[1])
     pairs = np.argsort(-np.abs(incidence), axis=1, kind="stable")[:, :2]
     for _ in range(parts.size):
@@ -136,7 +134,7 @@ def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
 
 
 def _robust(incidence: Floats, observed: Floats, weights: Floats) -> Floats:
-    """Return the logarithms of factors (line,); their mean is 0 over connected lines."""
+    # logarithms of factors (line,); their mean is 0 over connected lines
     trust = np.ones_like(observed)
     for _ in range(RULES.rounds):
         scaled = (weights * np.sqrt(trust))[:, None]

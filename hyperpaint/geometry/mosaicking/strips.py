@@ -225,7 +225,7 @@ def _cut(
     tiles: tuple[tuple[int, int], list[int], list[int]],
     variables: Iterable[str] | None,
 ) -> Strip:
-    """Return a map cut along the tiles of the mosaic, and padded to whole tiles."""
+    # along the tiles of the mosaic, padded to whole tiles
     missing = [needed for needed in _NEEDED if needed not in line.variables]
     if missing:
         raise SchemaError(
@@ -312,11 +312,9 @@ def _crs(line: xr.Dataset) -> Any:
 
 
 def _transform(name: str, line: xr.Dataset, problems: Problems) -> tuple[float, ...]:
-    """Return the GeoTransform of a map; problems are noted."""
     text = _reference(line).get("spatial_ref", xr.Variable((), 0)).attrs.get("GeoTransform")
     numbers = () if text is None else tuple(float(number) for number in str(text).split())
-    is_north_up = len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0
-    if not is_north_up:
+    if not (len(numbers) == 6 and numbers[1] == -numbers[5] > 0.0 and numbers[2] == numbers[4] == 0.0):
         problems.add(
             f"the map {name} has the GeoTransform {text}",
             expected="square cells with north up",

@@ -46,8 +46,6 @@ RULES = Rules()
 
 @dataclass(frozen=True)
 class _Picture:
-    """One line as a picture on the shared grid."""
-
     corner: tuple[int, int]
     image: Floats  #: (row, col); NaN where nothing is shown
     fields: Floats  #: (field, row, col): of `_FIELDS`
@@ -182,7 +180,7 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
 
 
 def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats:
-    """Return row, col, shift down and right, correlation, height and pixels of ties (tie, 10)."""
+    # row, col, shift down and right, correlation, height and pixels of ties (tie, 10)
     half = rules.half_patch
     first = np.maximum(one.corner, other.corner)
     last = np.minimum(np.add(one.corner, one.image.shape), np.add(other.corner, other.image.shape))
@@ -210,7 +208,7 @@ def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats
 
 
 def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
-    """Return the cells around a place of the shared grid; NaN beyond the picture."""
+    # NaN beyond the picture
     out = np.full((2 * half + 1,) * 2, np.nan)
     low = [k - half - c for k, c in zip(place, picture.corner, strict=True)]
     begin = [max(k, 0) for k in low]
@@ -222,7 +220,7 @@ def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
 
 
 def _texture(patch: Floats) -> float:
-    """Return the root of the lesser eigenvalue of the mean product of gradients, relative to the mean."""
+    # root of the lesser eigenvalue of the mean product of gradients, relative to the mean
     if np.isnan(patch).any() or not patch.mean() > 0.0:
         return 0.0
     down, right = np.gradient(patch / patch.mean())
@@ -232,7 +230,7 @@ def _texture(patch: Floats) -> float:
 
 
 def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
-    """Return the offset of a patch from the middle of a window (rows, columns), and its correlation."""
+    # offset of a patch from the middle of a window (rows, columns), and its correlation
     from scipy.ndimage import maximum_filter
     from scipy.signal import fftconvolve
 
@@ -262,7 +260,7 @@ def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
 
 
 def _summit(near: Floats) -> Floats:
-    """Return the offset of the summit of the paraboloid through 3 x 3 values from their middle."""
+    # offset of the summit of the paraboloid through 3 x 3 values from their middle
     y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
     terms = np.stack([np.ones(9), y.ravel(), x.ravel(), y.ravel() ** 2, x.ravel() ** 2, (x * y).ravel()], 1)
     _, a, b, aa, bb, ab = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
@@ -274,7 +272,7 @@ def _summit(near: Floats) -> Floats:
 
 
 def _at(picture: _Picture, place: Array) -> Floats:
-    """Return the fields at a fractional row and column; NaN beyond the picture."""
+    # fields at a fractional row and column; NaN beyond the picture
     at = place - picture.corner
     low = np.floor(at).astype(int)
     if (low < 0).any() or (low + 1 >= picture.image.shape).any():
@@ -286,7 +284,7 @@ def _at(picture: _Picture, place: Array) -> Floats:
 
 
 def _on_a_plane(table: Floats, rules: Rules) -> Bools:
-    """Return the ties of a pair whose shifts lie on a plane through all of its shifts."""
+    # ties whose shifts lie on a plane through all shifts of the pair
     good = np.ones(len(table), bool)
     if not len(table):
         return good

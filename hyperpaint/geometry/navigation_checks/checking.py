@@ -200,7 +200,6 @@ def check_conventions(
 
 
 def _findings(setting: Setting) -> list[Finding]:
-    """Return one finding for every declaration."""
     declared = Hypothesis(setting.declared)
     given = _height(declared, setting)
     if given <= 0.0:
@@ -218,7 +217,8 @@ def _findings(setting: Setting) -> list[Finding]:
             _north(declared, setting)
         ]
     best = _best(scored, declared)
-    fitted = _fitted_height(setting, best, used)
+    poses, view = best.poses(setting.recorded), best.view(setting.view)
+    fitted = fit_height(setting.seen, poses, view, used, setting.interval, _height(best, setting))
     if given > 0.0 and _is_off(fitted, given):
         setting = _at_height(setting, best, fitted.value)
         scored, used = _scores(setting)
@@ -232,7 +232,7 @@ def _findings(setting: Setting) -> list[Finding]:
 
 
 def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
-    """Return all conventions by fit, and the compared parts of the picture."""
+    # all conventions by fit, and the compared parts of the picture
     plain = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
     used = setting.comparable(setting.view.motion(plain.poses(setting.recorded)))
     if used.sum() < RULES.min_parts:
@@ -250,14 +250,13 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
 
 
 def _best(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
-    """Return the convention that fits best; among equal fits the one nearest to the declared one."""
+    # among equal fits the one nearest to the declared one
     own = fields_of(declared)
     near = [one.hypothesis for one in scored if one.odds > -RULES.log_odds]
     return min(near, key=lambda h: sum(own[n] != v for n, v in fields_of(h).items()))
 
 
 def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: Bools) -> list[Finding]:
-    """Return findings on the fields in which conventions differ."""
     near = [fields_of(one.hypothesis) for one in scored if one.odds > -RULES.log_odds]
     late = "" if fields_of(declared) in near else _late(setting, declared, scored[0].hypothesis, used)
     findings = []
@@ -284,7 +283,7 @@ def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: 
 
 
 def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools) -> str:
-    """Return why a clock offset explains the picture as well as another convention, or ""."""
+    # why a clock offset explains the picture as well as another convention, or ""
     offsets = np.arange(
         -RULES.clock_search_s, RULES.clock_search_s + RULES.clock_step_s / 2, RULES.clock_step_s
     )
@@ -311,7 +310,7 @@ def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools)
 
 
 def _height(hypothesis: Hypothesis, setting: Setting) -> float:
-    """Return the median height above the ground [m]; NaN where no line has a pose."""
+    # median height above the ground [m]; NaN where no line has a pose
     heights = hypothesis.poses(setting.recorded)[2]
     finite = heights[np.isfinite(heights)]
     return float(np.median(finite)) - setting.view.ground if finite.size else float("nan")
@@ -323,15 +322,10 @@ def _at_height(setting: Setting, hypothesis: Hypothesis, height: float) -> Setti
 
 
 def _square(hypothesis: Hypothesis, setting: Setting) -> float:
-    """Return the height at which pixels are square [m]."""
+    # height at which pixels are square [m]
     north, east = local_metres(*hypothesis.poses(setting.recorded)[:2])
     way = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
     return max(way / float(np.abs(setting.view.step).mean()), 1.0)
-
-
-def _fitted_height(setting: Setting, hypothesis: Hypothesis, used: Bools) -> Refined:
-    poses, view = hypothesis.poses(setting.recorded), hypothesis.view(setting.view)
-    return fit_height(setting.seen, poses, view, used, setting.interval, _height(hypothesis, setting))
 
 
 def _is_off(fitted: Refined, given: float) -> bool:
@@ -353,7 +347,7 @@ def _heights(declared: str, given: float, fitted: Refined) -> Finding:
 
 
 def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
-    """Return the finding on the part of the exposure that time stamps mark, by the fitted clock."""
+    # the part of the exposure that time stamps mark, by the fitted clock
     fitted = fit_clock(
         setting.seen, lambda offset: best.poses(setting.recorded, offset), best.view(setting.view), used
     )
@@ -381,7 +375,7 @@ def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
 
 
 def _north(hypothesis: Hypothesis, setting: Setting) -> Finding:
-    """Return the angle between heading and course, which alone decides no reference of north."""
+    # the angle between heading and course alone decides no reference of north
     poses = hypothesis.poses(setting.recorded)
     has_heading = np.isfinite(poses[5])
     turned = np.exp(1j * np.radians(poses[5][has_heading] - course_of(poses)))
@@ -391,7 +385,7 @@ def _north(hypothesis: Hypothesis, setting: Setting) -> Finding:
 
 
 def _suggested(declared: Convention, findings: list[Finding]) -> Convention:
-    """Return the convention with wrong fields replaced, where one alternative remains."""
+    # a wrong field is replaced only where one alternative remains
     changes = {
         one.field: one.likely
         for one in findings

@@ -233,7 +233,7 @@ def estimate_clock_offset(
 
 
 def _at_rest(poses: Floats) -> Floats:
-    """Return poses with angles replaced by their means."""
+    # angles are replaced by their means
     resting, has_pose = poses.copy(), np.isfinite(poses[3])
     turned = np.exp(1j * np.radians(poses[3:, has_pose])).mean(axis=1)
     resting[3:, has_pose] = np.degrees(np.angle(turned))[:, None]
@@ -268,11 +268,10 @@ def _light_offset(
     most: float,
     loosest: float,
 ) -> ClockOffset:
-    """Return the offset at which the light and the brightness of lines change together; else TimeError."""
+    # the offset at which the light and the brightness of lines change together
     part = line if lines is None else line.isel({ALONG_TRACK: lines})
     part_image = image if image is None or lines is None else image.isel({ALONG_TRACK: lines})
-    asked = [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "irradiance"]
-    record = require(irradiance, asked, "a clock's offset")
+    record = require(irradiance, [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "irradiance"], "a clock's offset")
     ticks = record[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(ticks)
     time = require(part, ["time"], "a clock's offset")["time"].values.astype("datetime64[ns]")
@@ -314,7 +313,6 @@ def _light_offset(
 
 
 def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest: float) -> ClockOffset:
-    """Return the best offset, unless it is none."""
     seen = seen - np.median(seen)
     centred = meant - meant.mean(axis=1, keepdims=True)
     scale = 1.4826 * min(float(np.median(np.abs(seen - m))) for m in centred[covered]) + _EPS
@@ -358,7 +356,7 @@ def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest:
 
 
 def _minimum(offsets: Floats, cost: Floats) -> float:
-    """Return where a cost is least, by a parabola through the least and its neighbours."""
+    # parabola through the least cost and its neighbours
     best = int(np.nanargmin(cost))
     if not 0 < best < offsets.size - 1 or not np.isfinite(cost[best - 1 : best + 2]).all():
         return float(offsets[best])
@@ -368,12 +366,12 @@ def _minimum(offsets: Floats, cost: Floats) -> float:
 
 
 def _clipped(values: Floats, scale: float) -> Floats:
-    """Return squares, those of outliers held at that of four standard deviations."""
+    # squares of outliers are held at four standard deviations
     return np.asarray(np.minimum(values**2, (4.0 * scale) ** 2))
 
 
 def _level(irradiance: Mapping[str, xr.DataArray]) -> Floats:
-    """Return the level of every spectrum (irradiance_time,), any scale."""
+    # (irradiance_time,), any scale
     wavelength = irradiance[IRRADIANCE_WAVELENGTH].values
     inside = (wavelength >= LIGHT.wavelengths_nm[0]) & (wavelength <= LIGHT.wavelengths_nm[1])
     chosen = np.flatnonzero(inside) if inside.any() else np.arange(wavelength.size)
@@ -382,7 +380,7 @@ def _level(irradiance: Mapping[str, xr.DataArray]) -> Floats:
 
 
 def _changes(picture: Floats32, at: Floats) -> tuple[Floats, Floats]:
-    """Return times of lines that have one, and the logarithm of the light's change from each to the next."""
+    # times of lines that have one, and the logarithm of the light's change to the next
     good = np.isfinite(at) & (np.abs(at) < 1e9)
     order = np.flatnonzero(good)[np.argsort(at[good], kind="stable")]
     values = picture[order].astype(np.float64)

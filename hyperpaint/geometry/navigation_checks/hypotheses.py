@@ -30,8 +30,8 @@ _SENSES = {
     "column_order": ("left_to_right", "right_to_left"),
 }
 _MAX_LATITUDE_DEG = 90.0
+#: Logarithm of the odds against any one declaration being wrong.
 _LOG_ODDS_AGAINST = 6.0
-"""Logarithm of the odds against any one declaration being wrong."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ def score(
 
 
 def _costs(left: list[Floats], used: Bools) -> Floats:
-    """Return negative logarithms of likelihoods, but for a constant."""
+    # negative logarithms of likelihoods up to a constant
     scales = [robust_scale(one[used]) for one in left]
     best = int(np.argmin(scales))
     scale, fewer = scales[best], inflation(left[best])

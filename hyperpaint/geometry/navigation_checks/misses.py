@@ -11,8 +11,8 @@ from hyperpaint.base.arrays import Bools, Floats
 from .sightings import Sightings
 
 PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
+#: Over which misses are differenced.
 STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
-"""Over which misses are differenced."""
 
 
 @dataclass(frozen=True)

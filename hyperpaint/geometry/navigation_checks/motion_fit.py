@@ -77,7 +77,7 @@ def residuals(seen: RowMotion, meant: Motion, used: Bools, interval: float) -> R
 
 
 def _without(values: Floats, parts: list[tuple[Floats, float]], used: Bools) -> Floats:
-    """Return values less parts of known form and of unknown, but bounded, size; robust."""
+    # subtract parts of known form and unknown, but bounded, size; robust
     design = np.stack([np.where(used, part, 0.0) for part, _ in parts])
     limits = np.array([limit for _, limit in parts])
     left = values
@@ -85,14 +85,13 @@ def _without(values: Floats, parts: list[tuple[Floats, float]], used: Bools) -> 
         scale = robust_scale(left[used])
         inliers = used & (np.abs(left) < RULES.clip_sd * scale)
         a = design[:, inliers]
-        normal = a @ a.T / scale**2 + np.diag(limits**-2.0)
-        size = np.linalg.solve(normal, a @ values[inliers] / scale**2)
+        size = np.linalg.solve(a @ a.T / scale**2 + np.diag(limits**-2.0), a @ values[inliers] / scale**2)
         left = values - np.tensordot(size, design, 1)
     return np.where(used, left, np.nan)
 
 
 def _unexplained(values: Floats, alike: Floats, used: Bools) -> Floats:
-    """Return values less a constant and a multiple of ``alike`` that is not negative; robust."""
+    # subtract a constant and a multiple of ``alike`` that is not negative; robust
     left = values - np.median(values[used])
     for _ in range(3):
         inliers = used & (np.abs(left) < RULES.clip_sd * robust_scale(left[used]))
@@ -194,7 +193,7 @@ def costs_of(
 
 
 def _levelled(left: Floats, travel: Floats) -> Floats:
-    """Return residuals less the part proportional to the way, which comes from structures that lean."""
+    # the part proportional to the way comes from structures that lean
     inliers = np.isfinite(left) & (np.abs(left) < RULES.clip_sd * robust_scale(left))
     lean = float((left[inliers] * travel[inliers]).sum() / max((travel[inliers] ** 2).sum(), 1e-12))
     return np.asarray(left - np.clip(lean, -RULES.max_slant, RULES.max_slant) * travel)
@@ -213,7 +212,7 @@ def amplitude(seen: RowMotion, meant: Floats, rest: Floats, used: Bools) -> floa
 def _solved(
     values: Floats, parts: tuple[Floats, ...], travel: Floats, used: Bools
 ) -> tuple[float, float, float]:
-    """Return the size of the first part, its uncertainty, and the cost before it is taken out."""
+    # size of the first part, its uncertainty, and the cost before it is taken out
     good = used & np.isfinite(values) & np.isfinite(parts).all(axis=0) & np.isfinite(travel)
     scale = robust_scale(values[good])
     good &= np.abs(values) < RULES.outlier_sd * scale
@@ -248,7 +247,7 @@ def _solved(
 
 
 def _jackknife(normal: Floats, right: Floats, whole_a: Floats, whole_b: Floats, group: int) -> float:
-    """Return the uncertainty of the first part when groups of neighbouring blocks are left out in turn."""
+    # groups of neighbouring blocks are left out in turn
     starts = np.arange(0, normal.shape[0], group)
     normal, right = (np.add.reduceat(a, starts, axis=0) for a in (normal, right))
     count = starts.size
@@ -259,7 +258,7 @@ def _jackknife(normal: Floats, right: Floats, whole_a: Floats, whole_b: Floats, 
 
 
 def _apart(values: Floats, lean: Floats) -> Floats:
-    """Return values (line, zone) less their part proportional to the way, zone by zone."""
+    # values (line, zone) less their part proportional to the way, zone by zone
     size = (values * lean).sum(axis=0) / np.maximum((lean**2).sum(axis=0), 1e-12)
     return np.asarray(values - size * lean)
 

@@ -20,8 +20,8 @@ from .sightings import Sightings, sightings_of
 
 _ANGLES = ("roll", "pitch", "heading")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
+#: Uncertainty, of picking to one pixel, beyond which points add nothing to what is known without them.
 _MAX_SD = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
-"""Uncertainty, of picking to one pixel, beyond which points add nothing to what is known without them."""
 _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
 
 
@@ -203,7 +203,10 @@ def solve_boresight(
     """
     pairs = control_points.sizes["point"] if "side" in control_points.dims else 0
     if pairs:
-        control_points = _sides(control_points)
+        # points that the first line of each pair sees, then those of the second
+        control_points = xr.concat(
+            [control_points.isel(side=side) for side in range(2)], "point", data_vars="all"
+        )
     names = _checked((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
     forward, right, down = (float(length) for length in lever_arm)
@@ -238,11 +241,6 @@ def solve_boresight(
         _labelled(np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64), names),
         _residuals(control_points, misses, fit.used), float(np.sqrt(variance)), condition,
     )  # fmt: skip
-
-
-def _sides(ties: xr.Dataset) -> xr.Dataset:
-    """Return tie points as points: those that the first line of each pair sees, then those of the second."""
-    return xr.concat([ties.isel(side=side) for side in range(2)], "point", data_vars="all")
 
 
 def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
@@ -286,7 +284,6 @@ def _sights(
     crs: Any,
     start: Floats,
 ) -> list[Sightings]:
-    """Return the points, line by line."""
     crs = points.attrs.get("crs") if crs is None else crs
     if crs is None:
         raise SchemaError("the CRS of east and north is missing", mend="pass crs=", code="crs-missing")
@@ -323,8 +320,7 @@ def _sights(
 
 
 class _Fit(NamedTuple):
-    """Parameters that fit, of which points, and the median distance that these are left with [pixel]."""
-
+    # parameters, the points used, and their median distance [pixel]
     free: Floats
     used: Bools
     left: float
@@ -334,7 +330,7 @@ class _Fit(NamedTuple):
 def _fit(
     points: Misses, free: Floats, used: Bools, scale: float | None = None, roughly: bool = False
 ) -> Floats:
-    """Return the parameters that fit best, or nearly; with a scale [pixel] by soft-L1."""
+    # with a scale [pixel] by soft-L1
     from scipy.optimize import least_squares
 
     units = np.array([STEPS[PARAMETERS[p]] for p in points.free])
@@ -352,19 +348,17 @@ def _fit(
 
 
 def _plausible(points: Misses) -> Bools:
-    """Tell which points miss by no more than a mounting or a clock could account for."""
+    # misses that a mounting or a clock could account for
     at, plausible = points.start, np.ones(points.count, bool)
     misses = [sight.misses(at) for sight in points.sights]
     middle = np.median(np.concatenate(misses), axis=0)
     for sight, miss in zip(points.sights, misses, strict=True):
         limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
-        far = np.linalg.norm(miss - middle, axis=1) > limit
-        plausible[sight.index] = ~(far | sight.behind(at))
+        plausible[sight.index] = ~((np.linalg.norm(miss - middle, axis=1) > limit) | sight.behind(at))
     return plausible if 2 * plausible.sum() > points.count else np.ones(points.count, bool)
 
 
 def _best_fit(points: Misses, plausible: Bools) -> _Fit:
-    """Return the fit with the clock that fits best; SchemaError where another fits nearly as well."""
     if PARAMETERS.index("clock") not in points.free:
         return _robust_fit(points, points.start[points.free], plausible)
     # the clock is last of what is free
@@ -383,7 +377,7 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
 
 
 def _clock_candidates(points: Misses, plausible: Bools) -> list[Floats]:
-    """Return where to begin: the best of clocks around, the others fit to each."""
+    # starts: the best of clocks around, the other parameters fit to each
     begun, left = [], []
     for clock in points.start[4] + np.array(RULES.clock_search_s):
         # misses of all clocks are in one unit, that of the start
@@ -404,7 +398,7 @@ def _clock_candidates(points: Misses, plausible: Bools) -> list[Floats]:
 
 
 def _robust_fit(points: Misses, free: Floats, plausible: Bools) -> _Fit:
-    """Return the fit without points that lie off, first by soft-L1, then by leaving them out."""
+    # first by soft-L1, then without outliers
     used, count = plausible, int(plausible.sum())
     free = _fit(points, free, used)
     points = points.whitened(free)
@@ -427,13 +421,13 @@ def _robust_fit(points: Misses, free: Floats, plausible: Bools) -> _Fit:
 
 
 def _median_distance(misses: Floats) -> float:
-    """Return the median distance of points [pixel]; those that are nowhere are infinitely far."""
+    # [pixel]; points without a place are infinitely far
     away = np.linalg.norm(misses, axis=1)
     return float(np.median(np.where(np.isfinite(away), away, np.inf)))
 
 
 def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used: Bools) -> float:
-    """Return the condition number; SchemaError names parameters that move no points, or as others do."""
+    # returns the condition number
     slopes, alone = points.slopes(free, used), points.lengths(free, used)
     length = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
     problems = Problems(f"{int(used.sum())} points do not tell all of {', '.join(names)}", SchemaError)

@@ -18,10 +18,10 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 _CUBES = ("counts", "radiance", "reflectance")
+#: Bands averaged: enough against noise, without reading what adds nothing.
 _MOST_BANDS = 12
-"""Bands averaged: enough against noise, without reading what adds nothing."""
+#: Where a silicon camera sees best, and the atmosphere lets it [nm].
 _WAVELENGTHS = (500.0, 850.0)
-"""Where a silicon camera sees best, and the atmosphere lets it [nm]."""
 
 
 def picture_of(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
@@ -130,13 +130,11 @@ def row_motion(picture: Array) -> RowMotion | None:
             good = np.isfinite(own).all(axis=1)
             structure += own[good].sum(axis=0)
             weight += float(good.sum())
-    if not weight:
-        return None
-    return RowMotion(shift, unlike, structure / weight, starts + (width - 1) / 2)
+    return RowMotion(shift, unlike, structure / weight, starts + (width - 1) / 2) if weight else None
 
 
 def _levelled(picture: Array) -> Floats:
-    """Return the logarithm without the gains of columns."""
+    # logarithm without the gains of columns
     values = np.asarray(picture, np.float64)
     is_positive = np.isfinite(values) & (values > 0.0)
     floor = np.quantile(values[is_positive], 0.001) if is_positive.any() else 1.0
@@ -146,10 +144,8 @@ def _levelled(picture: Array) -> Floats:
 
 
 def _fine(rows: Floats) -> Floats:
-    """Return rows without slow changes.
-
-    A long edge aslant looks like a shift to any two rows; of what is small there is more, to every side.
-    """
+    # without slow changes: a long slanted edge looks like a shift to any two rows, small structure has edges
+    # on every side
     from scipy.ndimage import uniform_filter1d
 
     level = rows - uniform_filter1d(rows, RULES.level_columns, axis=1, mode="nearest")
@@ -159,14 +155,14 @@ def _fine(rows: Floats) -> Floats:
 
 
 def _difference(before: Floats, after: Floats, moved: Floats, window: slice) -> Floats:
-    """Return the mean square difference of rows that are moved onto one another (row,)."""
+    # mean square (row,) of rows that are moved onto one another
     shift = np.where(np.isnan(moved), 0.0, moved)
     apart = _moved(after, window, -shift / 2) - _moved(before, window, shift / 2)
     return np.where(np.isnan(moved), np.nan, (apart**2).mean(axis=1))
 
 
 def _shift(before: Floats, after: Floats, window: slice) -> Floats:
-    """Return the shift of every row (row,), NaN where it is not within `REACH`."""
+    # (row,), NaN where it is not within `REACH`
     still = after[:, window]
     tries = range(-REACH, REACH + 1)
     costs = np.stack(
@@ -184,12 +180,11 @@ def _shift(before: Floats, after: Floats, window: slice) -> Floats:
         slope = (np.gradient(first, axis=1) + np.gradient(second, axis=1)) / 2
         step = (slope * (second - first)).sum(axis=1) / np.maximum((slope**2).sum(axis=1), _FLAT)
         moved = moved + np.clip(step, -0.5, 0.5)
-    edge = (best == 0) | (best == 2 * REACH) | (np.abs(moved) > REACH)
-    return np.where(edge, np.nan, moved)
+    return np.where((best == 0) | (best == 2 * REACH) | (np.abs(moved) > REACH), np.nan, moved)
 
 
 def _moved(rows: Floats, window: slice, by: Floats) -> Floats:
-    """Return rows at columns + ``by``, by cubic convolution (Keys, 1981)."""
+    # rows at columns + ``by``, by cubic convolution (Keys, 1981)
     whole = np.floor(by).astype(np.int64)
     t = (by - whole)[:, None]
     weights = (
@@ -205,7 +200,7 @@ def _moved(rows: Floats, window: slice, by: Floats) -> Floats:
 
 
 def _own_structure(rows: Floats, window: slice) -> Floats:
-    """Return mean square differences of rows with themselves, 0 to `REACH` columns apart (row, lag)."""
+    # of rows with themselves, 0 to `REACH` columns apart (row, lag)
     structure = np.zeros((rows.shape[0], REACH + 1))
     for lag in range(1, REACH + 1):
         other = rows[:, window.start + lag : window.stop + lag]

@@ -28,8 +28,8 @@ from hyperpaint.geometry.georeference.poses import (
 
 from .picture_motion import RowMotion, picture_of, row_motion
 
+#: Downward part of a direction below which it meets no ground worth the name.
 _MIN_DOWNWARD = 0.05
-"""Downward part of a direction below which it meets no ground worth the name."""
 
 
 @dataclass(frozen=True)
@@ -145,11 +145,11 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
 # --- a line as a check sees it -------------------------------------------------------------------------
 
 
+#: Lines that a check looks at by default: those in the middle.
 MAX_LINES = 4000
-"""Lines that a check looks at by default: those in the middle."""
 _MIN_LINES = 64
+#: Median intervals between lines beyond which frames are missing.
 _MAX_STEADY_INTERVALS = 1.5
-"""Median intervals between lines beyond which frames are missing."""
 
 
 @dataclass(frozen=True)
@@ -168,8 +168,7 @@ class Setting:
     @property
     def steady(self) -> Bools:
         """Return the lines after which no frame is missing (line - 1,)."""
-        stamps = self.recorded.wanted.astype(np.int64).astype(np.float64)
-        steps = np.diff(stamps) / 1e9
+        steps = np.diff(self.recorded.wanted.astype(np.int64).astype(np.float64)) / 1e9
         return np.asarray((steps > 0) & (steps < _MAX_STEADY_INTERVALS * self.interval))
 
     def comparable(self, meant: Motion) -> Bools:

@@ -26,10 +26,10 @@ from hyperpaint.geometry.georeference.poses import (
     poses_at,
 )
 
+#: Seconds of a record around every point that are kept, for the clock to be moved in.
 _AROUND_S = 3.0
-"""Seconds of a record around every point that are kept, for the clock to be moved in."""
+#: Part of a pixel that picking is uncertain by, even on a platform at rest.
 _MIN_PICKING_PX = 0.05
-"""Part of a pixel that picking is uncertain by, even on a platform at rest."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,7 @@ class Sightings:
         # ground of equal height falls off under the tangent plane by 8 cm in a kilometre
         for _ in range(2):
             reach = (fall + reach**2 * aside / (2.0 * WGS84_SEMI_MAJOR_AXIS_M)) / ray[:, 2]
-        way = arm + reach[:, None] * ray
-        return np.asarray(centre + np.einsum("nji,nj->ni", axes, way))
+        return np.asarray(centre + np.einsum("nji,nj->ni", axes, arm + reach[:, None] * ray))
 
     def whitening(self, mounting: Floats) -> Floats:
         """Return the matrix that turns residuals into pixels of picking (point, 2, 2).
@@ -94,7 +93,7 @@ class Sightings:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(both)))
 
     def _ways(self, mounting: Floats, lines: float) -> Floats:
-        """Return the ways from the camera to the points in its frame (point, 3) [m]."""
+        # from the camera to the points, in its frame (point, 3) [m]
         *boresight, height, clock = mounting.tolist()
         poses = self._poses(clock, lines)
         body = matrices(quaternions(*poses[3:]))
@@ -114,7 +113,7 @@ class Sightings:
 
 
 def _place(latitude: Floats, longitude: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """Return geocentric coordinates (n, 3) and the directions north, east, down there (n, 3, 3)."""
+    # geocentric coordinates (n, 3) and the directions north, east, down there (n, 3, 3)
     phi, lam = np.radians(latitude), np.radians(longitude)
     sp, cp, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
     radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * sp**2)
@@ -126,8 +125,7 @@ def _place(latitude: Floats, longitude: Floats, height: Floats) -> tuple[Floats,
         ],
         axis=-1,
     )
-    zero = np.zeros_like(sp)
-    axes = [[-sp * cl, -sp * sl, cp], [-sl, cl, zero], [-cp * cl, -cp * sl, -sp]]
+    axes = [[-sp * cl, -sp * sl, cp], [-sl, cl, np.zeros_like(sp)], [-cp * cl, -cp * sl, -sp]]
     return place, np.stack([np.stack(row, axis=-1) for row in axes], axis=-2)
 
 
@@ -193,7 +191,7 @@ def sightings_of(
 
 
 def _beyond(at: Floats, index: Ints, values: Floats) -> Floats:
-    """Return values at fractions of an index, half a step beyond its ends too."""
+    # extrapolates half a step beyond the ends
     inside = np.interp(at, index, values)
     low, high = np.minimum(at, 0.0), np.maximum(at - index[-1], 0.0)
     if values.size < 2:

@@ -98,8 +98,7 @@ class MapGrid:
     def frame(self) -> Floats:
         """Transform from map coordinates to cells, see `hyperpaint.kernels.inverse_map`."""
         east, north = self._place(0.5, 0.5)
-        turn = np.array([*self.axes.right, *self.axes.down]) / self.gsd
-        return np.concatenate([[east, north], turn])
+        return np.concatenate([[east, north], np.array([*self.axes.right, *self.axes.down]) / self.gsd])
 
 
 def north_axes() -> Axes:
@@ -235,7 +234,7 @@ def _nothing_placed() -> SchemaError:
 
 
 def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
-    """Return the ends of located lines (line, 2, 2)."""
+    # (line, 2, 2)
     edges = np.cumsum((0, *east.chunks[0]))
     slabs = np.searchsorted(edges, lines, side="right") - 1
     touched = np.unique(slabs)
@@ -252,7 +251,7 @@ def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
 def _computed(
     east: da.Array, north: da.Array, groups: list[list[int]], axes: Axes, progress: Progress | None
 ) -> list[Any]:
-    """Return the surveys of groups of consecutive slabs; reports progress where the scheduler allows it."""
+    # groups of consecutive slabs; progress is reported where the scheduler allows it
     # as one array: a collection per slab would cost more than the survey
     name = f"look-{uuid.uuid4().hex}"
     layer = {
@@ -278,10 +277,7 @@ def _computed(
 
 
 def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
-    """Return the survey rows of the lines of some slabs (line, `_COLUMNS`), and the pixels at their ends.
-
-    The result is an array of one object.
-    """
+    # survey rows of some slabs (line, `_COLUMNS`), and the pixels at their ends, as an array of one object
     from hyperpaint.kernels.inverse_map import look_at_lines
 
     out = np.full((sum(map(len, easts)), _COLUMNS), np.nan)

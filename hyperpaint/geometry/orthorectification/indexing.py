@@ -240,7 +240,7 @@ def nearest_values(index: TileIndex, values: Array, of_lines: bool, empty: Any) 
 def _by_slab(
     reading: Reading, starts: Sequence[int], slabs: Sequence[Array]
 ) -> Iterator[tuple[int, int, slice]]:
-    """Yield every slab with pixels to read, its first line, and the range of these pixels."""
+    # every slab with pixels to read, its first line, and the range of these pixels
     edges = np.searchsorted(reading.lines, [*starts, starts[-1] + len(slabs[-1])])
     for slab, start in enumerate(starts):
         here = slice(int(edges[slab]), int(edges[slab + 1]))
@@ -249,6 +249,6 @@ def _by_slab(
 
 
 def _line_after(starts: Sequence[int], slabs: Sequence[Array], slab: int) -> Array:
-    """Return the line that follows a slab; its own last line where nothing is read of the next."""
+    # the slab's own last line where nothing is read of the next
     follows = slab + 1 < len(slabs) and starts[slab + 1] == starts[slab] + len(slabs[slab])
     return np.ascontiguousarray(slabs[slab + 1][0] if follows else slabs[slab][-1])

@@ -253,7 +253,7 @@ def _check(
 
 
 def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
-    """Return the lines of every slab: as the cube is chunked, else the positions."""
+    # as the cube is chunked, else the positions
     cubes = [name for name in names if BAND in line[name].dims]
     for name in (*cubes, "east"):
         if line[name].chunks is not None:
@@ -262,7 +262,7 @@ def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
 
 
 def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
-    """Return east and north [m], over relief also heights and tangents of zenith angles; the CRS."""
+    # east and north [m], over relief also heights and tangents of zenith angles; the CRS
     coordinates = require(line, ["east", "north"], "a map")
     if min(coordinates["east"].shape) < 2:
         count, columns = coordinates["east"].shape
@@ -286,7 +286,7 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], s
 
 
 def _kept(places: list[da.Array]) -> list[da.Array]:
-    """Return positions in memory, for a line short enough to trace its rays once (eager)."""
+    # a line short enough to trace its rays once (eager)
     if sum(place.nbytes for place in places) > _MAX_KEPT_BYTES or client_in_force() is not None:
         return places
     arrays = [np.empty(place.shape) for place in places]
@@ -334,15 +334,12 @@ def _dataset(
         for name in line.coords
         if line[name].dims == (BAND,) and any(BAND in array.dims for array in variables.values())
     }
-    dataset = xr.Dataset(variables, coords=of_bands)
-    return dataset.assign_coords(_coordinates(tiles, crs, line))
+    return xr.Dataset(variables, coords=of_bands).assign_coords(_coordinates(tiles, crs, line))
 
 
 def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
-    """Return positions in a line (row, col) as its own line or column numbers, which a crop keeps.
-
-    Numbers other than integers from 0 on, such as those of averaged lines, name no pixel; positions stay.
-    """
+    # the line's own line or column numbers, which a crop keeps; numbers other than integers from 0 on, such
+    # as those of averaged lines, name no pixel: positions stay
     numbers = numbers_of(line, dim)
     counted = np.arange(numbers.size)
     is_whole = np.isfinite(numbers).all() and (numbers == np.round(numbers)).all() and numbers.min() >= 0.0

@@ -136,7 +136,7 @@ class Tiles:
         options: tuple[Any, ...],
         bands: tuple[int, ...] = (),
     ) -> da.Array:
-        """Return an array whose tiles ``function`` makes from places, source blocks and options."""
+        # ``function`` makes the tiles from places, source blocks and options
         tasks: dict[tuple[int, ...], Any] = {}
         dtype = np.asarray(options[-1]).dtype
         for place, (rows, cols) in _each(self.windows):
@@ -177,7 +177,7 @@ def _array(
     options: Any = None,
     shared: Mapping[str, Any] | None = None,
 ) -> da.Array:
-    """Return the dask array of some tasks, given by place; its name is a hash of its inputs."""
+    # the name is a hash of the inputs
     name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
     layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
     graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
@@ -241,7 +241,7 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
 
 
 def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
-    """Return the dtype that kernels take instead: native byte order, no half floats."""
+    # native byte order, no half floats
     if dtype.kind == "f":
         return np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
     return dtype.newbyteorder("=") if dtype.kind in "biuM" else None
@@ -301,13 +301,11 @@ def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]
         if "flag_masks" in array.attrs or name == "quality":
             kind = "flags"
         return tiles.plane(in_slabs(array.transpose(*_PIXEL), lines), kind, empty)
-    values = array.chunk({array.dims[0]: -1}).data
-    return tiles.row_or_column(values, array.dims == (ALONG_TRACK,), empty)
+    return tiles.row_or_column(array.chunk({array.dims[0]: -1}).data, array.dims == (ALONG_TRACK,), empty)
 
 
 class _InMemory:
-    """An array in memory that dask neither copies nor hashes."""
-
+    # dask neither copies nor hashes the array
     def __init__(self, array: Array) -> None:
         self._array = array
         self.shape, self.dtype, self.ndim = array.shape, array.dtype, array.ndim
