@@ -206,7 +206,7 @@ def test_verify_says_what_to_do_instead(plain: Path, tmp_path: Path) -> None:
         hp.verify(folder)
     with pytest.raises(hp.StoreError, match="type-wrong"):
         hp.verify(repository.readonly_session("main").store)
-    with pytest.raises(hp.StoreError, match="load it whole where it is in icechunk"):
+    with pytest.raises(hp.StoreError, match="store-unknown"):
         open_group(repository, LINE).paint.verify()
     with pytest.raises(hp.StoreError, match="store-foreign"):
         hp.to_store(xr.Dataset(), folder)
