@@ -183,7 +183,7 @@ class PaintAccessor(_Accessor):
             raise StoreError(
                 "the dataset has no path or URL of its store in encoding['source']",
                 expected="a dataset of xarray.open_zarr(path)",
-                mend="call hyperpaint.verify(path)",
+                mend="call hyperpaint.verify(path), or load a store of icechunk whole",
                 code="store-unknown",
             )
         return verify(source)

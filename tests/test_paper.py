@@ -240,5 +240,5 @@ def test_arrays_go_through() -> None:
 
 
 def test_unknown_variant() -> None:
-    with pytest.raises(ValueError, match="expected 'corrected' or 'as_printed'"):
+    with pytest.raises(ValueError, match="variant='printed'"):
         paper.reflectance(0.1, 1.0, variant="printed")  # type: ignore[arg-type]

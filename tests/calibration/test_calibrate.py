@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
@@ -237,7 +238,7 @@ def test_progress_is_told() -> None:
 
 def test_dark_at_any_exposure_once_bias_and_rate_are_known() -> None:
     sweep = sweep_of(bands=136, dark_exposure_ms=20.0)
-    with pytest.raises(hp.SchemaError, match=r"50 ms.*20 ms.*dark-exposure-differs"):
+    with refusal(hp.SchemaError, "dark-exposure-differs", "50 ms", "20 ms"):
         hp.calibrate(sweep)
     both = _sweep((("bands", 136), ("columns", 5), ("dark_exposure_ms", (20.0, 80.0)), ("nonuniformity", 0)))
     made = hp.calibrate(both)

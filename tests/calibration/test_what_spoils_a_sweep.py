@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -77,7 +78,7 @@ def test_noise_of_the_dark_is_in_the_uncertainty() -> None:
 @pytest.mark.parametrize("exposures", [(10.0, 10.02), (10.0, 11.0)])
 def test_a_dark_rate_is_not_carried_far(exposures: tuple[float, float]) -> None:
     sweep = sweep_of(bands=136, dark_exposure_ms=exposures, step_exposure_ms=50.0)
-    with pytest.raises(SchemaError, match=r"50 ms.*dark-exposure-differs"):
+    with refusal(SchemaError, "dark-exposure-differs", "50 ms"):
         hp.calibrate(sweep)
 
 
@@ -173,10 +174,10 @@ def test_columns_without_light() -> None:
     assert np.isnan(anchored.radiance_gain.values[:, :first]).all()
     assert np.isfinite(anchored.radiance_gain.values[100, first : last + 1]).all()
     flux[3, 12] = 0.0
-    with pytest.raises(SchemaError, match=r"430 nm \(1 of 13.*flux-missing"):
+    with refusal(SchemaError, "flux-missing", "430 nm (1 of 13"):
         hp.calibrate(with_values(sweep, "flux", flux))
     flux[3] = 0.0
-    with pytest.raises(SchemaError, match=r"'flux' is 0 at 1 of 61 steps"):
+    with refusal(SchemaError, "value-out-of-range", "'flux'", "1 of 61 steps"):
         hp.calibrate(with_values(sweep, "flux", flux))
 
 
@@ -197,7 +198,7 @@ def test_clipped_lines_without_a_saturation_count() -> None:
 def test_a_read_noise_that_is_none(value: float) -> None:
     noise = {"electrons_per_count": ((), 20.0, {"units": "electron count-1"}),
              "read_noise": ((), value, {"units": "count"})}  # fmt: skip
-    with pytest.raises(SchemaError, match=r"'read_noise'.*value-out-of-range"):
+    with refusal(SchemaError, "value-out-of-range", "'read_noise'"):
         hp.calibrate(sweep_of().drop_vars("counts_variance").assign(noise))
 
 
@@ -286,7 +287,7 @@ def test_an_anchor_takes_all_with_it(relative: tuple[xr.Dataset, xr.Dataset], sc
 
 def test_an_anchor_wants_a_dark_of_its_exposure(relative: tuple[xr.Dataset, xr.Dataset]) -> None:
     sweep, shape = relative
-    with pytest.raises(SchemaError, match=r"5 ms.*50 ms.*dark-exposure-differs"):
+    with refusal(SchemaError, "dark-exposure-differs", "5 ms", "50 ms"):
         anchor_to_radiance(shape, frames_of(sweep, dark_ms=50.0, rate=400.0), even_radiance())
     rate = xr.full_like(shape.radiance_gain, 400.0).assign_attrs(units="count s-1")
     made = anchor_to_radiance(

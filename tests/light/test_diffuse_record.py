@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, TimeError
@@ -148,9 +149,9 @@ def test_samples_without_data_and_a_sun_below_the_horizon() -> None:
 
 def test_refusals() -> None:
     light, time = np.ones(NM.size), moments(40.0)
-    with pytest.raises(SchemaError, match=r"latitude .*value-out-of-range"):
+    with refusal(SchemaError, "value-out-of-range", "latitude "):
         diffuse_from_record(record(light, time), np.nan, 0.0)
-    with pytest.raises(SchemaError, match=r"calibration_uncertainty=.*value-out-of-range"):
+    with refusal(SchemaError, "value-out-of-range", "calibration_uncertainty="):
         split(light, time, calibration_uncertainty=0.0)
     far = record(light, time).assign_coords(irradiance_wavelength=NM + 1000.0)
     with pytest.raises(SchemaError, match="irradiance-coverage"):

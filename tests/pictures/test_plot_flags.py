@@ -15,6 +15,7 @@ pytest.importorskip("matplotlib")
 
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from support.refusals import refusal
 
 from hyperpaint.base.schema import flag_shares
 from hyperpaint.paints.colours import ciede2000, encode_srgb, lab_of
@@ -131,7 +132,7 @@ def test_layers_below_zero_are_drawn_about_zero(line: xr.Dataset) -> None:
 
 
 def test_what_is_not_there_is_told(line: xr.Dataset) -> None:
-    with pytest.raises(SchemaError, match=r"no flag 'glitter'.*saturated"):
+    with refusal(SchemaError, "choice-unknown", "'glitter'", "saturated"):
         flag_overlay(line, ["glitter"], axes=axes())
     with pytest.raises(SchemaError, match=r"'wavelength'.*missing"):
         flag_overlay(line, layer="wavelength", axes=axes())

@@ -15,6 +15,7 @@ import dask.array as da
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import refusal
 from support.strategies import flight
 
 import hyperpaint as hp
@@ -155,12 +156,12 @@ def test_stored_reflectance_is_read_where_there_is_nothing_else() -> None:
     stored = smiling().paint.reflectance()[["reflectance"]]
     region = pixels(stored, slice(3, 5), 2)
     np.testing.assert_array_equal(region.reflectance, stored.reflectance[3:5, :, 2])
-    with pytest.raises(SchemaError, match="'reflectance' is missing"):
+    with refusal(SchemaError, "variable-missing", "'reflectance'"):
         pixels(stored.drop_vars("reflectance"), 0, 0)
 
 
 def test_places_outside_are_refused() -> None:
-    with pytest.raises(SchemaError, match=r"along_track 70 .*pixel-outside-line"):
+    with refusal(SchemaError, "pixel-outside-line", "along_track 70 "):
         pixels(smiling(), 70, 0)
     with pytest.raises(SchemaError, match=r"3000 nm.*band-missing"):
         pixels(smiling(), 0, 0, wavelength=3000.0)

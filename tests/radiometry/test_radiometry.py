@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
+from support.refusals import refusal
 from support.strategies import SHIFT, START, assert_same, flight, labelled, values
 
 import hyperpaint as hp
@@ -203,7 +204,7 @@ def test_a_dark_at_another_exposure_is_refused() -> None:
     line = flight().line
     line["dark_exposure_time"] = ((), 20.0, {"units": "ms"})
     lazily = reflectance(line)
-    with pytest.raises(SchemaError, match=r"20 ms.* 5 ms.*dark-exposure-differs"):
+    with refusal(SchemaError, "dark-exposure-differs", "20 ms", " 5 ms"):
         lazily.reflectance.compute()
     line["dark_exposure_time"] = ((), 5.0, {"units": "ms"})
     reflectance(line).reflectance.compute()
@@ -237,7 +238,7 @@ def test_darks_beyond_their_exposures_are_warned_of_and_far_beyond_refused() -> 
         radiance(_line_with_darks_at(1.0, 2.0)).radiance.compute()
     with pytest.warns(PaintWarning, match=r"5 ms, 1\.5 .*dark-exposure-differs"):
         radiance(_line_with_darks_at(20.0, 30.0)).radiance.compute()
-    with pytest.raises(SchemaError, match=r"5 ms, 15\.0 .*dark-exposure-differs"):
+    with refusal(SchemaError, "dark-exposure-differs", "5 ms, 15.0 "):
         radiance(_line_with_darks_at(1.0, 1.25)).radiance.compute()
 
 
@@ -291,7 +292,7 @@ def test_a_panel_in_the_scene_sets_the_scale() -> None:
         coords={"wavelength": ("wavelength", off.wavelength.values[::-1], {"units": "nm"})},
     )
     # 0.44 where 0.3 to 0.5 are known: applied, and said
-    with pytest.warns(PaintWarning, match=r"measures 0\.880 to 1\.467"):
+    with pytest.warns(PaintWarning, match=r"0\.880 to 1\.467.*panel-doubtful"):
         got = values(off, panel=Panel(slice(3, 8), slice(1, 4), known))
     np.testing.assert_allclose(got, np.broadcast_to(np.linspace(0.3, 0.5, 12)[:, None], got.shape), rtol=1e-5)
     with pytest.raises(SchemaError, match="panel-outside-line"):
@@ -419,9 +420,9 @@ def test_arguments_that_cannot_be_heeded_are_refused() -> None:
     for tilt in ([5.0, 180.0], (5.0,), 5.0):
         with pytest.raises(SchemaError, match="type-wrong"):
             reflectance(line, tilt=tilt)  # type: ignore[arg-type]
-    with pytest.raises(SchemaError, match=r"angle 120.*\n.*azimuth nan"):
+    with refusal(SchemaError, "value-out-of-range", "angle 120", "azimuth nan"):
         reflectance(line, tilt=(120.0, float("nan")))
-    with pytest.raises(SchemaError, match=r"'counts' with dark_counts.*variable-missing"):
+    with refusal(SchemaError, "variable-missing", "'counts' with dark_counts"):
         reflectance(line.drop_vars("counts"))
 
 
@@ -461,7 +462,7 @@ def test_panel_units_are_converted() -> None:
     )
     region = slice(3, 8), slice(1, 4)
     np.testing.assert_allclose(values(line, panel=Panel(*region, grey)), 0.4, rtol=1e-5)
-    with pytest.raises(UnitsError, match="no units"):
+    with pytest.raises(UnitsError, match="units-missing"):
         values(line, panel=Panel(*region, grey.drop_attrs()))
     with pytest.raises(SchemaError, match="value-out-of-range"):
         Panel(*region, 50.0)

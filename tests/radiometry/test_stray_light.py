@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
@@ -205,7 +206,7 @@ def test_smear_of_a_sweep_is_none_of_its_wings() -> None:
 
 def test_some_bands_are_not_all(line: xr.Dataset) -> None:
     shifted = line.assign(band_shift_time=((), 1e-5, SECONDS | {"bands": BANDS})).isel(band=slice(4, 9))
-    with pytest.raises(SchemaError, match=r"24 bands.* 5.*bands-selected"):
+    with refusal(SchemaError, "bands-selected", "24 bands", " 5"):
         shifted.paint.reflectance().reflectance.compute()
     seen = with_knowledge(line, wings(BANDS), 0.0).isel(band=slice(4, 9))
     with pytest.raises(SchemaError, match="bands-selected"):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
@@ -176,7 +177,7 @@ def test_triangles_without_area_are_dropped_and_change_nothing() -> None:
 def test_vertices_that_are_nowhere_are_refused_by_number() -> None:
     corners = np.zeros((40, 3))
     corners[7, 0], corners[31, 2] = np.nan, np.inf
-    with pytest.raises(SchemaError, match=r"vertices 7, 31.*not-finite"):
+    with refusal(SchemaError, "not-finite", "vertices 7, 31"):
         triangles(corners, [[0, 1, 2]])
 
 
@@ -209,7 +210,7 @@ def test_reflectance_above_one_is_refused_or_clamped() -> None:
     sky = light(1.0, 0.3, 40.0, 200.0)
     traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4, sun_radius=0.0)
     bright = {"panel_20": ([300.0, 1100.0], [1.3, 1.3])}
-    with pytest.raises(SchemaError, match=r"'panel_20'.*value-out-of-range"):
+    with refusal(SchemaError, "value-out-of-range", "'panel_20'"):
         hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright)
     clamped = hp.simulation.relight(traced, BANDS, atmosphere=sky, spectra=bright, clip=True)
     np.testing.assert_allclose(clamped.reflectance, 1.0, rtol=1e-5)
@@ -218,11 +219,11 @@ def test_reflectance_above_one_is_refused_or_clamped() -> None:
 def test_what_does_not_cover_the_bands_is_named() -> None:
     sky = light(1.0, 0.3, 40.0, 200.0)
     traced = hp.simulation.trace(plane(50.0, GREY), looking(), [sky], samples=4)
-    with pytest.raises(SchemaError, match=r"'panel_20'.*spectrum-coverage"):
+    with refusal(SchemaError, "spectrum-coverage", "'panel_20'"):
         hp.simulation.relight(
             traced, BANDS, atmosphere=sky, spectra={"panel_20": ([500.0, 700.0], [0.2, 0.2])}
         )
     wavelength, none = np.array([500.0, 1100.0]), np.zeros(2)
     narrow = Atmosphere(wavelength, none + 1.0, none, none, none, 40.0, 200.0, name="narrow")
-    with pytest.raises(SchemaError, match=r"'narrow'.*atmosphere-coverage"):
+    with refusal(SchemaError, "atmosphere-coverage", "'narrow'"):
         hp.simulation.relight(traced, BANDS, atmosphere=narrow)

@@ -36,7 +36,7 @@ def test_signatures_say_it(line: xr.Dataset, regions: hp.Regions, tmp_path: Path
     assert [told(each) for each in (seen, removed, afterwards, before)] == ["included", *["excluded"] * 3]
     made = hp.write_dirsig(afterwards, tmp_path / "dirsig", specular=0.02)
     assert made.attrs["mirror_reflection"] == "excluded"
-    with pytest.raises(SchemaError, match="count twice"):
+    with pytest.raises(SchemaError, match="coat-counted-twice"):
         hp.write_dirsig(seen, tmp_path / "twice", specular=0.02)
 
 

@@ -152,7 +152,7 @@ def test_units_are_converted_and_wanted() -> None:
     with pytest.raises(SchemaError, match=r"reference 1:.*'sr-1'"):
         hp.validate(signatures, bare)
     del references["reflectance"].attrs["units"]
-    with pytest.raises(SchemaError, match="has no units"):
+    with pytest.raises(SchemaError, match="units-missing"):
         hp.validate(signatures, references)
 
 

@@ -143,7 +143,7 @@ def test_only_a_new_file_beside_the_store_is_written(store: Path, tmp_path: Path
             write_croissant(store, out, licence="unknown")
     out = tmp_path / "croissant.json"
     out.write_text("mine")
-    with pytest.raises(PaintError, match="exists already"):
+    with pytest.raises(PaintError, match="file-exists"):
         write_croissant(store, out, licence="unknown")
     assert out.read_text() == "mine"
 

@@ -104,7 +104,7 @@ def test_json_is_refused_by_name(
         ):
             text = text.replace(f'"{plain}"', f'"{escaped}"')
     (home / "evil.json").write_text(text, encoding="utf-8")
-    with pytest.raises(StoreError, match="kerchunk references") as caught:
+    with pytest.raises(StoreError, match="kerchunk-refused") as caught:
         hp.io.open_virtual(home / "evil.json", allow=[url, home.parent])
     for part in ("gen", "templates"):
         assert (f"`{part}`" in str(caught.value)) == (part in DOCUMENTS[name])
@@ -119,7 +119,7 @@ def test_json_is_refused_by_name(
 def test_a_folder_of_parquet_references_is_refused(home: Path) -> None:
     (home / "refs").mkdir()
     (home / "refs" / ".zmetadata").write_text('{"metadata": {}, "record_size": 10000}')
-    with pytest.raises(StoreError, match="kerchunk references"):
+    with pytest.raises(StoreError, match="kerchunk-refused"):
         hp.io.open_virtual(home / "refs")
     assert "kerchunk references" in CliRunner().invoke(main, ["info", str(home / "refs")]).output
 

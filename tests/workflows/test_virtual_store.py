@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintError, StoreError
@@ -183,13 +184,13 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "notes.txt").write_text("notes")
     for overwrite in (False, True):
-        with pytest.raises(StoreError, match="no virtual store"):
+        with pytest.raises(StoreError, match="store-exists"):
             virtualise(copied, tmp_path / "notes", overwrite=overwrite)
         with pytest.raises(StoreError, match="output-is-input"):
             virtualise(copied, copied.parent, overwrite=overwrite)
-    with pytest.raises(StoreError, match="of flightlines/raw_0"):
+    with refusal(StoreError, "group-unknown", "flightlines/raw_0"):
         hp.io.open_virtual(out, "flightlines/raw_1")
-    with pytest.raises(StoreError, match="is no virtual store"):
+    with pytest.raises(StoreError, match="store-unreadable"):
         hp.io.open_virtual(tmp_path / "notes")
 
 
@@ -199,7 +200,7 @@ def test_what_is_there_already(copied: Path, tmp_path: Path) -> None:
      "http://user@host/x", "http://host/x/../y", "http://host/%2e%2e/y", "s3://bucket\\x", "file:///etc/../x"],
 )  # fmt: skip
 def test_urls_that_icechunk_does_not_read(collect: Path, tmp_path: Path, prefix: str) -> None:
-    with pytest.raises(StoreError, match="reads no raw files"):
+    with pytest.raises(StoreError, match="url-unusable"):
         virtualise(collect, tmp_path / NAME, prefix=prefix)
     assert not list(tmp_path.iterdir())
 
@@ -209,7 +210,7 @@ def test_the_place_of_the_raw_files(collect: Path, wanted: xr.Dataset, tmp_path:
         copied = Path(shutil.copytree(collect.parent, tmp_path / odd / "day")) / "collect.toml"
         out = tmp_path / "stores" / f"{number}.icechunk"
         virtualise(copied, out)
-        with pytest.raises(StoreError, match="raw files elsewhere") as caught:
+        with pytest.raises(StoreError, match="raw-file-not-allowed") as caught:
             hp.io.open_virtual(out)
         (needed,) = re.findall(r"allow='([^']*)'", str(caught.value))
         assert needed == str(copied.parent / "flight")
@@ -264,7 +265,7 @@ def test_half_a_repository_is_written_again(copied: Path, tmp_path: Path, lost: 
     assert not virtualise(copied, out).written
     shutil.rmtree(out / "snapshots")
     (out / "snapshots").mkdir()
-    with pytest.raises(StoreError, match=r"cannot be read .*store-damaged"):
+    with pytest.raises(StoreError, match="store-damaged"):
         virtualise(copied, out)
     assert virtualise(copied, out, overwrite=True).written
 

@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import CollectError
@@ -60,7 +61,7 @@ def test_an_instrument_may_be_called_by_its_model(collect: Path) -> None:
     assert opened.attrs["instrument"] == "SVC"
     collect.write_text(text.replace('instrument = "svc"', 'instrument = "SVC HR-1024i"')
                        .replace('instrument = "asd"', 'instrument = "svc_hr-1024i"'))  # fmt: skip
-    with pytest.raises(CollectError, match=r"'svc_hr-1024i'.*name-duplicate"):
+    with refusal(CollectError, "name-duplicate", "'svc_hr-1024i'"):
         hp.open_collect(collect)
 
 
@@ -80,7 +81,7 @@ def test_another_reference_is_other_input(collect: Path, tmp_path: Path) -> None
     assert set(run(collect, out).written) >= {"references/svc", "references/asd"}
     assert run(collect, out).written == ()
     (collect.parent / "svc" / "red.sig").rename(collect.parent / "svc" / "crimson.sig")
-    with pytest.raises(hp.StoreError, match="/references/svc is there already, with other inputs"):
+    with refusal(hp.StoreError, "store-exists", "/references/svc", "other inputs"):
         run(collect, out)
     assert run(collect, out, overwrite=True).written == ("references/svc",)
     assert "crimson" in hp.open_store(out, "references/svc")["spectrum"].values.tolist()

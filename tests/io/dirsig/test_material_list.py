@@ -88,7 +88,7 @@ def test_what_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
 def test_ids_are_there_once(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="id-duplicate"):
         read_materials(written(tmp_path, ENTRY + ENTRY))
-    with pytest.raises(FormatError, match="no section"):
+    with pytest.raises(FormatError, match="section-missing"):
         read_materials(written(tmp_path, "\n"))
 
 

@@ -76,9 +76,9 @@ def test_exposure_that_is_none(pairs: dict[str, str]) -> None:
 
 
 def test_settings_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="cannot be read"):
+    with pytest.raises(FormatError, match="file-unreadable"):
         read_settings(tmp_path / "settings.txt")
-    with pytest.raises(FormatError, match="a folder"):
+    with pytest.raises(FormatError, match="file-special"):
         read_settings(tmp_path)
 
 
@@ -241,7 +241,7 @@ def test_sum_dark_refuses_what_is_no_raw_cube() -> None:
     dims = ("along_track", "band", "cross_track")
     with pytest.raises(FormatError, match="float32"):
         sum_dark(xr.DataArray(np.zeros((2, 2, 2), np.float32), dims=dims), "dark")
-    with pytest.raises(FormatError, match="no lines"):
+    with pytest.raises(FormatError, match="empty-input"):
         sum_dark(xr.DataArray(np.zeros((0, 2, 2), np.uint16), dims=dims), "dark")
     with pytest.raises(FormatError, match="expected"):
         sum_dark(xr.DataArray(np.zeros((2, 2), np.uint16), dims=("y", "x")), "dark")

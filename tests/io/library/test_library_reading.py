@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, StoreError
@@ -139,10 +140,11 @@ def test_sli__what_does_not_fit_is_listed(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(FormatError) as caught:
         hp.open_library(header)
+    assert caught.value.codes == ("dims-wrong", "file-size")
     assert "bands is 2, expected 1" in str(caught.value)
     assert "23 bytes, expected 48" in str(caught.value)
     header.write_text(header.read_text().replace("Spectral Library", "Standard"))
-    with pytest.raises(FormatError, match=r"spectral library|wavelength"):
+    with refusal(FormatError, "length-mismatch", "wavelength"):
         hp.open_library(header)
 
 
@@ -297,9 +299,7 @@ def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None
     assert library["signature"].item() == "Red paint GDS1"
     np.testing.assert_array_equal(library["reflectance"].values, np.float32([[0.1, np.nan, 0.3]]))
     other = write_text(chapter, usgs("splib07a Record=9: Red paint XYZa AREF", values), "b.txt")
-    with pytest.raises(
-        FormatError, match=r"w_Wavelengths_ASD.txt.*w_Wavelengths_BECK.txt.*wavelength-ambiguous"
-    ):
+    with refusal(FormatError, "wavelength-ambiguous", "w_Wavelengths_ASD.txt", "w_Wavelengths_BECK.txt"):
         hp.open_library(other)
     with pytest.raises(FormatError, match="quantity-wrong"):
         hp.open_library(write_text(chapter, usgs("splib07a Record=9: Glass NIC4a TRAN", values), "c.txt"))
@@ -347,7 +347,7 @@ def test_several__are_in_the_order_of_their_numbers_with_all_that_they_say(tmp_p
 @pytest.mark.parametrize("path", ["absent.sli", "absent.txt", "*.nothing", "folder", []])
 def test_nothing_there__is_said(tmp_path: Path, path: str | list[str]) -> None:
     (tmp_path / "folder").mkdir()
-    with pytest.raises(FormatError, match=r"file-not-found|empty-input"):
+    with pytest.raises(FormatError, match="file-not-found" if path else "empty-input"):
         hp.open_library(str(tmp_path / path) if isinstance(path, str) else path)
 
 
@@ -383,7 +383,7 @@ def test_nanometres_that_are_called_micrometres_are_refused(tmp_path: Path) -> N
 
 def test_a_dark_paint_in_percent_is_no_bright_one(tmp_path: Path) -> None:
     path = write_text(tmp_path, ecostress([0.4, 0.5, 0.6], [1.2, 1.1, 1.3], "Reflectance"))
-    with pytest.raises(FormatError, match=r"no scale.*scale=1 "):
+    with refusal(FormatError, "scale-missing", "scale=1 "):
         hp.open_library(path)
     assert hp.open_library(path, scale=1)["reflectance"].values.max() == pytest.approx(1.3)
     assert hp.open_library(path, scale=100)["reflectance"].values.max() == pytest.approx(0.013)

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.wrong_quantities import NM, Case, objection, remarks, sunlight, table
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError
-from tests.support.wrong_quantities import NM, Case, objection, remarks, sunlight, table
 
 GREY = 0.3 + 0.1 * np.sin(NM / 90.0)
 LIGHT = sunlight()

@@ -141,7 +141,7 @@ def test_pixels_counted_from_1_are_refused(tmp_path: Path) -> None:
 
 
 def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(FormatError, match="cannot be read"):
+    with pytest.raises(FormatError, match="file-unreadable"):
         read_control_points(tmp_path / "none.csv")
 
 

@@ -347,7 +347,7 @@ def test_two_sources_of_utc_are_one_too_many(tmp_path: Path) -> None:
         nav=write_a(tmp_path / "imu_gps.txt", steady(3)),
         start_time=T0,
     )
-    with pytest.raises(TimeError, match="give one"):
+    with pytest.raises(TimeError, match="option-conflict"):
         line_times(Path("raw_0"), 1, timing)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from oracles.scattered_sky import sky_radiance
+from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError
@@ -109,7 +110,7 @@ def test_tape7(tmp_path: Path, names: str) -> None:
     np.testing.assert_allclose(table.diffuse, whole - direct, rtol=1e-5)
     whole_text = path.read_text()
     path.write_text(whole_text[: whole_text.rindex("\n")])
-    with pytest.raises(FormatError, match="cut short"):
+    with pytest.raises(FormatError, match="file-truncated"):
         hp.io.read_tape7(path, sun_zenith=SUN, ground=ground)
     path.write_text(whole_text[: whole_text.index("1e-9 9e-9")] + "\n  -9999.")
     with pytest.raises(FormatError, match="number-unreadable"):
@@ -202,17 +203,19 @@ def test_a_sky_that_is_none_of_ours_is_told() -> None:
     table = sky_dataset(
         "stripes", nm, np.ones(2), np.full(2, 0.2), (ZENITHS, AZIMUTHS, np.stack([stripes] * 2))
     )
-    with pytest.warns(PaintWarning, match="sky-fit-poor"):
+    with pytest.warns(PaintWarning, match=r"stripes.*sky-fit-poor"):
         Atmosphere.from_table(table, sun_zenith=SUN)
-    with pytest.raises(SchemaError, match="no sky_radiance"):
+    with refusal(SchemaError, "variable-missing", "sky_radiance"):
         hp.light.fit_sky(table.drop_vars("sky_radiance"), SUN)
     few = table.isel(sky_zenith=slice(0, 1), sky_azimuth=slice(0, 3))
-    with pytest.raises(SchemaError, match="3 directions above the horizon"):
+    with refusal(SchemaError, "sky-directions-few", "3 "):
         hp.light.fit_sky(few, SUN)
 
 
 def test_what_is_no_light_is_refused() -> None:
     nm = np.array([450.0, 450.0])
-    with pytest.raises(FormatError, match=r"(?s)wavelength-repeated.*diffuse.*value-out-of-range"):
+    with pytest.raises(FormatError) as caught:
         sky_dataset("a", nm, np.ones(2), np.array([0.1, -0.1]))
+    assert caught.value.codes == ("wavelength-repeated", "value-out-of-range")
+    assert caught.value.problems[1].found.startswith("diffuse")
     assert isinstance(sky_dataset("a", nm + np.arange(2.0), np.ones(2), np.ones(2)), xr.Dataset)

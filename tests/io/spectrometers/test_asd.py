@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from support.refusals import refusal
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.io.spectrometers.asd import find_files, open_asd
@@ -264,7 +265,7 @@ def test_absolute_reflectance(write_asd):
     np.testing.assert_array_equal(opened.values[0], PANEL / 2)
     assert opened.attrs["panel"] == "x.ref"
     other_grid = {"absolute": write_asd("y.ref", PANEL[:-1])}
-    with pytest.raises(FormatError, match=r"a\.asd.*b\.asd.*grid-mismatch"):
+    with refusal(FormatError, "grid-mismatch", "a.asd", "b.asd"):
         open_asd(paths, absolute=True, utc_offset_h=0, calibration=other_grid)
     with pytest.raises(SchemaError, match="option-conflict"):
         open_asd(paths, "counts", absolute=True)
@@ -345,7 +346,7 @@ def test_all_bad_files_are_named_at_once(write_asd, tmp_path):
 @pytest.mark.parametrize("paths", [[], "nothing*.asd"])
 def test_nothing_to_open(paths, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FormatError, match=r"empty-input|file-not-found"):
+    with pytest.raises(FormatError, match="file-not-found" if paths else "empty-input"):
         find_files(paths)
 
 
@@ -385,7 +386,7 @@ def test_unclear_quantity(write_asd):
 
 @pytest.mark.parametrize("offset_h", [-18000.0, 15.0, float("nan")])
 def test_impossible_zone(write_asd, offset_h):
-    with pytest.raises(TimeError, match="in hours"):
+    with refusal(TimeError, "value-out-of-range", "utc_offset_h=", "hours"):
         open_asd(write_asd("a.asd", COUNTS), utc_offset_h=offset_h)
 
 

@@ -121,7 +121,7 @@ def test_guessed_quantity_is_said(tmp_path):
     assert opened["reflectance"].values == 0.1
     assert opened["time"].values == np.datetime64("2024-05-21T08:33:13", "ns")
     (tmp_path / "soil.txt").write_text("Wavelength,a\n350,0.1\n")
-    with pytest.raises(FormatError, match="pass quantity="):
+    with pytest.raises(FormatError, match="quantity-ambiguous"):
         open_asd(tmp_path / "soil.txt", utc_offset_h=3)
 
 

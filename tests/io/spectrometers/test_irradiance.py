@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.codecs import plain_zarr
+from support.refusals import refusal
 
 from hyperpaint.base.errors import (
     FormatError,
@@ -158,7 +159,7 @@ def test_files_that_say_nothing_take_the_zone_of_those_that_do(log):
         "2024-05-21T11:00", "ns"
     )
     files += log(6, prefix="v", reference=COUNTS, reference_epoch=1716300000, utc_offset_h=2.0)
-    with pytest.raises(TimeError, match=r"w00000\.asd.*v00000\.asd.*utc-offset-conflict"):
+    with refusal(TimeError, "utc-offset-conflict", "w00000.asd", "v00000.asd"):
         open_irradiance(files)
     with pytest.raises(TimeError, match="utc_offset_h="):
         open_irradiance(files[:2])
@@ -196,7 +197,7 @@ def test_saturated_and_empty_samples_become_nan(log, write_asd):
 
 def test_raw_counts_with_calibration_files(log, write_asd):
     files = log(0, 2, blocks={}, data_type=0)
-    with pytest.raises(FormatError, match=r"sky00000\.asd.*sky00001\.asd.*calibration-missing"):
+    with refusal(FormatError, "calibration-missing", "sky00000.asd", "sky00001.asd"):
         open_irradiance(files, utc_offset_h=0)
     calibration = {"lamp": write_asd("c/a.ill", LAMP), "fore_optic": write_asd("c/a.raw", LAMP_COUNTS)}
     series = open_irradiance(files, utc_offset_h=0, calibration=calibration)
@@ -381,9 +382,9 @@ def test_what_is_no_series_is_refused():
         open_irradiance(sky(times).to_dataset(name="radiance"))
     with pytest.raises(SchemaError, match="dims-wrong"):
         open_irradiance(sky(times).rename(time="when"))
-    with pytest.raises(TimeError, match="expected datetime64"):
+    with refusal(TimeError, "type-wrong", "datetime64"):
         open_irradiance(sky([1.0, 2.0]), fwhm_nm=3)
-    with pytest.raises(TimeError, match="in hours"):
+    with refusal(TimeError, "value-out-of-range", "utc_offset_h=", "hours"):
         open_irradiance(sky(times), fwhm_nm=3, utc_offset_h=-18000)
     with pytest.raises(SchemaError, match="wavelength-unordered"):
         open_irradiance(sky(times).isel(wavelength=slice(None, None, -1)), fwhm_nm=3)
@@ -420,7 +421,7 @@ def test_a_damaged_store_is_named(tmp_path):
     (tmp_path / "sky.zarr" / "zarr.json").write_text("{")
     with pytest.raises(FormatError, match="file-unreadable"):
         open_irradiance(tmp_path / "sky.zarr")
-    with pytest.raises(FormatError, match=r"gone\.zarr.*file-unreadable"):
+    with refusal(FormatError, "file-unreadable", "gone.zarr"):
         open_irradiance(tmp_path / "gone.zarr")
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from hypothesis import given, settings, strategies as st
+from support.refusals import refusal
 from support.svc_texts import GRID, MATCHED, PANEL, SURFACE, german, svc_text
 
 import hyperpaint as hp
@@ -228,7 +229,7 @@ def test_a_column_that_contradicts_the_scans_is_flagged(write) -> None:
 
 def test_reflectance_of_counts_needs_equal_integration(write) -> None:
     path = write(units="Counts, Counts")
-    with pytest.raises(FormatError, match="integration-time-conflict"):
+    with refusal(FormatError, "integration-time-conflict"):
         open_svc(path, "reflectance")
     path = write(units="Counts, Counts", integration="70,0, 9,0, 7,0, 70,0, 9,0, 7,0")
     np.testing.assert_array_equal(open_svc(path, "reflectance")["reflectance"].values[0], SURFACE / PANEL)
@@ -255,7 +256,7 @@ def test_folders_globs_and_lists(write, tmp_path) -> None:
     assert found["spectrum"].values.tolist() == ["mon/red", "mon/blue", "tue/red", "tue/blue", "mon/red (2)"]
     assert found.sel(spectrum="tue/blue")["source"].item() == "blue.sig"
     for nothing in ([], "none*.sig", tmp_path):
-        with pytest.raises(FormatError, match=r"empty-input|file-not-found"):
+        with pytest.raises(FormatError, match="file-not-found" if nothing else "empty-input"):
             open_svc(nothing)
 
 
@@ -300,7 +301,7 @@ def test_what_cannot_be_asked(write) -> None:
         open_svc(write(), overlap="trim", joins=990.0)
     with pytest.raises(SchemaError, match="option-conflict"):
         open_svc(write(), "reflectance", scan="reference")
-    with pytest.raises(TimeError, match="in hours"):
+    with refusal(TimeError, "value-out-of-range", "utc_offset_h=", "hours"):
         open_svc(write(), utc_offset_h=3600)
 
 

@@ -375,7 +375,7 @@ def test_a_huge_list_in_the_root_is_not_read(store: Path) -> None:
     document["consolidated_metadata"]["metadata"]["long"] = "x" * 33 * 2**20
     (store / "zarr.json").write_text(json.dumps(document))
     assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
-    with pytest.raises(IncompleteStoreError, match="at most"):
+    with pytest.raises(IncompleteStoreError, match="file-too-large"):
         hp.verify(store)
 
 
@@ -392,15 +392,17 @@ def test_a_lost_manifest_is_told_and_made_again(store: Path) -> None:
     assert {name: made.groups[name] for name in LINES} == {name: before.groups[name] for name in LINES}
 
 
-@pytest.mark.parametrize("change", [("raw_2", "raw_9"), ('"crc32c": ', '"crc32c": 1'), ("{", "[")])
-def test_a_damaged_manifest_is_told(change: tuple[str, str], store: Path) -> None:
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [("raw_2", "raw_9", "manifest-damaged"), ('"crc32c": ', '"crc32c": 1', "manifest-damaged"),
+     ("{", "[", "metadata-damaged")],
+)  # fmt: skip
+def test_a_damaged_manifest_is_told(old: str, new: str, code: str, store: Path) -> None:
     place = store / "hyperpaint/zarr.json"
-    place.write_text(place.read_text().replace(*change))
+    place.write_text(place.read_text().replace(old, new))
     assert "is damaged" in problems(store)
     for act in (lambda: hp.open_store(store, LINES[0]), lambda: hp.to_store(line(7), store, "signatures")):
-        with pytest.raises(
-            IncompleteStoreError if act is None else hp.PaintError, match=r"(manifest|metadata)-damaged"
-        ):
+        with pytest.raises(hp.PaintError, match=code):
             act()
     run(store)
     assert hp.verify(store).ok

@@ -8,6 +8,7 @@ import dask
 import numpy as np
 import pytest
 import xarray as xr
+from support.refusals import refusal
 from support.strategies import SHIFT, START, flight, stored, with_noise
 
 import hyperpaint as hp
@@ -340,7 +341,7 @@ def test_unknown_noise_is_refused_with_a_way_out() -> None:
     assert "electrons_per_count" in str(caught.value)
     assert "read_noise" in str(caught.value)
     bright = radiance(with_noise(flight().line)).drop_vars("counts")
-    with pytest.raises(SchemaError, match=r"'counts'.*variable-missing"):
+    with refusal(SchemaError, "variable-missing", "'counts'"):
         reflectance(bright, uncertainty=True)
     with pytest.raises(SchemaError, match="reflectance_u_random"):
         reflectance(reflectance(flight().line)[["reflectance"]], uncertainty=True)

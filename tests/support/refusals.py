@@ -1,0 +1,27 @@
+"""Refusals of the package, matched by their code and by the words that the test is about."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TypeVar
+
+import pytest
+
+from hyperpaint.base.errors import PaintError
+
+__all__ = ["refusal"]
+
+E = TypeVar("E", bound=PaintError)
+
+
+@contextmanager
+def refusal(kind: type[E], code: str, *told: str) -> Iterator[pytest.ExceptionInfo[E]]:
+    """Expect an error of one code whose message has these words, such as keys and numbers, in this order."""
+    with pytest.raises(kind) as caught:
+        yield caught
+    error = caught.value
+    assert set(error.codes) == {code}, f"expected the code {code} of: {error}"
+    text = str(error).replace(f"[{code}]", "")
+    assert re.search(".*".join(map(re.escape, told)), text, re.DOTALL), f"expected {told} in: {text}"
