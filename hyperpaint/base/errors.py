@@ -185,7 +185,7 @@ class SchemaError(PaintError, ValueError):
     >>> import xarray as xr
     >>> xr.Dataset().paint.reflectance()
     Traceback (most recent call last):
-    hyperpaint.base.errors.SchemaError: cannot compute reflectance from no variable; ...
+    hyperpaint.base.errors.SchemaError: cannot compute reflectance from no variable, expected ...
     """
 
 

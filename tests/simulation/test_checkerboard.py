@@ -122,9 +122,13 @@ def test_line_in_memory_can_be_located() -> None:
 
 
 def test_from_a_terminal(tmp_path: Path) -> None:
-    options = "--scene checkerboard --swath 0.5 --lines 8 --columns 40 --bands 4 --wobble calm --course 90"
-    mounting = "--boresight 0.4 -0.6 0.8 --lever-arm 0.05 -0.02 0.12 --navigation-rate 50 --quiet"
-    done = CliRunner().invoke(main, ["simulate", str(tmp_path / "sim"), *options.split(), *mounting.split()])
+    options = "--scene checkerboard --lines 8 --columns 40 --bands 4 --quiet".split()
+    flown = (
+        "swath=0.5 wobble=calm course=90 boresight=0.4,-0.6,0.8 lever_arm=0.05,-0.02,0.12 navigation_rate=50"
+    )
+    for setting in flown.split():
+        options += ["--set", setting]
+    done = CliRunner().invoke(main, ["simulate", str(tmp_path / "sim"), *options])
     assert done.exit_code == 0, done.output
     truth = xr.open_zarr(tmp_path / "sim" / "truth.zarr")
     assert truth.attrs["lever_arm"] == [0.05, -0.02, 0.12]

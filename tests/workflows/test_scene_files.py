@@ -214,7 +214,7 @@ sun_zenith_deg = 50.0
             "file-not-found",
         ),
         ("[platform]", "[[meshes]]\npath = 'scene.toml'\n[platform]", "[[meshes]] 1 spectrum", "key-missing"),
-        ("[platform]", "[[meshes]]\npath = 'scene.toml'\nspectrum = 'red'\n[platform]", "ending '.toml'", ""),
+        ("[platform]", "[[meshes]]\npath = 'scene.toml'\nspectrum = 'red'\n[platform]", "format-unknown", ""),
         (
             "[platform]",
             "[[meshes]]\npath = 'scene.toml'\nmaterials = { a = { spectrum = 'b', colour = 1 } }\n[platform]",
