@@ -122,7 +122,7 @@ def test_line_in_memory_can_be_located() -> None:
 
 
 def test_from_a_terminal(tmp_path: Path) -> None:
-    options = "--scene checkerboard --lines 8 --columns 40 --bands 4 --quiet".split()
+    options = ["--scene", "checkerboard", "--lines", "8", "--columns", "40", "--bands", "4", "--quiet"]
     flown = (
         "swath=0.5 wobble=calm course=90 boresight=0.4,-0.6,0.8 lever_arm=0.05,-0.02,0.12 navigation_rate=50"
     )
