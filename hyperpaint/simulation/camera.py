@@ -13,7 +13,7 @@ element's own factor near one. With etendue A Omega and exposure t it counts
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -23,7 +23,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.schema import BAND, VARIABLES
 
 from .atmosphere import spectral_grid
-from .optics import Optics, OpticsSettings
+from .optics import Optics
 from .settings import SimulationSettings
 
 #: Full widths from its centre beyond which less than 1e-13 of a Gaussian's area lies.
@@ -327,32 +327,6 @@ class Detector:
             line[...] = whole
         return converted
 
-
-#: Fields of `hyperpaint.simulation.SimulationSettings` that make the camera.
-CAMERA_FIELDS = frozenset(
-    {
-        "bands",
-        "columns",
-        "seed",
-        "first_wavelength",
-        "last_wavelength",
-        "dispersion_bow_nm",
-        "srf_shape",
-        "fwhm_nm",
-        "fwhm_slope",
-        "smile_nm",
-        "bit_depth",
-        "electrons_per_count",
-        "read_noise",
-        "dark_level",
-        "dark_pattern",
-        "dark_rate",
-        "nonuniformity",
-        "column_nonuniformity",
-        "bad_elements",
-        *(field.name for field in fields(OpticsSettings)),
-    }
-)
 
 # keys of the random streams; those of flights and sweeps stand in their own modules
 _DARK, _ELEMENTS, _BAD, _DARK_RATE, _COLUMNS = 13, 14, 15, 18, 19

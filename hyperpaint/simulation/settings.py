@@ -499,3 +499,30 @@ class SimulationSettings(OpticsSettings):
             for start, stop in itertools.pairwise(self.cube_starts.tolist())
         ):
             add("dropped", " leaves a cube empty", "", "keep a frame of every cube", "cube-empty")
+
+
+#: Fields of `hyperpaint.simulation.SimulationSettings` that make the camera.
+CAMERA_FIELDS = frozenset(
+    {
+        "bands",
+        "columns",
+        "seed",
+        "first_wavelength",
+        "last_wavelength",
+        "dispersion_bow_nm",
+        "srf_shape",
+        "fwhm_nm",
+        "fwhm_slope",
+        "smile_nm",
+        "bit_depth",
+        "electrons_per_count",
+        "read_noise",
+        "dark_level",
+        "dark_pattern",
+        "dark_rate",
+        "nonuniformity",
+        "column_nonuniformity",
+        "bad_elements",
+        *(field.name for field in fields(OpticsSettings)),
+    }
+)

@@ -28,8 +28,8 @@ from hyperpaint.base.facts import check_fields, declared, fact
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
-from .camera import CAMERA_FIELDS, GAUSSIAN_REACH, Camera, cubic_weights
-from .settings import SimulationSettings
+from .camera import GAUSSIAN_REACH, Camera, cubic_weights
+from .settings import CAMERA_FIELDS, SimulationSettings
 
 SWEEP_NAME = "simulated monochromator sweep"
 MAX_METADATA_BYTES = 64 << 20

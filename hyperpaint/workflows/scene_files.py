@@ -19,7 +19,7 @@ from hyperpaint.simulation.rendering.four_curves import PRESETS
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_faults
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
-from hyperpaint.simulation.settings import FLEETS, MAX_SEED, MOST_SAMPLES, SimulationSettings
+from hyperpaint.simulation.settings import CAMERA_FIELDS, FLEETS, MAX_SEED, MOST_SAMPLES, SimulationSettings
 
 #: Kinds of generated scenes; any of them may hold meshes as well.
 SCENE_KINDS = ("car_park", "plane", "empty")
@@ -110,13 +110,8 @@ MATERIAL = by_key([
 
 _SEED = _whole("seed", "chooses cars, paints, places and trees", 0, MAX_SEED, default=0)
 
-_CAMERA_FIELDS = (
-    "bands", "first_wavelength", "last_wavelength", "dispersion_bow_nm", "fwhm_nm", "fwhm_slope", "srf_shape",
-    "smile_nm", "bit_depth", "electrons_per_count", "read_noise", "dark_level", "dark_pattern", "dark_rate",
-    "dark_frames", "nonuniformity", "column_nonuniformity", "bad_elements", "noise", "seed",
-    "psf_across_columns", "psf_along_lines", "psf_kernel", "keystone_columns", "stray_light", "pedestal",
-    "masked_columns",
-)  # fmt: skip
+#: Fields of the camera's settings that are keys of ``[camera]``; ``[platform]`` has the columns.
+_CAMERA_FIELDS = CAMERA_FIELDS - {"columns"} | {"noise", "dark_frames"}
 
 #: Facts of every key of every table; the keys of `NAMED` are names.
 SCHEMA: Mapping[str, Facts] = {
@@ -178,7 +173,9 @@ SCHEMA: Mapping[str, Facts] = {
         if one.name == "start_time" else one
         for one in PUSHBROOM.values()
     ]),
-    "camera": by_key(facts_of(SimulationSettings)[name] for name in _CAMERA_FIELDS),
+    "camera": by_key(
+        one for name, one in facts_of(SimulationSettings).items() if name in _CAMERA_FIELDS
+    ),
     "atmospheres": by_key([
         Fact(name="name", doc="name of the group in the store; by default the preset"),
         Fact(name="preset", kind="choice", choices=PRESETS, doc="light of a kind of sky"),
