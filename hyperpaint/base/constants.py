@@ -31,6 +31,9 @@ NUMERICS_VERSION = 1
 #: Output of one task; a larger block costs the allocator a trip to the kernel each time.
 MAX_TASK_BYTES = 24_000_000
 
+#: Codec of stored arrays, see `hyperpaint.to_store`.
+DEFAULT_CODEC: Literal["compact", "fast"] = "compact"
+
 #: When differences between camera and irradiance record are corrected: see `hyperpaint.alignment.align`.
 Alignment = Literal["auto", "never", "always"]
 ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)

@@ -117,7 +117,8 @@ def _assigned(module: str, name: str) -> tuple[ast.expr | None, str]:
     if not (_PACKAGE / module.split(".")[0]).exists() and not (_PACKAGE / f"{module}.py").exists():
         return None, module
     for node in _tree(module).body:
-        if isinstance(node, ast.Assign) and name in map(ast.unparse, node.targets):
+        targets = getattr(node, "targets", [getattr(node, "target", None)])
+        if isinstance(node, ast.Assign | ast.AnnAssign) and name in map(ast.unparse, filter(None, targets)):
             return node.value, module
     return None, module
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hyperpaint.base.constants import KEPT_BITS
+from hyperpaint.base.constants import DEFAULT_CODEC, KEPT_BITS
 from hyperpaint.base.errors import CollectError, Findings, PaintError, Problems
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, IRRADIANCE_TIME, Quality
 from hyperpaint.io.files.toml_tables import load_tables
@@ -109,7 +109,7 @@ class Following:
 
     def __init__(
         self, collect: Path, stage: Staging, view: Path, *, products: tuple[str, ...] = PRODUCTS,
-        codec: Codec = "compact", clock: Callable[[], float] = time.time,
+        codec: Codec = DEFAULT_CODEC, clock: Callable[[], float] = time.time,
     ) -> None:  # fmt: skip
         self._path, self._stage, self._view, self._clock = collect, stage, view, clock
         self._products, self._codec = products, codec
@@ -431,7 +431,7 @@ def follow(
     place = real_folder(store)
     with staging(place, Staging(place).begun()) as stage, tempfile.TemporaryDirectory() as view:
         following = Following(
-            path, stage, Path(view), products=products, codec=options.get("codec", "compact")
+            path, stage, Path(view), products=products, codec=options.get("codec", DEFAULT_CODEC)
         )
         with contextlib.closing(following), contextlib.suppress(KeyboardInterrupt):
             following.prepare()

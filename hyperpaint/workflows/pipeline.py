@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import xarray as xr
 
-from hyperpaint.base.constants import ALIGNMENTS, KEPT_BITS, NUMERICS_VERSION, Alignment
+from hyperpaint.base.constants import ALIGNMENTS, DEFAULT_CODEC, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
     CollectError,
     PaintError,
@@ -205,7 +205,7 @@ def process(
     accept: Collection[str] = (),
     overwrite: bool = False,
     progress: bool = False,
-    codec: Codec = "compact",
+    codec: Codec = DEFAULT_CODEC,
     layout: Layout = "cube",
 ) -> Path:
     """Process a collect into one Zarr store.
@@ -309,7 +309,7 @@ def run(
     accept: Collection[str] = (),
     overwrite: bool = False,
     progress: bool = False,
-    codec: Codec = "compact",
+    codec: Codec = DEFAULT_CODEC,
     layout: Layout = "cube",
     take_up: TakeUp | None = None,
 ) -> Outcome:
@@ -367,7 +367,7 @@ def run(
             "--overwrite": overwrite,
             "--reflectance": None if reflectance == "stored" else reflectance,
             "--accept": sorted(accept),
-            "--codec": {"compact": None}.get(codec, codec),
+            "--codec": None if codec == DEFAULT_CODEC else codec,
             "--layout": {"cube": None}.get(layout, layout),
         }
         command = finishing_command(f"process {quote(str(opened.settings.path.absolute()))}", again)

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.constants import DEFAULT_CODEC
 from hyperpaint.base.errors import PaintError
 
 from .disk import at_once
@@ -41,7 +42,7 @@ class Target:
     dtype: np.dtype[Any]  # On disk
     chunk: tuple[int, ...]  # Storage chunk
     fill: Any  # Pads edge chunks
-    codec: Codec = "compact"
+    codec: Codec = DEFAULT_CODEC
 
     @classmethod
     def of(cls, name: str, variable: xr.Variable, place: Location, codec: Codec) -> Target:

@@ -21,6 +21,7 @@ from typing import TypeVar
 
 import xarray as xr
 
+from hyperpaint.base.constants import DEFAULT_CODEC
 from hyperpaint.base.errors import PaintError, StoreError
 
 from .budget import MARGIN, size_text, thread_space
@@ -40,7 +41,7 @@ RUN_AGAIN = "run again: finished chunks are kept"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
-def disk_needed(dataset: xr.Dataset, codec: Codec = "compact") -> int:
+def disk_needed(dataset: xr.Dataset, codec: Codec = DEFAULT_CODEC) -> int:
     """Return an upper bound of the bytes a group takes on disk, margin included: as if it were all noise.
 
     Only the bits of a sample that can differ count: those up to the saturation of the counts, and the

@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.constants import DEFAULT_CODEC
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, TIME_UNITS
@@ -151,7 +152,7 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
 
 
 @documented()
-def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, dict[str, Any]]:
+def encoding(dataset: xr.Dataset, codec: Codec = DEFAULT_CODEC) -> dict[Hashable, dict[str, Any]]:
     """Return the xarray encoding that `to_store` uses, for writers other than hyperpaint.
 
     With it, `Dataset.to_zarr` into any Zarr v3 store (such as an icechunk session) uses chunks of 32 whole
@@ -179,7 +180,7 @@ def encoding(dataset: xr.Dataset, codec: Codec = "compact") -> dict[Hashable, di
     return {name: encoding_of(variable, codec) for name, variable in dataset.variables.items()}
 
 
-def encoding_of(variable: xr.Variable, codec: Codec = "compact") -> dict[str, Any]:
+def encoding_of(variable: xr.Variable, codec: Codec = DEFAULT_CODEC) -> dict[str, Any]:
     """Return the xarray encoding of a variable: chunks, codec, fill value, and units of time."""
     from zarr.codecs import BloscCodec, Crc32cCodec
 
@@ -322,7 +323,7 @@ def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], byte
 
 
 def encode_chunk(
-    block: np.ndarray[Any, Any], chunk: tuple[int, ...], fill: Any, codec: Codec = "compact"
+    block: np.ndarray[Any, Any], chunk: tuple[int, ...], fill: Any, codec: Codec = DEFAULT_CODEC
 ) -> tuple[bytes, bytes]:
     """Return a storage chunk as its bytes on disk: the blosc frame, and the crc32c that follows it.
 

@@ -21,6 +21,7 @@ from typing import Any, get_args
 import numpy as np
 import xarray as xr
 
+from hyperpaint.base.constants import DEFAULT_CODEC
 from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError, StoreError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
@@ -82,7 +83,7 @@ def to_store(
     overwrite: bool = False,
     progress: bool = False,
     source_token: str | None = None,
-    codec: layout.Codec = "compact",
+    codec: layout.Codec = DEFAULT_CODEC,
     layout: Layout = "cube",
 ) -> Any:
     """Write a dataset, or a tree of them, into a Zarr v3 store.
@@ -199,7 +200,7 @@ class Job:
     dataset: xr.Dataset  # As `layout.prepare` returns it
     token: str  # Names all that is stored: equal tokens, equal content
     settings: str = ""  # Of the run that writes it
-    codec: layout.Codec = "compact"
+    codec: layout.Codec = DEFAULT_CODEC
 
     @property
     def content(self) -> str:
@@ -533,7 +534,7 @@ def whole_run(
     *,
     command: str,
     overwrite: bool,
-    codec: layout.Codec = "compact",
+    codec: layout.Codec = DEFAULT_CODEC,
     take_up: TakeUp | None = None,
 ) -> Iterator[WholeRun]:
     """Hold a store for a run, and write its manifest if the run succeeds; a complete store is left unchanged.
@@ -802,7 +803,7 @@ def check_room(
     groups: Mapping[str, xr.Dataset],
     path: str | Path,
     tokens: Mapping[str, str],
-    codec: layout.Codec = "compact",
+    codec: layout.Codec = DEFAULT_CODEC,
 ) -> None:
     """Refuse groups (name to dataset for `to_store`) that together do not fit on a store's disk.
 
