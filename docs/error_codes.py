@@ -98,3 +98,7 @@ def _escaped(text: str) -> str:
     """Return a message as literal text on one line."""
     flat = re.sub(r"\s+", " ", text).strip().replace("`", "'")
     return f"``{flat}``"
+
+
+if __name__ == "__main__":
+    print(codes_page())
