@@ -384,7 +384,7 @@ def test_the_example_is_printed_and_help_teaches(hyperpaint: Hyperpaint) -> None
     assert hyperpaint("render", "--example").stdout == example_scene()
     shown = hyperpaint("render", "--help").stdout
     assert "hyperpaint render --example > scene.toml" in shown
-    assert "\n  render " in hyperpaint("--help").stdout
+    assert " render  " in hyperpaint("--help").stdout
 
 
 def test_pictures_are_drawn(hyperpaint: Hyperpaint, store: Path, tmp_path: Path) -> None:

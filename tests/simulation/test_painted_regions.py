@@ -93,7 +93,8 @@ def test_regions_say_what_is_known(rendered: Path) -> None:
 
 @pytest.mark.slow
 def test_simulate_process_signatures_validate_without_a_drawing(tmp_path: Path) -> None:
-    size = [text for name, value in SIZE.items() for text in (f"--{name}", value)]
+    size = [text for name, value in SIZE.items() if name != "fleet" for text in (f"--{name}", value)]
+    size += ["--set", f"fleet={SIZE['fleet']}"]
     assert run("simulate", tmp_path / "sim", *size).exit_code == 0
     assert run("process", tmp_path / "sim" / "collect.toml", "--out", tmp_path / "lot.zarr").exit_code == 0
     regions = tmp_path / "sim" / "regions.geojson"
