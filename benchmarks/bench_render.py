@@ -42,13 +42,11 @@ def prepared(samples):
 @functools.cache
 def lighting(smile=0.0):
     """Return what the tasks of a relighting share, for 272 bands."""
-    import dask
-
     from hyperpaint.simulation.camera import smile as shifts
-    from hyperpaint.simulation.rendering.camera_bands import BandSet
+    from hyperpaint.simulation.rendering.camera_bands import BandResponses, BandSet
     from hyperpaint.simulation.rendering.four_curves import preset_atmosphere
+    from hyperpaint.simulation.rendering.lighting import make_lighting
     from hyperpaint.simulation.rendering.painting import factor_spectra
-    from hyperpaint.simulation.rendering.relighting import _lighting
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     bands = BandSet.nano_hyperspec()
@@ -56,8 +54,8 @@ def lighting(smile=0.0):
     record = SceneRecord.of(scene())
     settings = prepared(64).settings
     sky = preset_atmosphere("noon")
-    light = _lighting(bands, record, settings, sky, factor_spectra(record, bands))
-    return dask.compute(light, scheduler="synchronous")[0]
+    factors = factor_spectra(record, bands)(BandResponses(bands).grid)
+    return make_lighting(bands, record.codes(settings), sky, settings, factors)
 
 
 @functools.cache

@@ -336,6 +336,6 @@ def test_wrong_optics(wrong: dict[str, Any]) -> None:
 
 
 def test_every_field_of_the_optics_makes_the_camera() -> None:
-    from hyperpaint.simulation.camera import CAMERA_FIELDS
+    from hyperpaint.simulation.settings import CAMERA_FIELDS
 
     assert {field.name for field in dataclasses.fields(OpticsSettings)} <= CAMERA_FIELDS

@@ -239,7 +239,7 @@ def test_the_report_of_a_line_without_a_sun(tmp_path: Path) -> None:
     nowhere = stored(scene(placed=False), tmp_path)
     done = run("report", nowhere, "--out", tmp_path / "a.html")
     assert done.exit_code == 0, done.output
-    assert "could not be detected: the sun" in (tmp_path / "a.html").read_text()
+    assert "could not be detected: the position of the sun" in (tmp_path / "a.html").read_text()
     done = run("report", nowhere, "--out", tmp_path / "b.html", "--sun-zenith", 30)
     assert done.exit_code == 0, done.output
     assert ">glint<" in (tmp_path / "b.html").read_text()
