@@ -101,7 +101,7 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
             out,
             "--keep",
             "glitter",
-        ): "no flag 'glitter'; flags are saturated",
+        ): "no flag 'glitter', expected some of saturated",
         (store, "--regions", drawn, "--out", store / "signatures"): "in the store itself",
         (store, "--regions", drawn, "--out", out, "--smooth", "box", "--window", "4"): "window 4",
         (
