@@ -541,15 +541,13 @@ def align(
         * ``alignment``: a sentence, after those of earlier corrections; ``alignment_state``: ``"applied"``,
           ``"not significant"``, ``"not applied"`` or ``"not compared"``.
         * ``alignment_shift``, ``alignment_shift_slope``: wavelength of the camera minus wavelength of the
-        record,
-          relative to their declarations, at 600 nm [nm], and its change over 100 nm [nm];
+          record, relative to their declarations, at 600 nm [nm], and its change over 100 nm [nm];
           ``alignment_width``: width of the record over the declared one [1], if all of it is the record's.
           Each with ``_u``.
         * ``alignment_departure``: joint departure of these from agreement, in standard uncertainties;
           ``alignment_effect``: largest relative change of irradiance [1].
         * ``alignment_residual``, ``alignment_residual_declared``: rms of the light's structure left in
-        radiance
-          over irradiance on average, relative, corrected and as declared [1].
+          radiance over irradiance on average, relative, corrected and as declared [1].
         * ``alignment_record_shift``, ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm],
           ``alignment_camera_width`` [1]: the share of each instrument, by the solar lines in the record.
           Each with ``_u``.
