@@ -129,7 +129,7 @@ def measured_shape(
         there = np.isfinite(density)
         bins = np.digitize(apart[there], edges) - 1
         inside = (bins >= 0) & (bins < edges.size - 1)
-        # noise is that of light counted: the brighter a line, the more it says
+        # shot noise dominates, so a brighter lamp line has more weight
         area = np.broadcast_to(lines.area[step, columns][:, None], density.shape)[there][inside]
         for row, value in zip(sums, (1.0, apart[there][inside], density[there][inside]), strict=True):
             row += np.bincount(bins[inside], area * value, row.size)

@@ -25,7 +25,7 @@ from hyperpaint.kernels.line_fits import (
     profiles,
 )
 
-#: Line shapes that a sweep distinguishes, and what the kernel calls them.
+#: Line shapes that a sweep distinguishes, with their numbers in the kernel.
 SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
 
 #: Share of the brightest column from which a column counts as lit.
@@ -343,7 +343,7 @@ def _peaks(parameters: Floats, shape: int, light: Light) -> Floats:
 
 def _area(window: Window, parameters: Floats, unit: Floats, used: Bools) -> tuple[Floats, Floats]:
     # Sum over all bands of each line, and the share of it that only the fit knows.
-    # What the bands that were read do not hold of a line lies beyond the edge of the array, or on bad
+    # The part of a lamp line outside the bands that were read lies beyond the edge of the array, or on bad
     # elements. Bands far apart, more than half a line's width, sum to a little more or less than the light,
     # depending on where between them it falls; the profile says how much.
     measured = np.where(used, window.values, 0.0).sum(axis=1)

@@ -21,7 +21,7 @@ from .wavelength_map import WavelengthMap
 
 Tick = Callable[[], None]
 
-#: Where a noise model comes from; a third source is what the sweep states.
+#: Sources of a noise model; the third source is the sweep's own statement.
 FROM_FRAMES, FROM_SCATTER = "variance of the frames", "scatter of the bands off the lines"
 
 _CLIPPED = 3  # bands of a column that reach the highest count of the sweep: a line does so in one, or two

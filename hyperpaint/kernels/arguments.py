@@ -292,7 +292,7 @@ class LinePositions(NamedTuple):
     #: east, north (line, column) float64: of successive lines [m]; NaN where unknown
     east: Array
     north: Array
-    #: east_before, north_before (column,) float64: of the line before; NaN where there is none
+    #: east_before, north_before (column,) float64: of the line before; NaN for the first line
     east_before: Array
     north_before: Array
     #: (line, column - 1) bool: whether two pixels, with those of the line before, span no patch; empty where

@@ -66,7 +66,7 @@ def _along(c: Array, e: float, n: float, u: float, direction: Vector) -> Parabol
 
 @borrowing_kernel
 def _first_zero(a: float, b: float, c: float) -> float:
-    # Smallest s > 0 with a + b s + c s s = 0, for a > 0 and b < 0; NaN where there is none.
+    # Smallest s > 0 with a + b s + c s s = 0, for a > 0 and b < 0; NaN without a solution.
     if not (a > 0.0 and b < 0.0):
         return math.nan
     inside = b * b - 4.0 * a * c

@@ -103,7 +103,7 @@ class _Sensor(NamedTuple):
         return np.asarray((1.0 - diffuse) * beam[:, None] + self.of_sky() * sky)
 
 
-#: What the attribute ``irradiance_mount`` of a levelled record begins with.
+#: Start of the attribute ``irradiance_mount`` of a levelled record.
 _LEVELLED = "aircraft, corrected to level"
 
 

@@ -38,7 +38,7 @@ from .trajectories import CONVENTION
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
 
-#: Opens the names of what a real sweep would not know.
+#: Prefix of variables that only a simulated sweep has.
 TRUTH = "true_"
 
 _MASKS = {

@@ -339,7 +339,7 @@ class Sweep:
         return self._average(self.signal(step), dark, settings.frames, rng)
 
     def dark(self, step: int) -> Frames:
-        # Dark frames of a step, or, with one dark for all, that of step 0.
+        # Dark frames of a step; with one dark for all steps, the dark of step 0.
         settings = self.settings.camera
         level = self.camera.detector(float(self.settings.dark_exposure_time[step])).dark
         rng = self._rng(_DARK_NOISE, step) if settings.noise and settings.dark_noise else None

@@ -180,7 +180,7 @@ _ALPHA = tuple(
 _SCALE = 0.9996 * _A / (1 + _N) * (1 + _N**2 / 4 + _N**4 / 64 + _N**6 / 256)
 
 
-#: What angles, heights and columns of a simulated flight mean.
+#: Conventions of angles, heights and columns of a simulated flight.
 CONVENTION = {
     "roll_positive": "right_wing_down",
     "pitch_positive": "nose_up",

@@ -94,7 +94,7 @@ class Measured:
     instrument: str  # Its make
     serial: str  # Serial number of the instrument, or a similar text; may be empty
     # wavelength, fwhm, values (channel,), float64: Increasing wavelengths [nm], widths of channels [nm],
-    # reflectance [1], NaN where there is none
+    # reflectance [1], NaN without a value
     wavelength: Floats
     fwhm: Floats
     values: Floats

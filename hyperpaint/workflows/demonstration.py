@@ -44,7 +44,7 @@ MAX_RMSE = 0.005
 #: Of the scene's mean spectrum in the oxygen window, relative.
 MAX_OXYGEN = 0.002
 
-#: What makes the demonstration's collect a real one, beside noise and a clock 37.25 s slow.
+#: Effects of a real collect in the demonstration, beside noise and a clock 37.25 s slow.
 EFFECTS: dict[str, Any] = {"smile_nm": 0.5, "dropped": 3, "glint": 0.002, "drift_per_minute": 0.02}
 
 

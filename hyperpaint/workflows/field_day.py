@@ -24,11 +24,11 @@ from hyperpaint.regions import Regions, read_regions
 
 from .maps import map_of_store, mosaic_of_store, write_map
 
-#: What a field day is made of, in this order; each may be left out, but for the first.
+#: Steps of a field day, in this order; all but the first may be skipped.
 STEPS = ("process", "signatures", "validate", "map", "mosaic", "dirsig", "report")
 
-#: What every step was made from, and what it wrote: a step of the same inputs is not done again, and what
-#: something else wrote is not replaced unasked.
+#: File with the inputs and outputs of every step: a step with equal inputs is not repeated, and files that
+#: another program wrote are replaced on request only.
 RECORD = "steps.json"
 
 _PRODUCTS = {

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from hyperpaint.io.store.writer import Job
     from hyperpaint.radiometry.slabs import Plan
 
-#: What is made of counts in flight.
+#: Variables computed from counts in flight.
 PRODUCTS = ("reflectance", "quality")
 
 

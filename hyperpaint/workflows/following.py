@@ -46,10 +46,9 @@ if TYPE_CHECKING:
 POLL_S = 0.1
 #: Time without growth after which a flight counts as ended [s].
 IDLE_S = 10.0
-#: How long what follows the last line is waited for: until nothing more comes, and as long as the record
-#: belongs to the line [s].
+#: Wait after the last line: for further lines, and for the irradiance record of the line [s].
 QUIET_S, RECORD_S = 3.0, 60.0
-#: Lines that are planned together at the most: what is read for a plan does not grow with the flight.
+#: Maximum number of lines planned together, so that the data read for a plan do not grow with the flight.
 WINDOW_LINES = 2048
 #: Rows of the navigation and files of the record that are read again from before the first line.
 MARGIN_POSES, MARGIN_SPECTRA = 500, 30

@@ -19,7 +19,7 @@ from hyperpaint.io.store.manifest import Manifest, content_of
 
 from .store_inputs import inputs_digest
 
-#: What a cube holds; the first of them that a line has is what its file holds.
+#: Possible variables of a raw cube; the first that a line has is the one in its file.
 _RAW = ("counts", "radiance")
 
 

@@ -1,4 +1,4 @@
-"""Rendering of a ``scene.toml``: what is seen, where from, by what, in which light.
+"""Rendering of a ``scene.toml``: scene, flight, camera and light.
 
 The tables of the file, each key with its unit in its name; `EXAMPLE` shows them all (``hyperpaint render
 --example``):

@@ -20,7 +20,7 @@ from .sightings import Sightings, sightings_of
 
 _ANGLES = ("roll", "pitch", "heading")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
-#: Uncertainty, of picking to one pixel, beyond which points add nothing to what is known without them.
+#: Uncertainty with points picked to one pixel, above which the points add no information [degree, m, s].
 _MAX_SD = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
 _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
 

@@ -18,8 +18,8 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
 _CUBES = ("counts", "radiance", "reflectance")
-#: Bands averaged: enough against noise, without reading what adds nothing.
-_MOST_BANDS = 12
+#: Bands to average: more would not reduce the noise further.
+_MAX_BANDS = 12
 #: Where a silicon camera sees best, and the atmosphere lets it [nm].
 _WAVELENGTHS = (500.0, 850.0)
 
@@ -58,7 +58,7 @@ def _bands(line: xr.Dataset) -> Ints:
         if "good" in line.variables:
             inside &= np.asarray(line["good"].values, bool)
         chosen = np.flatnonzero(inside) if inside.any() else chosen
-    spread = np.linspace(0, chosen.size - 1, min(_MOST_BANDS, chosen.size))
+    spread = np.linspace(0, chosen.size - 1, min(_MAX_BANDS, chosen.size))
     return np.asarray(chosen[np.unique(np.round(spread).astype(np.int64))])
 
 

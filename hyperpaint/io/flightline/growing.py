@@ -124,7 +124,7 @@ class GrowingLine:
     def header(self) -> EnviHeader:
         """Layout of the samples of the cubes."""
         if self._header is None:
-            # that of a dark cube of this camera until the line has its own
+            # header of a dark cube of this camera, until the line has a header
             dark = None if self._inputs is None else self._inputs.dark
             source = self._own_header() or (find_pair(dark[0])[0] if isinstance(dark, tuple) else None)
             if source is None:

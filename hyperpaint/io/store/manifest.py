@@ -5,8 +5,8 @@ is written last. For every group it records
 
 * ``content``: path, inputs and settings, equal to the group's attribute `CONTENT`;
 * ``metadata``: the crc32c of its ``zarr.json``, read as JSON, and those of its arrays;
-* for each array the number of its chunks, and a digest over their keys and the crc32c at the end of each
-chunk.
+* for each array the number of its chunks, and a digest over their keys and the crc32c at the end
+  of each chunk.
 
 A writer first records the groups it is about to publish (`Write`), so that a store whose writer
 was killed is known to be unfinished. All else can be derived from the files; only the

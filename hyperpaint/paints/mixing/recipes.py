@@ -233,7 +233,7 @@ def _require(library: xr.Dataset) -> None:
 
 
 def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats]:
-    # Spectra to mix by variable, float64 [1]; of all paints where `parents` is None
+    # Spectra to mix by variable, float64 [1]; `parents` None selects all paints
     if parents is not None:
         names = [str(name) for name in library[SIGNATURE].values]
         library = library.isel({SIGNATURE: [names.index(name) for name in parents]})

@@ -33,7 +33,7 @@ class MeanErrors(NamedTuple):
     #: (source, band) float64: standard uncertainty by each; with its sign where all bands share the error
     sizes: Floats
     u_random: Floats  #: (band,) float64: uncertainty by errors that bands do not share
-    #: (lag, band) float32: correlation of that error with a band's so many after; NaN where there is none
+    #: (lag, band) float32: correlation of that error with the band `lag` bands later; NaN beyond the last
     correlation: Array
 
     @property

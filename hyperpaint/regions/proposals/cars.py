@@ -178,7 +178,7 @@ class LevelRules:
     #: Range in which its edges are searched, in half widths from its windows.
     edge_span: tuple[float, float] = (0.7, 1.25)
     #: Factor by which brightness falls at an edge within `edge_px`, at least: windows reflect less than half
-    #: of what paint does, unless that is dark [1].
+    #: as much as paint that is not dark [1].
     min_edge_ratio: float = 1.2
     edge_px: float = 1.5  #: Distance over which an edge falls: a sampled edge is one to two wide [pixel].
     steps_per_px: int = 4  #: Samples a pixel of a profile across a roof: a tenth of the error of its place.

@@ -10,9 +10,9 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.simulation.paint_spectra import Bump, Edge, Feature, Paint
 
-#: What `generate_paint` makes: titanium white; a coloured pigment; the same in a white base; carbon in a
-#: white base; carbon; a dye that is black to the eye and transparent in the near infrared; colour over
-#: aluminium flakes; colour among mica flakes with an interference colour.
+#: Kinds of base coat of `generate_paint`: titanium white; a coloured pigment; the same in a white base;
+#: carbon in a white base; carbon; a dye that is black to the eye and transparent in the near infrared; colour
+#: over aluminium flakes; colour among mica flakes with an interference colour.
 FAMILIES = ("white", "solid", "tinted", "grey", "carbon_black", "ir_black", "metallic", "pearl")
 
 

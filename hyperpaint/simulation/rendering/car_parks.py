@@ -260,7 +260,7 @@ def _level(west: float, east: float, south: float, north: float, surface: str, h
     )
 
 
-#: What may stand around the cars.
+#: Kinds of objects around the cars.
 NEIGHBOURS = ("trees", "walls", "hedges", "lamps")
 
 _PANEL_SIZE, _PANEL_PERIOD, _PANEL_START = 0.90, 30.0, 1.4  # grey panels lie along the aisle [m]
@@ -425,7 +425,7 @@ _FLEET_SIZE = 5000
 
 _GLOSS = Coat(1.5, 0.02, waviness=0.0)  # glass has no orange peel
 
-#: What all that is no car paint is made of, by the words that meshes use.
+#: Materials other than car paint, by the names that meshes use.
 _SURROUNDINGS = {
     name: Material(name, spectrum, kind, coat)
     for name, spectrum, kind, coat in (

@@ -64,7 +64,7 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
     for octaves, material, place, rows in members:
         # members over their mean, darkest first
         ratio = np.minimum(np.clip(rows, 0.0, 1.0) / np.maximum(rows.mean(axis=0), _MIN_MEAN), _MAX_RATIO)
-        # what was cut off below 0 or above 1 must not change the mean
+        # clipping to 0 and 1 must not change the mean
         ratio /= np.maximum(ratio.mean(axis=0), _MIN_MEAN)
         ratios.append(ratio[np.argsort(rows.mean(axis=1), kind="stable")])
         factors.append(np.full(len(rows), place, np.int64))

@@ -17,7 +17,7 @@ from hyperpaint.simulation.setting_checks import check_choice
 
 from .materials import Material
 
-#: What a thing in a scene can be.
+#: Kinds of instances of a scene.
 INSTANCE_KINDS = ("ground", "car", "tree", "wall", "panel", "other")
 
 #: Parts of a car; the place in this tuple is the number in `Scene.face_part`, and 0 is no part.

@@ -33,7 +33,7 @@ from .fleet import DIRT, FleetPaint, fleet_paint
 from .materials import Coat, Flakes, Material, coated_reflectance
 from .weathering import WEATHERED, Weathered, leaf_transmittance
 
-#: What a paint looks like when one walks around it.
+#: Finishes of a paint, which differ in their change with the angle of view.
 FINISHES = ("solid", "metallic", "pearl")
 
 _ADJECTIVES = (

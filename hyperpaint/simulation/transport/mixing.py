@@ -135,7 +135,7 @@ def mix_shifted(
         For shapes that do not fit, and rows or nodes outside the table.
     """
     spectra = np.ascontiguousarray(table, np.float32)
-    # refuse what the loops would read or write outside of
+    # refuse shapes with which the loops would leave their arrays
     lines, _, columns = weight.shape
     shape = spectra.shape[1:]
     if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
