@@ -31,7 +31,7 @@ class Coat:
     @property
     def attrs(self) -> dict[str, str]:
         """Attributes on the treatment."""
-        source = "told by the library" if self.is_declared else "not told by the library, taken to be so"
+        source = "stated by the library" if self.is_declared else "not stated by the library, assumed"
         term = (
             "none: reflectance is diffuse"
             if self.specular == 0.0

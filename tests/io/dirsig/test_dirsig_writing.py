@@ -380,7 +380,7 @@ def test_a_coat_does_not_count_twice(tmp_path: Path) -> None:
         hp.write_dirsig(library(), tmp_path / "out", specular=0.1)
     made = hp.write_dirsig(library(mirror_reflection="included"), tmp_path / "out")
     assert made.attrs["mirror_reflection"] == "included"
-    assert made.attrs["mirror_reflection_source"] == "told by the library"
+    assert made.attrs["mirror_reflection_source"] == "stated by the library"
 
 
 @pytest.mark.parametrize("attrs", [{"mirror_reflection": "excluded"}, {"mirrored_sky_removed": "F0 0.04"}])
