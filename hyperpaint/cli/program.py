@@ -38,7 +38,6 @@ GROUPS = {
         "check": "Check whether the inputs of a collect are plausible.",
         "process": "Process a collect into a store of reflectance.",
         "virtual": "Write a store that refers to the raw cubes.",
-        "follow": "Process a flight while it is recorded.",
         "calibrate": "Turn a lab sweep into a calibration.",
         "orthorectify": "Resample a flight line to a map.",
         "mosaic": "Combine flight lines on one map.",
@@ -68,7 +67,7 @@ GROUPS = {
 }
 
 #: Commands that resume an interrupted run.
-RESUMED = ("follow", "process", "render", "run")
+RESUMED = ("process", "render", "run")
 
 #: Commands that plan their memory, also without ``--memory-limit``.
 PLANNED = ("detect", "mosaic", "orthorectify", "render", "report", "signatures", "site")
