@@ -11,14 +11,12 @@ import functools
 import uuid
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import dask.array as da
 import numpy as np
 import xarray as xr
-from dask.base import tokenize
-from dask.delayed import Delayed
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import lines_a_task
@@ -140,12 +138,6 @@ def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
     return np.exp(total)
 
 
-_OF_LINES = ("dark_index", "dark_weight", "line_flags")
-#: Fields of a plan that enter a slab through `Plan.light`.
-_IN_LIGHT = ("rate", "scale", "panel_weights", "series", "lines")
-_OF_NO_SLAB = ("closure", "panel_u", "misfit", "starts")
-
-
 @dataclass(frozen=True)
 class Plan:
     """Inputs of a slab besides its counts."""
@@ -198,19 +190,6 @@ class Plan:
         )
         warnings.warn(PaintWarning(text, code="counts-averaged"), stacklevel=2)
         return text
-
-    def digest(self, start: int, stop: int) -> str:
-        """Return a digest of the kernels' inputs for lines ``start`` to ``stop``, besides their counts."""
-        lines = [getattr(self, name)[start:stop] for name in _OF_LINES]
-        smear = None if self.stray is None else self.stray.smear[start:stop]
-        return str(tokenize(self._shared, lines, smear, self.light(start, stop)))
-
-    @functools.cached_property
-    def _shared(self) -> str:
-        # Digest of the inputs of every slab; a new field is included until it is excepted here
-        names = {field.name for field in fields(self)} - {*_OF_LINES, *_IN_LIGHT, *_OF_NO_SLAB, "stray"}
-        stray = None if self.stray is None else self.stray._replace(smear=np.empty(0))
-        return str(tokenize([getattr(self, name) for name in sorted(names)], stray))
 
     def light(self, start: int, stop: int) -> Array:
         """Return the kernel's factors or divisors of lines, (line, band, cell, 1 or 4), float32."""
@@ -367,21 +346,6 @@ def of_panels(plan: Plan, name: str) -> Array:
         names = {"scale_u": plan.panel_u, "factor_u": plan.closure.u}
         array = names[name] if name in names else getattr(plan.closure, name)
     return array.astype(np.float32) if array.dtype == np.float64 else array
-
-
-def plan_of(cube: da.Array) -> Plan:
-    """Return the plan of a cube or quality that `calibrated` returned."""
-    graph = cube.__dask_graph__()
-    pending = [cube.name]
-    while pending:
-        key = pending.pop(0)
-        if key.startswith("make_plan-"):
-            plan: Plan = Delayed(key, graph).compute(scheduler="sync")
-            return plan
-        pending += graph.dependencies[key]
-    raise SchemaError(
-        "this array has no plan", expected="an array that hyperpaint calibrated", code="plan-missing"
-    )
 
 
 def calibrated(

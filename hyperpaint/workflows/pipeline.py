@@ -28,7 +28,7 @@ from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
 from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
 from hyperpaint.io.store.layout import Codec, Layout, with_layout
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
-from hyperpaint.io.store.writer import TakeUp, check_codec, check_room, run_contents, whole_run
+from hyperpaint.io.store.writer import check_codec, check_room, run_contents, whole_run
 
 from .collect_check import check_accepted, refuse_findings, warn_of_flags
 from .store_inputs import finishing_command, inputs_digest, refuse_to_write_over, settings_of
@@ -311,12 +311,8 @@ def run(
     progress: bool = False,
     codec: Codec = DEFAULT_CODEC,
     layout: Layout = "cube",
-    take_up: TakeUp | None = None,
 ) -> Outcome:
-    """Process a collect, as `process` does with the same arguments, and return the groups written.
-
-    ``take_up`` hands over blocks of a line in flight (`hyperpaint.workflows.following`).
-    """
+    """Process a collect, as `process` does with the same arguments, and return the groups written."""
     from hyperpaint.io.store.budget import limited_threads, parse_size, share_one_heap
 
     problems = Problems("cannot process", SchemaError)
@@ -380,7 +376,6 @@ def run(
                 command=command,
                 overwrite=overwrite,
                 codec=codec,
-                take_up=take_up,
             )
         )
         for name, dataset in products.items():

@@ -497,19 +497,16 @@ def _panels(reader: _Reader) -> Iterator[PanelEntry]:
         yield PanelEntry(table["line"], along, across, factor, table.get("uncertainty", 0.0), tilt)
 
 
-def parse_collect(
-    path: Path, problems: Problems, *, need_irradiance: bool, tables: Mapping[str, Any] | None = None
-) -> Collect:
+def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:
     """Return the valid part of a ``collect.toml``, so that the files that it names can be checked as well.
 
     ``path``: the file; ``problems``: takes the faults; ``need_irradiance``: false where only radiance is
-    wanted; ``tables``: its content, where it differs from the file. The fault of an `Unavailable` input has
-    been noted.
+    wanted. The fault of an `Unavailable` input has been noted.
 
     Raises `CollectError`: The file cannot be read, or is not TOML.
     """
     try:
-        reader = _Reader(path, load_tables(path, "a collect.toml") if tables is None else tables, problems)
+        reader = _Reader(path, load_tables(path, "a collect.toml"), problems)
     except FormatError as error:
         fault = error.problem
         raise CollectError(fault.found, expected=fault.expected, mend=fault.mend, code=fault.code) from error

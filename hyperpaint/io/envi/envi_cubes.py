@@ -27,7 +27,7 @@ from hyperpaint.base.input_files import input_path, is_plain_file
 from .envi_array import EnviArray, Scaling
 from .envi_header import EnviHeader, read_header
 
-DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
+_DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
 # axes of the file, slowest first
 _FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
@@ -67,12 +67,12 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
 
 def _data_of(header: Path) -> Path:
     whole = header.with_suffix("")
-    suffixes = [suffix for lower in DATA_SUFFIXES for suffix in (lower, lower.upper())]
+    suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
     candidates = _existing([whole]) or _existing([Path(f"{whole}{suffix}") for suffix in suffixes])
     if not candidates:
         raise FormatError(
             f"ENVI header {str(header)!r} has no data file beside it",
-            expected=f"{whole.name!r}, with no suffix or with one of {' '.join(DATA_SUFFIXES)}",
+            expected=f"{whole.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
             code="data-file-missing",
         )
     if len(candidates) > 1:

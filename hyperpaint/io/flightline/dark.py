@@ -78,9 +78,9 @@ def open_dark(
     """Open the dark references of a line.
 
     ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
-    ``"calibration"``; a `Dark`; ``timing``: clock settings of the flight, which hold for
-    ``frameIndex_<N>.txt`` and ``imu_gps.txt`` beside a dark cube; ``calibration``: of the camera, or None
-    where it failed to open; ``cube``: the line's counts, or None where they failed to open.
+    ``"calibration"``; ``timing``: clock settings of the flight, which hold for ``frameIndex_<N>.txt`` and
+    ``imu_gps.txt`` beside a dark cube; ``calibration``: of the camera, or None where it failed to open;
+    ``cube``: the line's counts, or None where they failed to open.
 
     Returns Dark or None: Several references whose times are known are kept along ``dark_time``; otherwise
     they are averaged. None where the cube or the calibration failed to open.
@@ -105,8 +105,6 @@ def open_dark(
         return Dark(zeros, (None,), None, DARK_NONE)
     if isinstance(source, str) and source == _DARK_OF_CALIBRATION:
         return None if calibration is None else _given(calibration, shape, "the calibration")
-    if isinstance(source, Dark):
-        return source
     if isinstance(source, xr.Dataset) and "dark_counts" in source:
         return _given(source, shape, "a Dataset")
     several: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]

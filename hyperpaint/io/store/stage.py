@@ -72,10 +72,6 @@ class Staging:
         """Return the builds of a group with the same content that earlier attempts left."""
         return [entry.path for entry in self._builds() if (entry.group, entry.content) == (group, content)]
 
-    def begun(self) -> list[str]:
-        """Return the groups with builds of earlier attempts."""
-        return list(dict.fromkeys(entry.group for entry in self._builds()))
-
     def discard_others(self, group: str, content: str) -> None:
         for entry in self._builds():
             if entry.group == group and entry.content != content:
@@ -189,11 +185,6 @@ class Staging:
                     f"{place} is a link", expected="plain files and folders in a store", code="link-refused"
                 )
         return place
-
-
-def flight_content(codec: str) -> str:
-    """Return the content name of a group whose flight line is still being recorded."""
-    return f"flight_{codec}"
 
 
 def discard(build: Path) -> None:

@@ -67,10 +67,7 @@ from .manifest import (
     seal_of,
     store_state,
 )
-from .stage import Staging, clear_up, discard, flight_content, staging
-
-# Called before a group is written, to move blocks written elsewhere to its build.
-TakeUp = Callable[[Staging, "Job"], None]
+from .stage import Staging, clear_up, discard, staging
 
 
 @takes_quantities()
@@ -230,7 +227,7 @@ class _StoreWriter:
         attrs: Mapping[str, Any],
         pending: Collection[str],
     ) -> None:
-        self._location, self.stage, self._manifest, self._write = location, stage, manifest, write
+        self._location, self._stage, self._manifest, self._write = location, stage, manifest, write
         self._attrs, self._pending = attrs, pending
         self._documents: dict[str, Any] = {}  # Metadata of written nodes, by path
         self._entries: dict[str, GroupEntry] = {}
@@ -246,7 +243,7 @@ class _StoreWriter:
         if job.group not in self._pending:
             return lambda: None
         with limited_threads(_check_room([job], self._location)):
-            if self.stage is None:  # behind a URL: in place, the group's own metadata last
+            if self._stage is None:  # behind a URL: in place, the group's own metadata last
                 self.announce(job.group)
                 old = (
                     [job.group]
@@ -259,7 +256,7 @@ class _StoreWriter:
                 files, sums = _write_arrays(job, place, [], progress=progress)
                 place.write_files({METADATA: json.dumps(self._note(job, files, sums)).encode()})
                 return lambda: None
-            stage = self.stage
+            stage = self._stage
             stage.discard_others(job.group, job.build)
             leftovers = stage.leftovers(job.group, job.build)
             folder = stage.build(job.group, job.build)
@@ -468,10 +465,8 @@ class WholeRun:
     killed run leaves at most two unfinished.
     """
 
-    def __init__(
-        self, writer: _StoreWriter | None, location: Location, codec: layout.Codec, take_up: TakeUp | None
-    ) -> None:
-        self._writer, self._location, self._codec, self._take_up = writer, location, codec, take_up
+    def __init__(self, writer: _StoreWriter | None, location: Location, codec: layout.Codec) -> None:
+        self._writer, self._location, self._codec = writer, location, codec
         self._pool = ThreadPoolExecutor(1, "hyperpaint-place")
         self._placing: Future[None] | None = None
         self._placed: dict[str, xr.Dataset] = {}
@@ -491,8 +486,6 @@ class WholeRun:
         job = Job(group, layout.prepare(dataset, group), token, settings, self._codec)
         shown = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
         with shown, errors_of_the_system(self._location, {group: dataset}):
-            if self._take_up is not None and self._writer.stage is not None:
-                self._take_up(self._writer.stage, job)
             place = self._writer.begin(job, progress=progress)
         self.settle()
         self._placed = {group: dataset}
@@ -535,13 +528,12 @@ def whole_run(
     command: str,
     overwrite: bool,
     codec: layout.Codec = DEFAULT_CODEC,
-    take_up: TakeUp | None = None,
 ) -> Iterator[WholeRun]:
     """Hold a store for a run, and write its manifest if the run succeeds; a complete store is left unchanged.
 
     ``contents``: of every group of the run, see `run_contents`; ``pending``: those that it will write;
     ``attrs``: of the root; ``command``: finishes an interrupted run, with ``{store}`` for the path;
-    ``codec``: of `to_store`; ``take_up``: see `TakeUp`.
+    ``codec``: of `to_store`.
 
     Raises `StoreError`: another writer is at work, or the store cannot be written. `IncompleteStoreError`:
     groups of this run, or of another unfinished one, are missing at the end.
@@ -559,7 +551,7 @@ def whole_run(
                 )
                 if len(pending) > 1 and not location.has(METADATA):  # so that verify tells how to resume
                     writer.announce(next(iter(contents)))
-        run = WholeRun(writer, location, codec, take_up)
+        run = WholeRun(writer, location, codec)
         with contextlib.closing(run):
             yield run
             run.settle()
@@ -819,12 +811,7 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
     if location.local is None or not jobs:
         return
     stage = Staging(real_folder(location.local))
-    begun = [
-        folder
-        for job in jobs
-        for content in (job.build, flight_content(job.codec))
-        for folder in stage.leftovers(job.group, content)
-    ]
+    begun = [folder for job in jobs for folder in stage.leftovers(job.group, job.build)]
     check_disk(location.local, sum(disk_needed(job.dataset, job.codec) for job in jobs), begun)
 
 
