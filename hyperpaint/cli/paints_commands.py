@@ -587,7 +587,7 @@ def check_library(ctx: click.Context, /, library: Path) -> None:
         ctx.exit(FAILED_CHECK)
 
 
-_LIBRARIES = ("envi", "csv", "parquet", "ecostress", "zarr")
+_LIBRARIES = ("envi", "csv", "parquet", "zarr")
 _OF_SCENES = {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves", "coat_brdf"}
 _NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
 
@@ -600,8 +600,7 @@ Examples:
   hyperpaint export paints.zarr --format dirsig --out dirsig --scene-materials scene.mat
   hyperpaint export paints.zarr --format dirsig --out lot --scene scene.toml
   hyperpaint export paints.zarr --format csv --out paints.csv
-  hyperpaint export paints.zarr --format envi --out paints.sli --curves all
-  hyperpaint export paints.zarr --format ecostress --out spectra""",
+  hyperpaint export paints.zarr --format envi --out paints.sli --curves all""",
 )
 @click.argument("library", metavar="LIBRARY", type=EXISTING)
 @click.option(
@@ -609,7 +608,7 @@ Examples:
     "form",
     required=True,
     type=click.Choice(["dirsig", *_LIBRARIES]),
-    help="DIRSIG materials, an ENVI .sli, a table in CSV or Parquet, one text file a paint, or a Zarr store.",
+    help="DIRSIG materials, an ENVI .sli, a table in CSV or Parquet, or a Zarr store.",
 )
 @click.option(
     "--out",

@@ -79,9 +79,7 @@ def test_options_of_dirsig(export: Export, store: Path, tmp_path: Path) -> None:
     assert (done.exit_code, "expected a number or 'library'" in done.output) == (2, True)
 
 
-@pytest.mark.parametrize(
-    ("form", "name"), [("envi", "p.sli"), ("csv", "p.csv"), ("ecostress", "p"), ("zarr", "p.zarr")]
-)
+@pytest.mark.parametrize(("form", "name"), [("envi", "p.sli"), ("csv", "p.csv"), ("zarr", "p.zarr")])
 def test_libraries(form: str, name: str, export: Export, store: Path, tmp_path: Path) -> None:
     done = export(store, "--format", form, "--out", tmp_path / name)
     assert done.exit_code == 0, done.output
@@ -167,7 +165,7 @@ from click.testing import CliRunner
 from hyperpaint.cli.program import main
 for name, format, *more in (
     ("a.sli", "envi", "--curves", "all"), ("b.csv", "csv", "--curves", "all"),
-    ("c.parquet", "parquet", "--curves", "all"), ("d", "dirsig"), ("e", "ecostress"),
+    ("c.parquet", "parquet", "--curves", "all"), ("d", "dirsig"),
 ):
     words = ["export", sys.argv[1], "--format", format, "--out", f"{sys.argv[2]}/{name}", *more]
     done = CliRunner().invoke(main, words, catch_exceptions=False)

@@ -73,10 +73,10 @@ def test_what_is_not_there(tmp_path: Path) -> None:
         describe_path(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr", "paints"])
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints.zarr"])
 def test_a_paint_library(tmp_path: Path, name: str) -> None:
     library = make_library().isel(band=[0, 1, 4])
-    path = hp.write_library(library, tmp_path / name, format=None if "." in name else "ecostress")
+    path = hp.write_library(library, tmp_path / name)
     text = describe_path(path)
     assert "Grün; Grün" in text
     assert "reflectance" in text
@@ -84,3 +84,8 @@ def test_a_paint_library(tmp_path: Path, name: str) -> None:
     if path.suffix != ".zarr":
         assert "5 spectra" in text
         assert "make" in text
+
+
+def test_a_folder_of_texts_of_single_spectra() -> None:
+    folder = Path(__file__).parents[1] / "io" / "library" / "conformance" / "ecostress"
+    assert "3 spectra" in describe_path(folder)

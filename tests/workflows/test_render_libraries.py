@@ -55,7 +55,6 @@ def dirsig(part: str, **options: str) -> Write:
         ("x.sli", export(), NAMES),
         ("x.sli", export(curves="all"), NAMES),
         ("x.csv", export(), NAMES),
-        ("x", export(format="ecostress"), NAMES),
         ("x", dirsig(""), NAMES),
         ("x", dirsig("materials.mat"), NAMES),
         ("x", dirsig("materials.mat", surface="SimpleReflectance"), NAMES),

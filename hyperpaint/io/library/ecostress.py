@@ -8,24 +8,19 @@ from __future__ import annotations
 
 import json
 import re
-import unicodedata
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE
-from hyperpaint.io.files.publishing import published_folder
-from hyperpaint.io.files.reading import decoded_text, number, numbers, unique_names
+from hyperpaint.io.files.reading import number, numbers
 
 from .column_quantities import without_repeats
 from .library_spectra import Spectra, reflectances, text_column
-from .metadata import paint_columns, typed_values
-from .records import CENTRE, names_of
+from .metadata import typed_values
 from .text_spectra import (
     PERCENT,
     in_nanometres,
@@ -61,7 +56,7 @@ _KEYS = (
     "Additional Information",
 )
 
-#: Opens the additional information of files that `hyperpaint.write_library` wrote; JSON follows.
+#: Opens the additional information of files that hyperpaint 0.1 and 0.2 wrote; JSON follows.
 _METADATA = "hyperpaint metadata "
 
 _KEY = re.compile(rf"\s*({'|'.join(map(re.escape, _KEYS))})\s*:(.*)", re.IGNORECASE)
@@ -195,148 +190,3 @@ def _metadata_column(name: str, value: Any, source: str) -> Any:
         expected="text or a number",
         code="metadata-damaged",
     )
-
-
-_SUFFIX = ".spectrum.txt"
-_MAX_STEM_CHARS = 80
-_SPELLINGS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
-_RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))}
-_MAX_SHOWN = 5
-
-_MEASUREMENT = "Hemispherical-conical reflectance factor"
-
-#: Keys of a header before those of the axes, the coordinate of each, and its default.
-_SAMPLE = (
-    ("Type", "type", "manmade"),
-    ("Class", "class", "Paint"),
-    ("Subclass", "subclass", "none"),
-    ("Particle Size", "particle_size", "Solid"),
-    ("Sample No.", "sample_no", "none"),
-    ("Owner", "owner", "none"),
-    ("Wavelength Range", "wavelength_range", "none"),
-    ("Origin", "origin", "none"),
-    ("Collection Date", "collection_date", "N/A"),
-    ("Description", "description", "none"),
-    ("Measurement", "measurement", _MEASUREMENT),
-)
-
-
-def write_ecostress_library(
-    library: xr.Dataset, path: Path, *, overwrite: bool, progress: Callable[[int, int], None] | None
-) -> None:
-    """Write the centre of every paint of a checked library to one text file each.
-
-    Bands that are not good, and bands at which no paint has a value, are left out. Other columns of the
-    paints, of text or numbers, are written as JSON in "Additional Information".
-
-    Raises SchemaError: Names cannot be written; or a paint has no value at a band at which others have one,
-        since the format knows no missing values.
-    Raises StoreError: The folder exists, holds something else, or cannot be written.
-    """
-    names = names_of(library)
-    if broken := [name for name in names if name != name.strip()]:
-        raise SchemaError(
-            f"{len(broken)} names begin or end with blanks, such as {broken[0]!r}, which a header drops",
-            mend="rename them",
-            code="name-unwritable",
-        )
-    values = np.asarray(library[CENTRE].values, np.float64)
-    used_bands = np.isfinite(values).any(axis=0)
-    if "good" in library.variables:
-        used_bands &= np.asarray(library["good"].values, np.bool_)
-    values = values[:, used_bands]
-    # the format knows no missing values
-    problems = Problems("the library cannot be written as ECOSTRESS text", SchemaError)
-    gaps = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    for at in gaps[:_MAX_SHOWN]:
-        missing = int((~np.isfinite(values[at])).sum())
-        problems.add(
-            f"paint {names[at]!r} has no value at {missing} of {values.shape[1]} bands", code="value-missing"
-        )
-    if gaps.size:
-        problems.add(
-            f"{gaps.size} paints have gaps",
-            mend="choose bands that all have (.isel(band=...)), or another format",
-            code="value-missing",
-        )
-    if not values.size:
-        problems.add("no good band has values", code="empty-input")
-    problems.raise_if_any()
-    # fields that the library declares once; columns of single paints win
-    micrometres = np.asarray(library["wavelength"].values, np.float64)[used_bands] / 1e3
-    mirrored = library[CENTRE].attrs.get("mirror_reflection")
-    common = {
-        "origin": library.attrs.get("source"),
-        "measurement": f"{_MEASUREMENT}, mirror reflection {mirrored}" if mirrored else None,
-        "wavelength_range": "VSWIR"
-        if micrometres.max() <= 3.0
-        else "TIR"
-        if micrometres.min() >= 2.0
-        else "All",
-    }
-    columns = {name: [str(value)] * len(names) for name, value in common.items() if value}
-    columns |= paint_columns(library)
-    with published_folder(path, overwrite=overwrite, foreign=_foreign) as folder:
-        for at, (name, stem) in enumerate(zip(names, _file_names(names), strict=True)):
-            text = _text(name, {key: column[at] for key, column in columns.items()}, micrometres, values[at])
-            # latin-1, the coding of these libraries, unless it loses characters
-            raw = text.encode("latin-1", "replace")
-            raw = raw if decoded_text(raw) == text else text.encode()
-            (folder / f"{stem}{_SUFFIX}").write_bytes(raw)
-            if progress is not None:
-                progress(at + 1, len(names))
-
-
-def _foreign(folder: Path) -> str:
-    for path in folder.iterdir():
-        if not (path.name.endswith(_SUFFIX) and path.is_file() and not path.is_symlink()):
-            return f"{path.name}, which no library has"
-    return ""
-
-
-def _file_names(names: Sequence[str]) -> list[str]:
-    """Return one file stem for each paint: plain letters, distinct on every file system.
-
-    Examples
-    --------
-    >>> _file_names(["Grün, matt", "a/b", "A b", "", "aux"])
-    ['Gruen_matt', 'a_b', 'A_b_2', 'unnamed', 'aux_']
-    """
-    stems: list[str] = []
-    for name in names:
-        plain = unicodedata.normalize("NFKD", name.translate(_SPELLINGS))
-        words = "".join(
-            c if c.isascii() and (c.isalnum() or c in "-+") else " "
-            for c in plain
-            if not unicodedata.combining(c)
-        )
-        stem = "_".join(words.split())[:_MAX_STEM_CHARS] or "unnamed"
-        stems.append(f"{stem}_" if stem.lower() in _RESERVED else stem)
-    return unique_names(stems, suffix="_{}", fold=str.lower)
-
-
-def _text(name: str, properties: dict[str, Any], micrometres: Floats, values: Floats) -> str:
-    lines = [f"Name: {name}"]
-    if "collection_date" not in properties and properties.get("time"):
-        properties["collection_date"] = str(properties["time"])[:10]
-    for key, coordinate, default in _SAMPLE:
-        entry = " ".join(str(properties.pop(coordinate, "") or "").split())
-        lines.append(f"{key}: {entry or default}")
-    information = " ".join(str(properties.pop("additional_information", "") or "none").split())
-    if properties:
-        information = _METADATA + json.dumps(properties, ensure_ascii=False, allow_nan=False)
-    axis = [f"{value:.10g}" for value in micrometres]
-    lines += [
-        "First Column: X",
-        "Second Column: Y",
-        "X Units: Wavelength (micrometers)",
-        "Y Units: Reflectance (percent)",
-        f"First X Value: {axis[0]}",
-        f"Last X Value: {axis[-1]}",
-        f"Number of X Values: {len(axis)}",
-        f"Additional Information: {information}",
-        "",
-        # nine digits of the percentage lead back to the float32
-        *(f"{x}\t{100.0 * y:.9g}" for x, y in zip(axis, values, strict=True)),
-    ]
-    return "\n".join(lines) + "\n"

@@ -17,7 +17,6 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.store import to_store
 
 from .csv_library import write_csv_library
-from .ecostress import write_ecostress_library
 from .envi_library import write_envi_library
 from .parquet_library import write_parquet_library
 from .records import CENTRE, checked_library, spectral_variables
@@ -34,23 +33,10 @@ def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: 
 
 _WRITERS: dict[str, Callable[..., Any]] = {
     "envi": write_envi_library,
-    "ecostress": write_ecostress_library,
     "csv": write_csv_library,
     "parquet": write_parquet_library,
     "zarr": _write_store,
 }
-#: Names of the formats.
-FORMATS = tuple(_WRITERS)
-
-#: Curves that each format can hold, the default first.
-_CURVES = {
-    "envi": ("centre", "all"),
-    "ecostress": ("centre",),
-    "csv": ("centre", "all"),
-    "zarr": ("all", "centre"),
-    "parquet": ("centre", "all"),
-}
-
 _OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
 
 
@@ -75,8 +61,6 @@ def write_library(
     * ``parquet``: ``x.parquet`` in the columns of OpenSpecLib, a row a spectrum, and ``x.parquet.json``;
       needs the extra ``library`` (pyarrow).
     * ``zarr``: a store, see `hyperpaint.to_store`.
-    * ``ecostress``: a folder with ``<paint>.spectrum.txt`` for every paint; centres at good bands, and what
-      is one value a paint.
 
     `hyperpaint.open_library` opens each of them; with ``curves="all"`` it returns the library that was
     written, bit for bit. Nothing appears under its name before it is whole. Lazy libraries are computed some
@@ -88,14 +72,13 @@ def write_library(
         A paint library, as of `hyperpaint.extract_signatures` or `hyperpaint.open_library`: `reflectance`
         (signature, band), `wavelength` (band), and further properties of the paints.
     path
-        The file, or the folder of ``ecostress`` and ``zarr``. ``.sli`` is added where it is missing, ``.csv``
-        to a name without a suffix.
+        The file, or the folder of ``zarr``. ``.sli`` is added where it is missing, ``.csv`` to a name without
+        a suffix.
     format
         One of the above; by default chosen by the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
     curves
         ``centre`` for one spectrum a paint, the default of all but ``zarr``: members,
-        quantiles, spread and uncertainties are left out. ``all`` for all of them, the default of ``zarr``;
-        ``ecostress`` cannot hold it.
+        quantiles, spread and uncertainties are left out. ``all`` for all of them, the default of ``zarr``.
     overwrite
         Replace a library that is there. A folder that holds anything else is never replaced.
     progress
@@ -110,7 +93,7 @@ def write_library(
     FormatError
         The format is unknown, or the suffix names none.
     SchemaError
-        ``curves`` is none that the format holds; it is no paint library; or names, values or attributes are
+        ``curves`` is neither of the two; it is no paint library; or names, values or attributes are
         such that the format cannot hold them; all problems are listed.
     StoreError
         The target exists, is being written by another process, or cannot be written; it stays unchanged.
@@ -142,17 +125,14 @@ def write_library(
         requested = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
         raise FormatError(
             requested,
-            expected=f"format= one of {', '.join(FORMATS)}, or suffix .sli, .csv, .parquet, .zarr",
+            expected=f"format= one of {', '.join(_WRITERS)}, or suffix .sli, .csv, .parquet, .zarr",
             code="choice-unknown",
         )
-    kinds = _CURVES[chosen]
-    if curves is not None and curves not in kinds:
-        raise SchemaError(
-            f"curves={curves!r}", expected=f"{' or '.join(kinds)} for {chosen}", code="choice-unknown"
-        )
+    if curves not in (None, "centre", "all"):
+        raise SchemaError(f"curves={curves!r}", expected=f"centre or all for {chosen}", code="choice-unknown")
     path = _named(path, chosen)
     library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
-    if (curves or kinds[0]) == "centre":
+    if curves == "centre" or (curves is None and chosen != "zarr"):
         others = [name for name in spectral_variables(library) if name != CENTRE]
         inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
         library = library.drop_vars(others).drop_dims(inner, errors="ignore")

@@ -145,4 +145,12 @@ def _write_libraries(folder: Path) -> None:
     folder.mkdir()
     write_library(paints, folder / "paints.sli", curves="all")
     write_library(paints, folder / "paints.csv", curves="all")
-    write_library(paints, folder / "text", format="ecostress")
+    (folder / "text").mkdir()
+    rows = "".join(f"{0.4 + band / 100:.2f}\t{20 + band / 7:.9g}\n" for band in range(20))
+    (folder / "text" / "red.spectrum.txt").write_text(
+        "Name: red\nType: manmade\nClass: Paint\nSubclass: none\nCollection Date: 2024-05-21\n"
+        "First Column: X\nSecond Column: Y\nX Units: Wavelength (micrometers)\n"
+        "Y Units: Reflectance (percent)\nFirst X Value: 0.4\nLast X Value: 0.59\nNumber of X Values: 20\n"
+        'Additional Information: hyperpaint metadata {"make": "a", "n": 0, '
+        f'"time": "2024-05-21T11:33:07.000000000"}}\n\n{rows}'
+    )

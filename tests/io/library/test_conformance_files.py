@@ -39,7 +39,6 @@ def write(folder: Path) -> None:
     library = declared_library(bands=6)
     for name in WHOLE:
         hp.write_library(library, folder / name, curves="all")
-    hp.write_library(library, folder / "ecostress", format="ecostress")
     (folder / "faulty").mkdir()
     for rule, words in FAULTY.items():
         attrs = {key: word for key, word in {**library.attrs, **words}.items() if word is not None}
@@ -56,7 +55,8 @@ def test_right_files_are_one_library(name: str) -> None:
     assert hp.io.check_library(FILES / name).ok
 
 
-def test_ecostress_holds_the_centres() -> None:
+def test_texts_of_0_2_open() -> None:
+    """Rationale: hyperpaint 0.2 wrote these texts in the format of the ECOSTRESS library."""
     paths = sorted((FILES / "ecostress").glob("*.txt"))
     library, back = declared_library(bands=6), hp.open_library(paths)
     centres = library.reflectance.sel(signature=back["signature"].values)
@@ -73,6 +73,7 @@ def test_what_is_written_today_has_their_bytes(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
     write(tmp_path)
     stored = {path.relative_to(FILES) for path in FILES.rglob("*") if path.is_file()}
+    stored -= {path for path in stored if path.parts[0] == "ecostress"}
     written = {path.relative_to(tmp_path) for path in tmp_path.rglob("*") if path.is_file()}
     assert written == stored
     for name in sorted(stored):

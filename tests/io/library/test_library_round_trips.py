@@ -30,8 +30,7 @@ def trip(library: xr.Dataset, folder: Path, name: str, **options: Any) -> xr.Dat
     first = hp.write_library(library, folder / "one" / name, **options)
     found = hp.open_library(first)
     second = hp.write_library(found, folder / "two" / name, **options)
-    one, two = (p if p.is_dir() else p.parent for p in (first, second))
-    assert files_of(one) == files_of(two)
+    assert files_of(first.parent) == files_of(second.parent)
     return found
 
 
@@ -44,20 +43,18 @@ def test_sli_and_csv__give_the_library_back(library: xr.Dataset, tmp_path: Path,
         assert found[variable].dtype == library[variable].dtype, variable
 
 
-@pytest.mark.parametrize("name", ["paints.sli", "paints.csv", "paints"])
+@pytest.mark.parametrize("name", ["paints.sli", "paints.csv"])
 def test_files_do_not_depend_on_the_order_of_coordinates(
     library: xr.Dataset, tmp_path: Path, name: str
 ) -> None:
     """xarray gathers coordinates from sets, whose order follows PYTHONHASHSEED."""
-    options = {"format": "ecostress"} if name == "paints" else {"curves": "all"}
-    library = library.isel(band=[0, 1, 3, 4, 5, 6])
     coords = {key: library.variables[key] for key in reversed([*library.coords])}
     turned = xr.Dataset(library.reset_coords(drop=True).data_vars, coords, library.attrs)
     paths = [
-        hp.write_library(one, tmp_path / folder / name, **options)
+        hp.write_library(one, tmp_path / folder / name, curves="all")
         for folder, one in (("one", library), ("two", turned))
     ]
-    one, two = (files_of(path if path.is_dir() else path.parent) for path in paths)
+    one, two = (files_of(path.parent) for path in paths)
     assert one == two
 
 
@@ -67,34 +64,6 @@ def test_zarr__gives_the_library_back(library: xr.Dataset, tmp_path: Path) -> No
     for name, variable in library.variables.items():
         np.testing.assert_array_equal(found[name].values, variable.values, err_msg=str(name))
     assert hp.verify(tmp_path / "paints.zarr").ok
-
-
-def test_ecostress__gives_centres_and_numbers_back(library: xr.Dataset, tmp_path: Path) -> None:
-    """Expected: float32 to the bit through nine digits of percent; duplicates in their order."""
-    kept = library.isel(band=[0, 1, 3, 4, 5, 6])
-    found = trip(kept, tmp_path, "paints", format="ecostress")
-    order = [3, 1, 2, 0, 4]  # files are in the order of their names
-    assert found["signature"].values.tolist() == [NAMES[at] for at in order]
-    np.testing.assert_array_equal(found["reflectance"].values, kept["reflectance"].values[order])
-    np.testing.assert_allclose(found["wavelength"].values, kept["wavelength"].values, rtol=1e-10)
-    assert set(found["measurement"].values) == {
-        "Hemispherical-conical reflectance factor, mirror reflection excluded"
-    }
-    assert set(found["wavelength_range"].values) == {"VSWIR"}
-    for name in ("n", "n_eff", "quality", "time", "make", "year"):
-        np.testing.assert_array_equal(found[name].values, library[name].values[order])
-        assert found[name].dtype == library[name].dtype
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # SPy leaves files open
-def test_ecostress__is_read_by_spy(library: xr.Dataset, tmp_path: Path) -> None:
-    spy = pytest.importorskip("spectral.database.ecostress")
-    folder = hp.write_library(
-        library.isel(band=[0, 1, 2, 4], signature=[1]), tmp_path / "paints", format="ecostress"
-    )
-    theirs = spy.read_ecostress_file(str(folder / "Gruen.spectrum.txt"))
-    assert theirs.sample["name"] == "Grün"
-    np.testing.assert_allclose(np.array(theirs.y), library["reflectance"].values[1, [0, 1, 2, 4]] * 100.0)
 
 
 @SPY_ON_NUMPY_2_5
@@ -170,8 +139,6 @@ def test_sli__header_says_what_is_known_of_the_paints(library: xr.Dataset, tmp_p
 
 
 def test_formats_hold_what_they_can(library: xr.Dataset, tmp_path: Path) -> None:
-    with pytest.raises(SchemaError, match="choice-unknown"):
-        hp.write_library(library, tmp_path / "paints", format="ecostress", curves="all")
     with pytest.raises(SchemaError, match="choice-unknown"):
         hp.write_library(library, tmp_path / "paints.csv", curves="members")
     found = hp.open_library(hp.write_library(library, tmp_path / "paints.zarr", curves="centre"))
@@ -310,33 +277,19 @@ def test_what_cannot_be_written__is_said_all_at_once(library: xr.Dataset, tmp_pa
     assert "'wavelength' is missing" in str(caught.value)
     assert "'n' has units 'm'" in str(caught.value)
     broken = library.assign_coords(signature=["a\nb", "c", "d\x00", "e", "f"])
-    for format in ("envi", "csv", "ecostress"):
+    for format in ("envi", "csv"):
         with pytest.raises(SchemaError, match="name-unwritable"):
             hp.write_library(broken.isel(band=[0, 1]), tmp_path / "paints", format=format)
-    gaps = "value-missing"
-    with pytest.raises(SchemaError, match=gaps):
-        hp.write_library(library, tmp_path / "paints", format="ecostress")
-    with pytest.raises(SchemaError, match="name-unwritable"):
-        hp.write_library(
-            library.isel(band=[0, 1]).assign_coords(signature=[" a", "b", "c", "d", "e"]),
-            tmp_path / "paints",
-            format="ecostress",
-        )
-    with pytest.raises(FormatError, match="choice-unknown"):
-        hp.write_library(library, tmp_path / "paints.xlsx")
+    for name, options in (
+        ("paints.xlsx", {}),
+        ("red.spectrum.txt", {}),
+        ("paints", {"format": "ecostress"}),
+    ):
+        with pytest.raises(FormatError, match=r"envi, csv, parquet, zarr.*choice-unknown"):
+            hp.write_library(library, tmp_path / name, **options)
     with pytest.raises(SchemaError, match=r"'when'.*type-wrong"):
         hp.write_library(library.assign_attrs(when=object()), tmp_path / "paints.csv")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_bands_that_are_not_good__are_left_out_of_ecostress(library: xr.Dataset, tmp_path: Path) -> None:
-    good = np.array([True, True, False, True, True, False, True])
-    folder = hp.write_library(
-        library.assign_coords(good=("band", good)), tmp_path / "paints", format="ecostress"
-    )
-    np.testing.assert_allclose(
-        hp.open_library(folder)["wavelength"].values, library["wavelength"].values[good]
-    )
 
 
 @settings(max_examples=25)
@@ -399,7 +352,7 @@ def test_what_is_read_from_others__can_be_written(shared_data: Path, tmp_path: P
     for name in ("usgs.sli", "usgs.csv"):
         xr.testing.assert_identical(trip(usgs, tmp_path, name, curves="all"), usgs)
     text = hp.open_library(sorted((shared_data / "spectra_ascii").glob("PVC_*.txt")))
-    found = trip(text, tmp_path, "pvc", format="ecostress")
+    found = trip(text, tmp_path, "pvc.csv")
     np.testing.assert_array_equal(found["reflectance"].values, text["reflectance"].values)
 
 
