@@ -79,31 +79,31 @@ def imports(name: str) -> dict[str, frozenset[str]]:
     """Return what a module imports: ``inside`` the package, ``outside``, and inside at its ``top`` only."""
     here = ["hyperpaint", *name.split(".")][:-1]
     sets: dict[str, set[str]] = {"inside": set(), "outside": set(), "top": set()}
-    tree = tree_of(modules()[name])
-    lazy = {
-        node
-        for block in ast.walk(tree)
-        if isinstance(block, ast.FunctionDef | ast.AsyncFunctionDef)
-        or (isinstance(block, ast.If) and "TYPE_CHECKING" in ast.unparse(block.test))
-        for node in ast.walk(block)
-    }
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            targets = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = here[: len(here) - node.level + 1] if node.level else []
-            stem = ".".join([*base, *([node.module] if node.module else [])])
-            targets = [f"{stem}.{alias.name}" for alias in node.names]
-        else:
-            continue
-        for target in targets:
-            if target.split(".")[0] != "hyperpaint":
-                sets["outside"].add(target.split(".")[0])
-                continue
-            sets["inside"].add(module_of(target))
-            if node not in lazy:
-                sets["top"].add(module_of(target))
+    nodes: list[tuple[ast.AST, bool]] = [(tree_of(modules()[name]), False)]
+    while nodes:
+        node, is_lazy = nodes.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            for target in _targets(node, here):
+                if target.split(".")[0] != "hyperpaint":
+                    sets["outside"].add(target.split(".")[0])
+                    continue
+                sets["inside"].add(module_of(target))
+                if not is_lazy:
+                    sets["top"].add(module_of(target))
+        elif isinstance(node, ast.stmt | ast.Module | ast.ExceptHandler):  # no expression holds an import
+            is_lazy |= isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) or (
+                isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+            )
+            nodes += [(child, is_lazy) for child in ast.iter_child_nodes(node)]
     return {key: frozenset(value - {name}) for key, value in sets.items()}
+
+
+def _targets(node: ast.Import | ast.ImportFrom, here: list[str]) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    base = here[: len(here) - node.level + 1] if node.level else []
+    stem = ".".join([*base, *([node.module] if node.module else [])])
+    return [f"{stem}.{alias.name}" for alias in node.names]
 
 
 def room_of(name: str) -> str:
