@@ -81,7 +81,7 @@ def main() -> int:
     named, undecided, others = wrong_ones(chosen.seed, chosen.pitch)
     false = right_ones(chosen.right, chosen.pitch)
     print(f"named {named} of 12, undecided {undecided}, named in addition {others}")
-    print(f"correct flights with a name: {false} of {chosen.right}")
+    print(f"correct flights with a false finding: {false} of {chosen.right}")
     print(f"{time.perf_counter() - start:.0f} s", file=sys.stderr)
     return 0 if named >= 9 and false <= max(1, chosen.right // 20) else 1
 
