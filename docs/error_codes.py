@@ -14,8 +14,8 @@ from hyperpaint.plausibility.finding import KINDS
 
 _FRONT = """# Error codes
 
-Every error, warning and finding ends with a stable code in brackets, such as `[region-empty]`. Scripts match
-the code, never the sentence before it:
+Every error, warning and finding ends with a stable code in brackets, such as `[region-empty]`. In scripts,
+test the code and not the message:
 
 ```python
 try:
@@ -26,8 +26,8 @@ except hp.errors.SchemaError as error:
 ```
 
 `error.problems` lists the faults of an input, each with `found`, `expected`, `mend` (in Python), `option`
-(on the command line) and `code`. A `PaintWarning` has `code`. Findings of `hyperpaint check` are accepted by
-their code (`--accept dark-lit`).
+(on the command line) and `code`. A `PaintWarning` has `code`. To process despite a finding of
+`hyperpaint check`, accept its code (`--accept dark-lit`).
 
 This page is generated from the sources; `...` stands for a value.
 """

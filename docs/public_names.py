@@ -16,26 +16,26 @@ __all__ = ["accessor_methods", "public_names", "rooms", "write_reference"]
 
 _FRONT = """# Reference
 
-Everything public. `hp` is `import hyperpaint as hp`; a method of `.paint` is the function of the same name
-with the dataset as its first argument.
+These pages list everything public. `hp` is `import hyperpaint as hp`. A method of `.paint` is the function
+of the same name with the dataset as its first argument.
 
 """
-#: Of a room, in one line: what comes in, what goes out.
+#: Sentence about each room for its page.
 _ABOUT = {
-    "alignment": "camera and irradiance record compared in flight, and put right",
-    "calibration": "a lab sweep becomes wavelengths, widths and gains",
-    "errors": "what is raised and warned of",
-    "geometry": "navigation becomes places, maps and mosaics",
-    "io": "files become labelled datasets, and datasets files",
-    "light": "irradiance of every line and band, the sun, the sky",
-    "paints": "regions become signatures; libraries are searched and mixed",
-    "pictures": "figures",
-    "radiometry": "counts become radiance and reflectance, with uncertainties",
-    "regions": "outlines, their files, and proposals",
-    "report": "a store on one page",
-    "simulation": "collects and scenes with known truth",
-    "surroundings": "glint, shadow, neighbours: what else is seen, and corrections",
-    "validation": "paint signatures against references",
+    "alignment": "Compare and correct the wavelengths of camera and irradiance record in flight",
+    "calibration": "Compute wavelengths, widths and gains of the camera from a lab sweep",
+    "errors": "Errors that hyperpaint raises, and its warnings",
+    "geometry": "Compute ground positions, maps and mosaics from navigation",
+    "io": "Read files into labelled datasets, and write datasets to files",
+    "light": "Compute the irradiance of every line and band, the sun and the sky",
+    "paints": "Extract signatures from regions; search and mix libraries",
+    "pictures": "Draw figures",
+    "radiometry": "Compute radiance and reflectance from counts, with uncertainties",
+    "regions": "Read, write and propose outlines of paint",
+    "report": "Write a page about a store",
+    "simulation": "Simulate collects and scenes with known true values",
+    "surroundings": "Flag and correct glint, shadow and light from neighbours",
+    "validation": "Compare paint signatures with references",
 }
 
 
@@ -80,18 +80,18 @@ def write_reference(folder: Path) -> None:
     pages = {
         "top": (
             "The chain",
-            "What `hp.<Tab>` shows first: openers, writers, the chain, errors.",
+            "These functions are at the top of `hp`: open files, run the processing chain, write results.",
             _table(top),
         ),
         "accessor": (
             "Dataset.paint",
-            "Methods on a flight line, a map or a library; each returns something new.",
+            "Methods of a flight line, a map or a library. Every method returns a new object.",
             _table(methods, "autosummary/accessor_method.rst"),
         ),
     }
     for room in sorted(rooms()):
         inside = [name for name in names if name.startswith(f"hyperpaint.{room}.")]
-        pages[room] = (f"hp.{room}", f"{_ABOUT[room].capitalize()}.", _table(inside))
+        pages[room] = (f"hp.{room}", f"{_ABOUT[room]}.", _table(inside))
     public = {*names, *(f"xarray.{method}" for method in methods)}
     for page in (folder / "generated").glob("*.rst"):  # of a name that is public no longer
         if page.stem not in public:
@@ -117,7 +117,7 @@ def _command_line() -> str:
     from hyperpaint.cli.program import main as program
 
     context = click.Context(program, info_name="hyperpaint")
-    parts = ["# Command line\n", "What `hyperpaint COMMAND --help` says.\n"]
+    parts = ["# Command line\n", "This page shows the output of `--help` for every command.\n"]
     for name in program.list_commands(context):
         command = program.get_command(context, name)
         if command is not None:

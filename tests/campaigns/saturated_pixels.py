@@ -12,7 +12,7 @@ What is true of a pixel, with c the largest of its counts before they are clippe
 and full = 4095:
 
 * clipped: c >= full - 0.5, so that the converter lost something. What must never be missed.
-* told: c >= full - 16 - 0.5, what the flag promises: within 16 counts of its end a converter is not trusted.
+* margin: c >= full - 16 - 0.5, the flag's promise: a converter is not trusted within 16 counts of its end.
 * bright: the same as clipped for counts without noise, which no flag can know.
 """
 
@@ -30,7 +30,7 @@ if __package__ in (None, ""):  # run as a script: `campaigns` is then not import
     sys.path.insert(0, str(ROOT))
 
 BITS, MARGIN = 12, 16.0
-TRUTHS = ("clipped", "told", "bright")
+TRUTHS = ("clipped", "margin", "bright")
 EXPOSURES = (0.003, 0.006, 0.012)
 
 
@@ -73,7 +73,7 @@ def exposed(traced: Any, sky: Any, exposure: float, seed: int, bands: int = 60) 
     full = 2.0**BITS - 1
     true = {
         "clipped": unclipped >= full - 0.5,
-        "told": unclipped >= full - MARGIN - 0.5,
+        "margin": unclipped >= full - MARGIN - 0.5,
         "bright": noiseless >= full - 0.5,
     }
     coords = {"wavelength": ("band", camera.imager.wavelength, {"units": "nm"})}
@@ -94,7 +94,7 @@ def recall_and_precision(found: Any, true: Any) -> tuple[float, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print the table; return 1 where a clipped pixel is missed, or more than 1 in 100 named is not told."""
+    """Print the table; return 1 for a missed clipped pixel, or 1 in 100 flags outside the margin."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(300, 304)))
     asked = parser.parse_args(arguments)
@@ -108,8 +108,8 @@ def main(arguments: list[str] | None = None) -> int:
             line, true = exposed(traced, sky, exposure, seed)
             found = found_in(line)
             scores = {name: recall_and_precision(found, true[name]) for name in TRUTHS}
-            told = "  ".join(f"{recall:9.4f} {precision:7.4f}" for recall, precision in scores.values())
-            print(f"{seed:>4} {1e3 * exposure:>4.0f} {int(found.sum()):>8}  {told}", flush=True)
+            row = "  ".join(f"{recall:9.4f} {precision:7.4f}" for recall, precision in scores.values())
+            print(f"{seed:>4} {1e3 * exposure:>4.0f} {int(found.sum()):>8}  {row}", flush=True)
             for name, mask in {"found": found, **true}.items():
                 masks[name].append(mask)
     every = {name: np.concatenate([mask.ravel() for mask in of]) for name, of in masks.items()}
@@ -117,7 +117,7 @@ def main(arguments: list[str] | None = None) -> int:
         recall, precision = recall_and_precision(every["found"], every[name])
         print(f"all, {name}: {int(every[name].sum())} pixels, recall {recall:.4f}, precision {precision:.4f}")
         failed |= name != "bright" and recall < 1.0
-        failed |= name == "told" and precision < 0.99
+        failed |= name == "margin" and precision < 0.99
     return int(failed)
 
 

@@ -83,9 +83,8 @@ def main() -> None:
             line, truth = fly(Path(folder), wobble, lines=options.lines)
             placed = located(line, truth)
             error = pixel_errors(placed, truth)
-            print(
-                f"{wobble:<8} places of pixels: rms {np.sqrt((error**2).mean()):.4f}, most {error.max():.4f}"
-            )
+            rms = np.sqrt((error**2).mean())
+            print(f"{wobble:<8} pixel positions: rms {rms:.4f}, maximum {error.max():.4f}")
             for grid in options.grids:
                 for method in ("bilinear", "nearest"):
                     miss = corner_errors(placed, truth, method=method, grid=grid)

@@ -34,7 +34,7 @@ def check(flight: Any, made: Any) -> Any:
 
 
 def wrong_ones(seed: int, pitch: float) -> tuple[int, int, int]:
-    """Print the twelve; return how many were named, how many said to be undecided, and false names."""
+    """Print the twelve; return how many were named, how many undecided, and false names."""
     from support.wrong_declarations import cases, flown
 
     flight = flown(seed, pitch=pitch)
@@ -80,8 +80,8 @@ def main() -> int:
     start = time.perf_counter()
     named, undecided, others = wrong_ones(chosen.seed, chosen.pitch)
     false = right_ones(chosen.right, chosen.pitch)
-    print(f"named {named} of 12, said to be undecided {undecided}, named beside what was wrong {others}")
-    print(f"flights declared rightly of which something is named: {false} of {chosen.right}")
+    print(f"named {named} of 12, undecided {undecided}, named in addition {others}")
+    print(f"correct flights with a false finding: {false} of {chosen.right}")
     print(f"{time.perf_counter() - start:.0f} s", file=sys.stderr)
     return 0 if named >= 9 and false <= max(1, chosen.right // 20) else 1
 

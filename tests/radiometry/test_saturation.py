@@ -29,7 +29,7 @@ def test_every_clipped_pixel_is_found_and_few_others(scenes: Any) -> None:
             clipped.append(true["clipped"])
             assert 10 <= true["clipped"].sum() < 0.2 * true["clipped"].size
             # what the flag promises: any band within 16 counts of the converter's end
-            np.testing.assert_array_equal(found[-1], true["told"])
+            np.testing.assert_array_equal(found[-1], true["margin"])
     # within those 16 counts the converter is not trusted, though some of the samples were not clipped
     recall, precision = module.recall_and_precision(np.stack(found), np.stack(clipped))
     assert recall == 1.0
