@@ -275,7 +275,7 @@ def make_plan(
         smile=smile,
         saturation_limit=_saturation_limit(cube, np.dtype(dtype)),
         noise_margin=np.ascontiguousarray(np.where(watched, margin, np.nan), np.float32),
-        most_negative=int(NEGATIVE_BAND_SHARE * good.sum()),
+        max_negative_bands=int(NEGATIVE_BAND_SHARE * good.sum()),
         line_flags=line_flags,
         column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,

@@ -33,9 +33,9 @@ from hyperpaint.kernels.arguments import (
     SlabOutputs,
     StrayLight,
     count_limits,
-    given,
     light_cells,
     rounding,
+    without_empty_arrays,
 )
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
@@ -174,7 +174,7 @@ class Plan:
     #: (band, column) float32: how far below the dark noise may take a sample [count]; NaN for elements that
     #: set no flag, being bad or in a band that is not good
     noise_margin: Array
-    most_negative: int  #: Bands under the dark that a pixel may have before it is flagged
+    max_negative_bands: int  #: Bands under the dark that a pixel may have before it is flagged
     #: line_flags (line,), column_flags (column,) uint16: bits of `Quality` that hold for whole lines and
     #: columns
     line_flags: Array
@@ -283,7 +283,7 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
         None if one_dark else plan.dark_index[here],
         None if one_dark else plan.dark_weight[here],
         plan.gain,
-        given(plan.detector),
+        without_empty_arrays(plan.detector),
     )
     light = light_cells(
         plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells
@@ -297,9 +297,9 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
         counts,
         calibration,
         light,
-        count_limits(plan.saturation_limit, plan.noise_margin, np.uint16(plan.most_negative), whole),
+        count_limits(plan.saturation_limit, plan.noise_margin, np.uint16(plan.max_negative_bands), whole),
         flags if out.quality.size else None,
-        given(plan.error_terms) if plan.error_terms is not None and uncertain else None,
+        without_empty_arrays(plan.error_terms) if plan.error_terms is not None and uncertain else None,
         rounding(plan.cleared_bits) if plan.stray is None else None,
         out,
     )
