@@ -267,9 +267,7 @@ def _with_differences(
     fits: list[Fits | None],
 ) -> tuple[SweepData, LampLines, Differences]:
     has_noise = sweep_data.noise_source != FROM_SCATTER
-    differences = element_differences(
-        lab, sweep_data, lamp_lines, wavelength_map, shape, known_noise=has_noise
-    )
+    differences = element_differences(lab, sweep_data, lamp_lines, wavelength_map, shape, has_noise=has_noise)
     if has_noise:
         return sweep_data, lamp_lines, differences
     if lab.variance is None:

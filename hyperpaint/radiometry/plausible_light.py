@@ -40,7 +40,7 @@ RULES = LightRules()
 
 
 class LightLevel(NamedTuple):
-    """Brightness of a record: median over 400-1000 nm of its brightest sample [W m-2 nm-1]; NaN if it is empty.
+    """Brightness of a record: median over 400-1000 nm of its brightest sample [W m-2 nm-1], or NaN.
 
     zenith: smallest zenith angle of the sun [degree]; clear: median of a clear sky at that angle; NaN if
     unknown.

@@ -68,7 +68,7 @@ def usable_panels(closure: PanelClosure) -> Array:
 
 
 def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats, Floats]:
-    r"""Return logarithms of panels' scales (panel, band), weights (line, panel), and uncertainties of the level.
+    r"""Return logarithms of panels' scales (panel, band), weights (line, panel) and uncertainties (line,).
 
     The third is the relative standard uncertainty of the level of every line (line,) [1], without the
     uncertainty of the panels' reflectance. All panels of ``closure`` are used; ``time`` is UTC of the lines,
