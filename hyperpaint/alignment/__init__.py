@@ -1,4 +1,4 @@
-"""Wavelengths and widths of the camera in flight, with the daylight as the lamp.
+"""Wavelengths and widths of the camera in flight, from lines of the daylight.
 
 A flight line with radiance or counts and its irradiance record comes in; wavelength shifts and widths of
 columns, or the line corrected by them, go out; `align` compares camera and record, and corrects significant

@@ -14,7 +14,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
 #: Variables of an alignment that are used.
-_NEEDED = (
+_VARIABLES = (
     "flag",
     "shift_correction",
     "wavelength_shift_u",
@@ -39,18 +39,18 @@ def apply_alignment(
         Result of `hyperpaint.alignment.align_to_irradiance`, whole or in groups of columns; flagged columns
         are not used.
     degree
-        Of the polynomial over columns that smooths the shift.
+        Degree of the polynomial over columns that smooths the shift.
     fwhm
-        Replace the widths too.
+        Whether widths are replaced too.
 
     Returns
     -------
     Dataset
-        The line with ``wavelength_shift`` (cross_track), or (band, cross_track) where several windows or the
-        line have it so, float64 [nm]; ``fwhm`` (band), float64 [nm], times the mean factor, since the
+        The line with ``wavelength_shift`` (cross_track), or (band, cross_track) with several windows or where
+        the line has these dims, float64 [nm]; ``fwhm`` (band), float64 [nm], times the mean factor, since the
         table holds no width of a column. Between windows both are linear in wavelength, beyond them constant.
         The attribute ``alignment`` describes the correction; attributes of an earlier comparison
-        (``alignment_shift`` and such, see `align`), and reflectance, which held for other wavelengths, are
+        (``alignment_shift`` ..., see `align`), and reflectance, which belongs to other wavelengths, are
         removed. ``wavelength`` is unchanged, so that flight lines keep one axis: the shift at the centre
         column need not be zero.
 
@@ -62,8 +62,9 @@ def apply_alignment(
 
     Notes
     -----
-    Columns weigh with the inverse of their variance, and less the farther they lie from the curve (Huber's
-    weights, at 1.5 times the scatter), so that a column with a bad element does not bend its neighbours.
+    Columns are weighted by the inverse of their variance, and less the farther they lie from the curve
+    (Huber's weights, at 1.5 times the scatter), so that a column with a bad element does not change its
+    neighbours.
 
     Examples
     --------
@@ -88,7 +89,7 @@ def apply_alignment(
             code="dim-missing",
         )
     columns = dataset.sizes[CROSS_TRACK]
-    windows = _by_window(alignment)
+    windows = _with_windows(alignment)
     reliable = windows["flag"].values == 0
     _check(windows, reliable, (dataset.sizes[BAND], columns), degree)
     corrections, factors = zip(
@@ -101,10 +102,10 @@ def apply_alignment(
     return _replaced(dataset, declared, windows, np.stack(corrections), np.array(factors) if fwhm else None)
 
 
-def _by_window(alignment: xr.Dataset) -> xr.Dataset:
-    # An alignment with a leading dim of windows; SchemaError for another dataset
+def _with_windows(alignment: xr.Dataset) -> xr.Dataset:
+    # Return the alignment with a leading dim of windows; SchemaError for another dataset.
     problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
-    for name in _NEEDED:
+    for name in _VARIABLES:
         if name not in alignment.variables:
             problems.add(f"{name!r} is missing", code="variable-missing")
     for dim in (BAND, CROSS_TRACK):
@@ -114,7 +115,7 @@ def _by_window(alignment: xr.Dataset) -> xr.Dataset:
         problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
     problems.raise_if_any()
     windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
-    for name in _NEEDED[:5]:
+    for name in _VARIABLES[:5]:
         if set(windows[name].dims) != {_WINDOW, CROSS_TRACK}:
             dims = ", ".join(map(str, alignment[name].dims)) or "no dim"
             problems.add(f"{name!r} is on {dims}", expected=CROSS_TRACK, code="dims-wrong")
@@ -141,21 +142,28 @@ def _check(windows: xr.Dataset, reliable: Bools, shape: tuple[int, int], degree:
 
 
 def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, float]:
-    # Shift's correction of all columns (column,) [nm] and the mean width factor of one window
+    # Return the correction of the shift (column,) [nm] and the mean width factor of a window.
     scale = max((columns - 1) / 2.0, 1.0)
     basis = np.polynomial.legendre.legvander(window["column"].values / scale - 1.0, degree)
-    value, spread = window["shift_correction"].values, np.maximum(window["wavelength_shift_u"].values, 1e-6)
+    shift, spread = window["shift_correction"].values, np.maximum(window["wavelength_shift_u"].values, 1e-6)
     weight = 1.0 / spread
     for _ in range(20):
-        solved = np.linalg.lstsq(basis * weight[:, None], value * weight, rcond=None)[0]
-        away = np.abs(value - basis @ solved) / spread
-        scatter = max(1.4826 * float(np.median(away)), 1e-3)
-        # square roots, since a weight multiplies the residual before it is squared
-        weight = np.sqrt(np.minimum(1.0, 1.5 * scatter / np.maximum(away, 1e-12))) / spread
-    everywhere = np.polynomial.legendre.legvander(np.arange(columns) / scale - 1.0, degree)
-    factor, width = window["fwhm_factor"].values, 1.0 / np.maximum(window["fwhm_u"].values, 1e-6) ** 2
-    near = np.abs(factor - np.median(factor)) <= 3.0 * 1.4826 * np.median(np.abs(factor - np.median(factor)))
-    return everywhere @ solved, float((factor * width)[near].sum() / width[near].sum())
+        coefficients = np.linalg.lstsq(basis * weight[:, None], shift * weight, rcond=None)[0]
+        deviation = np.abs(shift - basis @ coefficients) / spread
+        scatter = max(1.4826 * float(np.median(deviation)), 1e-3)
+        # square roots: a weight multiplies the residual, which is then squared
+        weight = np.sqrt(np.minimum(1.0, 1.5 * scatter / np.maximum(deviation, 1e-12))) / spread
+    basis_of_columns = np.polynomial.legendre.legvander(np.arange(columns) / scale - 1.0, degree)
+    factor, inverse_variance = (
+        window["fwhm_factor"].values,
+        1.0 / np.maximum(window["fwhm_u"].values, 1e-6) ** 2,
+    )
+    is_inlier = np.abs(factor - np.median(factor)) <= 3.0 * 1.4826 * np.median(
+        np.abs(factor - np.median(factor))
+    )
+    return basis_of_columns @ coefficients, float(
+        (factor * inverse_variance)[is_inlier].sum() / inverse_variance[is_inlier].sum()
+    )
 
 
 def _replaced(
@@ -195,7 +203,7 @@ def _replaced(
 
 
 def without_products(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a line without products of other wavelengths: reflectance and the results of panels."""
+    """Return a line without products that depend on wavelengths: reflectance and panel results."""
     uncertainties = ("reflectance_u_random", "reflectance_u_systematic")
     names = ("reflectance", "coarse_reflectance", *uncertainties, "irradiance_misfit")
     return dataset.drop_vars(
@@ -208,12 +216,12 @@ def restated(
 ) -> xr.Dataset:
     """Return a line whose attribute ``alignment`` ends with ``sentence``.
 
-    ``numbers`` and ``state`` replace those of an earlier comparison, which held for the line before.
+    ``numbers`` and ``state`` replace those of an earlier comparison.
     """
-    before = line.attrs.get("alignment")
+    earlier = line.attrs.get("alignment")
     attrs = {name: value for name, value in line.attrs.items() if not str(name).startswith("alignment_")}
     attrs |= numbers or {}
-    attrs["alignment"] = f"{before}; then {sentence}" if before else sentence
+    attrs["alignment"] = f"{earlier}; then {sentence}" if earlier else sentence
     if state is not None:
         attrs["alignment_state"] = state
     return line.drop_attrs(deep=False).assign_attrs(attrs)

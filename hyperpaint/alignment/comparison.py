@@ -1,8 +1,8 @@
 """Compare camera and irradiance record in one flight: their difference in wavelength and in width.
 
-Both saw the same daylight. The surfaces' spectra are smooth over some tens of nanometres, the light's solar
-lines and absorption bands are not: where these remain in radiance over matched irradiance, one of the two
-instruments is not as declared. A few slabs of lines are read; the same whatever the chunks.
+Both measured the same daylight. Spectra of surfaces are smooth over some tens of nanometres; solar
+lines and absorption bands are not. Where they remain in radiance over matched irradiance, one of the two
+instruments differs from its declaration. A few slabs of lines are read, the same for all chunks.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.constants import ALIGNMENTS, Alignment
-from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.errors import PaintError, PaintWarning
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM
 from hyperpaint.light.responses import Responses
@@ -41,35 +41,37 @@ class ComparisonRules:
         Compared intervals [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning,
         the oxygen A band, water; not 690 to 740, where vegetation's edge is no polynomial of low degree.
     degree
-        Of the polynomial that models a surface's spectrum in a window: features of some 15 nm and wider pass.
+        Degree of the polynomial that models a surface's spectrum in a window: it fits features of 15 nm and
+        wider.
     blocks, block_lines
-        Slabs that are read, evenly over the line, and lines in each: they bound time and memory.
+        Number of slabs read, evenly over the line, and lines per slab; they bound time and memory.
     column_groups
-        Neighbouring columns are averaged into so many groups; over an eighth of the swath a smile of 0.5 nm
-        changes by 0.1 nm, which widens the mean by less than 0.1 %.
+        Number of groups of neighbouring columns that are averaged; over an eighth of the swath a smile of 0.5
+        nm changes by 0.1 nm, which widens the mean by less than 0.1 %.
     least_pixels, least_groups
-        Pixels below which a group is not used, and groups below which a window is not.
+        Minimum number of pixels of a group, and of groups of a window.
     max_shift_nm
         Range of the search; a field spectrometer is specified to 0.5 nm.
     widths
-        Least and most width over the declared one.
+        Trial widths relative to the declared one [1].
     airy, path_prior
-        Wavelength from which absorption is the air's, not the sun's [nm], and the standard deviation of the
-        part of it that lies below the camera [1]: 100 m are 0.9 % under a sun at 45 degrees, half that in
-        saturated bands.
+        Wavelength above which lines are absorption of the air, not of the sun [nm], and the standard
+        deviation of the share of the air path below the camera [1]: 100 m are 0.9 % under a sun at 45
+        degrees, half that in saturated bands.
     shift_prior_nm, tilt_prior, width_prior
         Standard deviations of the prior: of the shift [nm], its change over 100 nm [nm], and the width over
-        the declared one [1]. Wide: they decide only where the light has no structure.
+        the declared one [1]. They are wide, and matter only where the light has no structure.
     least_shift_u_nm, least_width_u
-        Least reported uncertainties: residuals of closed loops with line shapes slightly off the declared
-        ones [nm], [1].
+        Lower limits of reported uncertainties: residuals of closed loops with line shapes slightly different
+        from the declared ones [nm], [1].
     significance
-        Departure over its standard uncertainty from which instruments differ; 5, since neighbouring bands are
-        not independent and there are three parameters.
+        Departure over its standard uncertainty above which instruments differ; 5, since neighbouring bands
+        are not independent and there are three parameters.
     camera_significance
-        The camera's own shift over its uncertainty from which it takes its share; else the record takes all.
+        Shift of the camera over its uncertainty above which the camera is corrected by its share; otherwise
+        only the record is
     least_effect
-        Relative change of matched irradiance in any band below which nothing is corrected [1].
+        Relative change of matched irradiance below which no band is corrected [1].
     """
 
     windows: tuple[tuple[float, float], ...] = (
@@ -105,10 +107,10 @@ COMPARISON = ComparisonRules()
 
 _COARSE_STEP_NM = 0.25
 _ITERATIONS = 8
-#: Neighbouring bands whose errors form a cluster: a channel's noise reaches as far as both responses.
+#: Number of neighbouring bands whose errors form a cluster: noise of a channel spreads over both responses.
 _CLUSTER_BANDS = 4
 _DERIVATIVE_NM, _DERIVATIVE_WIDTH = 0.02, 0.01
-_LEAST_RESIDUAL = 2e-4
+_MIN_RESIDUAL = 2e-4
 
 
 class Comparison(NamedTuple):
@@ -139,8 +141,8 @@ class Comparison(NamedTuple):
     @property
     def departure(self) -> float:
         """Departure from the declared values over its uncertainty [1]."""
-        away = np.array([self.shift, self.tilt, self.width - 1.0])
-        return float(np.sqrt(away @ np.linalg.solve(self.covariance, away)))
+        deviation = np.array([self.shift, self.tilt, self.width - 1.0])
+        return float(np.sqrt(deviation @ np.linalg.solve(self.covariance, deviation)))
 
     def shift_at(self, wavelength: Floats) -> Floats:
         """Return the shift at wavelengths [nm]."""
@@ -157,60 +159,63 @@ class Comparison(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _WindowFit:
-    # One window: means of groups of pixels, and the light matched to its bands
+    # Inputs of the fit of a window: means of groups of pixels, and the light matched to the bands.
     wavelength: Floats  # (band,)
-    log: Floats  # (band, group): of radiance
+    log: Floats  # (band, group): logarithm of radiance
     shift: Floats  # (band, group): declared [nm]
-    valid: Array  # (group,): whether it has enough pixels here
+    valid: Array  # (group,): whether a group has enough pixels
     basis: Floats  # (band, power), orthonormal
-    slopes: Floats  # (band, power): its derivative [nm-1]
-    variance: Floats  # (band,): of the camera's responses [nm2]
+    slopes: Floats  # (band, power): derivative of the basis [nm-1]
+    variance: Floats  # (band,): variance of the camera's responses [nm2]
     nodes: Floats  # (node,): even shifts [nm]
     widths: Floats  # (width,)
     light: Floats  # (node, width, band): logarithm of matched irradiance
-    noise: Floats  # (channel, band): of the logarithm, from each channel of the record
+    noise: Floats  # (channel, band): noise of the logarithm by each channel of the record
     by_width: dict[float, Floats] = field(default_factory=dict)  # (node, band): cache of light at a width
 
     def light_at(self, shift: Floats, width: float) -> Floats:
-        # Light (band, group) at shifts (band, group) [nm], by polynomials in both
-        # many shifts are tried with the same widths
+        # Interpolate light (band, group) at shifts (band, group) [nm] and a width, by polynomials in both.
+        # the light at a width is cached: many shifts are tested with the same widths
         at_width = self.by_width.get(float(width))
         if at_width is None:
-            # the polynomial through the light at all widths
-            away, nodes = width - self.widths, self.widths
+            # polynomial through the light at all widths
+            offsets, nodes = width - self.widths, self.widths
             weights_of_widths = np.array(
                 [
-                    np.prod(np.delete(away, k)) / np.prod(nodes[k] - np.delete(nodes, k))
+                    np.prod(np.delete(offsets, k)) / np.prod(nodes[k] - np.delete(nodes, k))
                     for k in range(nodes.size)
                 ]
             )
             at_width = np.einsum("nwb,w->nb", self.light, weights_of_widths)
             self.by_width[float(width)] = at_width
-        place = (shift - self.nodes[0]) / (self.nodes[1] - self.nodes[0])
-        low = np.clip(np.floor(place).astype(np.int64), 1, self.nodes.size - 3)
-        t = place - low
+        position = (shift - self.nodes[0]) / (self.nodes[1] - self.nodes[0])
+        lower = np.clip(np.floor(position).astype(np.int64), 1, self.nodes.size - 3)
+        t = position - lower
         weights = (
             -t * (t - 1) * (t - 2) / 6,
             (t + 1) * (t - 1) * (t - 2) / 2,
             -(t + 1) * t * (t - 2) / 2,
             (t + 1) * t * (t - 1) / 6,
         )
-        first = (low - 1) * shift.shape[0] + np.arange(shift.shape[0])[:, None]  # flat indices: half the time
+        first = (lower - 1) * shift.shape[0] + np.arange(shift.shape[0])[
+            :, None
+        ]  # flat indices: half the time
         values = at_width.ravel()
         return np.asarray(sum(w * values[first + k * shift.shape[0]] for k, w in enumerate(weights)))
 
     def lines(self, shift: Floats, width: float) -> Floats:
-        # Logarithm of the light (band, group) without its smooth part
+        # Return the logarithm of the light (band, group) without its smooth part.
         light = self.light_at(self.shift + shift[:, None], width)
         return np.asarray(light - self.basis @ (self.basis.T @ light))
 
     def departure(self, shift: Floats, width: float) -> Floats:
-        # Logarithm of radiance over light (band, group) without its smooth part.
-        # A surface of slope g seen by a band of variance v acts as a shift g v; g is the smooth curve's.
-        place = self.shift + shift[:, None]
-        ratio = self.log - self.light_at(place, width)
+        # Return the logarithm of radiance over light (band, group) without its smooth part.
+        # A surface of spectral slope g in a band of variance v acts as a shift g v; g comes from the smooth
+        # curve.
+        total_shift = self.shift + shift[:, None]
+        ratio = self.log - self.light_at(total_shift, width)
         tilt = (self.slopes @ (self.basis.T @ ratio)) * self.variance[:, None]
-        ratio = self.log - self.light_at(place + tilt, width)
+        ratio = self.log - self.light_at(total_shift + tilt, width)
         return np.asarray(ratio - self.basis @ (self.basis.T @ ratio))
 
 
@@ -233,24 +238,25 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
     windows = _windows(declared, rules)
     if not windows:
         return None
-    inside = [
+    inside_windows = [
         (declared.wavelength >= low) & (declared.wavelength <= high) & declared.good for low, high in windows
     ]
-    used = np.flatnonzero(np.logical_or.reduce(inside))
-    blocks, share = _block_means(dataset, declared, used, windows, rules)
-    spectra = declared.light.spectra[share > 0]
-    light, square = share[share > 0] @ spectra, share[share > 0] ** 2 @ spectra**2
+    used_bands = np.flatnonzero(np.logical_or.reduce(inside_windows))
+    blocks, shares = _block_means(dataset, declared, used_bands, windows, rules)
+    spectra = declared.light.spectra[shares > 0]
+    light, squared_noise = shares[shares > 0] @ spectra, shares[shares > 0] ** 2 @ spectra**2
     relative = noise_of_record(declared.light.spectra, declared.light.time, fewest=1)
-    noise = np.sqrt(square) * (0.0 if relative is None else relative)
-    fits = [_window_fit(declared, chosen, blocks, (light, noise), rules) for chosen in inside]
+    noise = np.sqrt(squared_noise) * (0.0 if relative is None else relative)
+    fits = [_window_fit(declared, is_inside, blocks, (light, noise), rules) for is_inside in inside_windows]
     usable = [fit for fit in fits if fit is not None]
     if not usable:
         return None
     channels = declared.light.wavelength
-    between = (channels >= windows[0][0]) & (channels <= windows[-1][1])
-    width = float(np.broadcast_to(declared.light.fwhm, channels.shape)[between].mean())
-    return _joint(usable, rules)._replace(
-        sun=record_against_sun(channels, light), declared_fwhm=(width, float(declared.fwhm[used].mean()))
+    is_between = (channels >= windows[0][0]) & (channels <= windows[-1][1])
+    width = float(np.broadcast_to(declared.light.fwhm, channels.shape)[is_between].mean())
+    return _joint_fit(usable, rules)._replace(
+        sun=record_against_sun(channels, light),
+        declared_fwhm=(width, float(declared.fwhm[used_bands].mean())),
     )
 
 
@@ -267,94 +273,99 @@ def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, fl
 
 
 class _Block(NamedTuple):
-    radiance: Floats  # (band, column), all bands; NaN of those that were not read
+    radiance: Floats  # (band, column), all bands; NaN for bands that were not read
     pixels: Array  # (column,)
 
 
 def _block_means(
     dataset: xr.Dataset,
     declared: Declared,
-    used: Array,
+    used_bands: Array,
     windows: list[tuple[float, float]],
     rules: ComparisonRules,
 ) -> tuple[list[_Block], Floats]:
-    # Means of slabs evenly over the line, and the weights of samples (sample,) in their light
+    # Return means of slabs evenly over the line, and the weights (sample,) of record samples in their light.
     lines = dataset.sizes[ALONG_TRACK]
     size = min(rules.block_lines, lines)
     starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
-    cube = radiance_of_bands(dataset, used)
+    cube = radiance_of_bands(dataset, used_bands)
     blocks, shares = [], []
     for start in starts:
         lines_of_block = slice(int(start), int(start) + size)
         share, level = shares_of_samples(declared, windows, lines_of_block)
         mean, pixels = mean_over_lines(cube[lines_of_block], level)
         radiance = np.full((declared.wavelength.size, pixels.size), np.nan)
-        radiance[used] = mean
+        radiance[used_bands] = mean
         blocks.append(_Block(radiance, pixels))
         shares.append(share)
     return blocks, np.asarray(np.mean(shares, axis=0))
 
 
 def _group_means(
-    declared: Declared, chosen: Array, blocks: list[_Block], rules: ComparisonRules
+    declared: Declared, is_inside: Array, blocks: list[_Block], rules: ComparisonRules
 ) -> tuple[Floats, Floats]:
-    # Spectra and declared shifts (band, group) of a window; NaN spectra where pixels are too few
+    # Return spectra and declared shifts (band, group) of a window; NaN spectra where pixels are too few.
     columns = blocks[0].pixels.size
-    shift = declared.shift(columns)[chosen]
+    shift = declared.shift(columns)[is_inside]
     edges = np.unique(np.linspace(0, columns, rules.column_groups + 1).astype(np.int64))
     spectra, shifts = [], []
     for block in blocks:
-        # leave out columns with bad elements: the others would show another surface in that band alone
-        values = block.radiance[chosen]
-        whole = np.isfinite(values).all(axis=0)
+        # leave out columns with bad elements: that band would be averaged over another surface
+        values = block.radiance[is_inside]
+        is_complete = np.isfinite(values).all(axis=0)
         for first, last in itertools.pairwise(edges):
-            weight = np.where(whole, block.pixels, 0)[first:last]
-            enough = weight.sum() >= rules.least_pixels
-            share = weight / weight.sum() if enough else np.full(last - first, 1.0 / (last - first))
-            spectrum = np.where(whole, values, 0.0)[:, first:last] @ share
-            spectra.append(spectrum if enough else np.full(spectrum.shape, np.nan))
+            weight = np.where(is_complete, block.pixels, 0)[first:last]
+            has_enough = weight.sum() >= rules.least_pixels
+            share = weight / weight.sum() if has_enough else np.full(last - first, 1.0 / (last - first))
+            spectrum = np.where(is_complete, values, 0.0)[:, first:last] @ share
+            spectra.append(spectrum if has_enough else np.full(spectrum.shape, np.nan))
             shifts.append(shift[:, first:last] @ share)
     return np.stack(spectra, axis=1), np.stack(shifts, axis=1)
 
 
 def _window_fit(
     declared: Declared,
-    chosen: Array,
+    is_inside: Array,
     blocks: list[_Block],
     record: tuple[Floats, Floats],
     rules: ComparisonRules,
 ) -> _WindowFit | None:
-    # A window ready for the fit; None where record or pixels cover too little of it
+    # Return the inputs of the fit of a window; None where record or pixels cover too little of it.
     light, noise = record  # (channel,): mean of the light, and its noise
-    spectrum, own = _group_means(declared, chosen, blocks, rules)
+    spectrum, declared_shift = _group_means(declared, is_inside, blocks, rules)
     valid = np.asarray(np.isfinite(spectrum).all(axis=0))
     if valid.sum() < rules.least_groups:
         return None
-    bands = declared.bands(chosen)
-    limits = (float(own.min()) - rules.max_shift_nm, float(own.max()) + rules.max_shift_nm)
+    bands = declared.bands(is_inside)
+    limits = (
+        float(declared_shift.min()) - rules.max_shift_nm,
+        float(declared_shift.max()) + rules.max_shift_nm,
+    )
     channels = declared.light.wavelength
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(declared.light.fwhm, channels.shape)
     reach = np.abs(limits).max() + 2.0 * bands.reach().max() + 8.0 * width.max()
-    near = order[np.abs(channels[order] - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach]
-    spectrometer = Responses(channels[near], width[near], declared.light.srf_shape)
+    nearby_channels = order[
+        np.abs(channels[order] - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach
+    ]
+    spectrometer = Responses(channels[nearby_channels], width[nearby_channels], declared.light.srf_shape)
     widths = np.asarray(rules.widths)
-    nodes, logs, weights = responses_table(spectrometer, bands, light[near], limits, widths)
+    nodes, logs, weights = responses_table(spectrometer, bands, light[nearby_channels], limits, widths)
     covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, valid] > 0).all(axis=1)
     if covered.sum() < rules.degree + 7:
         return None
     wavelength = bands.wavelength[covered]
     by_channel = np.zeros((channels.size, covered.sum()))
-    level, sd = np.nan_to_num(light[near]), np.nan_to_num(noise[near])
-    by_channel[near] = (weights[covered] * sd / (weights[covered] @ level)[:, None]).T
+    light_nearby, sd = np.nan_to_num(light[nearby_channels]), np.nan_to_num(noise[nearby_channels])
+    by_channel[nearby_channels] = (weights[covered] * sd / (weights[covered] @ light_nearby)[:, None]).T
     scale = np.ptp(wavelength) / 2.0
-    place = (wavelength - wavelength.min()) / scale - 1.0
-    basis, upper = np.linalg.qr(np.polynomial.legendre.legvander(place, rules.degree))
-    powers = [np.polynomial.Legendre.basis(power).deriv()(place) for power in range(rules.degree + 1)]
+    position = (wavelength - wavelength.min()) / scale - 1.0
+    basis, upper = np.linalg.qr(np.polynomial.legendre.legvander(position, rules.degree))
+    powers = [np.polynomial.Legendre.basis(power).deriv()(position) for power in range(rules.degree + 1)]
     return _WindowFit(
         wavelength=wavelength,
         log=np.log(np.where(valid, spectrum, 1.0)[covered]),
-        shift=own[covered],
+        shift=declared_shift[covered],
         valid=valid,
         basis=basis,
         slopes=np.stack(powers, axis=-1) / scale @ np.linalg.inv(upper),
@@ -366,57 +377,57 @@ def _window_fit(
     )
 
 
-def _shifts(fit: _WindowFit, numbers: Floats) -> Floats:
-    # Shift (band,) [nm] of `numbers`: shift at the centre, tilt, width
-    return np.asarray(numbers[0] + numbers[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
+def _shifts(fit: _WindowFit, parameters: Floats) -> Floats:
+    # Return the shift (band,) [nm] for parameters: shift at 600 nm, tilt, width.
+    return np.asarray(parameters[0] + parameters[1] * (fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)
 
 
-def _joint(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
-    # Shift, tilt and width at which all windows of all groups are smoothest.
-    # A fourth parameter is the air below the camera, which deepens the air's absorption in radiance alone.
+def _joint_fit(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
+    # Fit shift, tilt and width at which radiance over irradiance is smoothest in all windows and groups.
+    # A fourth parameter is the air below the camera, which increases absorption in radiance only.
     prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
-    numbers = np.append(_coarse(fits, rules), 0.0)
+    parameters = np.append(_coarse_minimum(fits, rules), 0.0)
     limits = np.array([rules.max_shift_nm, 0.3, np.inf, 0.1])
     for _ in range(_ITERATIONS):
-        away, slopes = _linear(fits, numbers, rules)
-        weights = _weights(fits, away)
-        normal, right = np.diag(prior), -prior * (numbers - [0.0, 0.0, 1.0, 0.0])
-        for r, j, w in zip(away, slopes, weights, strict=True):
-            normal = normal + np.einsum("ibg,jbg,bg->ij", j, j, w)
-            right = right - np.einsum("ibg,bg,bg->i", j, r, w)
-        numbers = np.clip(numbers + np.linalg.solve(normal, right), -limits, limits)
-        numbers[2] = np.clip(numbers[2], rules.widths[0], rules.widths[-1])
-    away, slopes = _linear(fits, numbers, rules)
-    covariance = _covariance(fits, away, slopes, np.diag(prior), rules)
-    before = [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]
+        departures, slopes = _linearised(fits, parameters, rules)
+        weights = _weights(fits, departures)
+        matrix, vector = np.diag(prior), -prior * (parameters - [0.0, 0.0, 1.0, 0.0])
+        for r, j, w in zip(departures, slopes, weights, strict=True):
+            matrix = matrix + np.einsum("ibg,jbg,bg->ij", j, j, w)
+            vector = vector - np.einsum("ibg,bg,bg->i", j, r, w)
+        parameters = np.clip(parameters + np.linalg.solve(matrix, vector), -limits, limits)
+        parameters[2] = np.clip(parameters[2], rules.widths[0], rules.widths[-1])
+    departures, slopes = _linearised(fits, parameters, rules)
+    covariance = _covariance(fits, departures, slopes, np.diag(prior), rules)
+    departures_declared = [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]
     effects = [
         (
-            fit.light_at(fit.shift + _shifts(fit, numbers)[:, None], numbers[2])
+            fit.light_at(fit.shift + _shifts(fit, parameters)[:, None], parameters[2])
             - fit.light_at(fit.shift, 1.0)
         ).mean(axis=1)
         for fit in fits
     ]
     return Comparison(
-        shift=float(numbers[0]),
-        tilt=float(numbers[1]),
-        width=float(numbers[2]),
+        shift=float(parameters[0]),
+        tilt=float(parameters[1]),
+        width=float(parameters[2]),
         covariance=covariance,
-        residual=_rms(fits, away),
-        residual_declared=_rms(fits, before),
+        residual=_rms(fits, departures),
+        residual_declared=_rms(fits, departures_declared),
         wavelength=np.concatenate([fit.wavelength for fit in fits]),
         effect=np.concatenate(effects),
         groups=max(int(fit.valid.sum()) for fit in fits),
         at_limit=bool(
-            abs(numbers[0]) >= rules.max_shift_nm or not rules.widths[0] < numbers[2] < rules.widths[-1]
+            abs(parameters[0]) >= rules.max_shift_nm or not rules.widths[0] < parameters[2] < rules.widths[-1]
         ),
     )
 
 
-def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
-    # Best of a grid of shifts and widths for the mean group: solar lines cause several minima
+def _coarse_minimum(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
+    # Return the best of a grid of shifts and widths for the mean group: solar lines cause several minima.
     steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
     shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
-    # one group a shift
+    # every shift is a group
     trials = [
         replace(
             fit,
@@ -433,78 +444,82 @@ def _coarse(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
     return np.array([shifts[at_shift], 0.0, rules.widths[at_width]])
 
 
-def _linear(
-    fits: list[_WindowFit], numbers: Floats, rules: ComparisonRules
+def _linearised(
+    fits: list[_WindowFit], parameters: Floats, rules: ComparisonRules
 ) -> tuple[list[Floats], list[Floats]]:
-    # Departures (band, group) and their derivatives (parameter, band, group) of every window
-    away, slopes = [], []
+    # Return departures (band, group) and their derivatives (parameter, band, group) of every window.
+    departures, slopes = [], []
     for fit in fits:
-        at, width = _shifts(fit, numbers), float(numbers[2])
-        by_shift = (fit.departure(at + _DERIVATIVE_NM, width) - fit.departure(at - _DERIVATIVE_NM, width)) / (
-            2 * _DERIVATIVE_NM
-        )
+        shift, width = _shifts(fit, parameters), float(parameters[2])
+        by_shift = (
+            fit.departure(shift + _DERIVATIVE_NM, width) - fit.departure(shift - _DERIVATIVE_NM, width)
+        ) / (2 * _DERIVATIVE_NM)
         by_width = (
-            fit.departure(at, width + _DERIVATIVE_WIDTH) - fit.departure(at, width - _DERIVATIVE_WIDTH)
+            fit.departure(shift, width + _DERIVATIVE_WIDTH) - fit.departure(shift, width - _DERIVATIVE_WIDTH)
         ) / (2 * _DERIVATIVE_WIDTH)
-        path = fit.lines(at, width) * (fit.wavelength[-1] > rules.airy)
-        away.append(fit.departure(at, width) - numbers[3] * path)
+        path = fit.lines(shift, width) * (fit.wavelength[-1] > rules.airy)
+        departures.append(fit.departure(shift, width) - parameters[3] * path)
         lever = ((fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)[:, None]
         slopes.append(np.stack([by_shift, lever * by_shift, by_width, -path]))
-    return away, slopes
+    return departures, slopes
 
 
-def _weights(fits: list[_WindowFit], away: list[Floats]) -> list[Floats]:
-    # Inverse variances (band, group): half of a group's own departures, half of its window's
+def _weights(fits: list[_WindowFit], departures: list[Floats]) -> list[Floats]:
+    # Return inverse variances (band, group): half from the departures of the group, half from the window.
     weights = []
-    for fit, r in zip(fits, away, strict=True):
-        own = (r**2).mean(axis=0)
-        variance = 0.5 * own + 0.5 * np.median(own[fit.valid]) + _LEAST_RESIDUAL**2
+    for fit, r in zip(fits, departures, strict=True):
+        group_variance = (r**2).mean(axis=0)
+        variance = 0.5 * group_variance + 0.5 * np.median(group_variance[fit.valid]) + _MIN_RESIDUAL**2
         weights.append(np.broadcast_to(np.where(fit.valid, 1.0 / variance, 0.0), r.shape))
     return weights
 
 
 def _covariance(
-    fits: list[_WindowFit], away: list[Floats], slopes: list[Floats], prior: Floats, rules: ComparisonRules
+    fits: list[_WindowFit],
+    departures: list[Floats],
+    slopes: list[Floats],
+    prior: Floats,
+    rules: ComparisonRules,
 ) -> Floats:
     """Return the covariance (3, 3) of shift, tilt, width: scatter between groups (surfaces) and bands.
 
-    Errors that all groups share (noise of the record, gains) scatter between bands alone; errors of a
-    surface, between groups. Both are sandwich estimates with sums over clusters, and are added. Noise of a
-    channel spreads over bands, more so where the camera is the sharper one: it goes through the operator.
+    Errors that all groups share (noise of the record, gains) scatter between bands only; errors of a
+    surface scatter between groups. Both are sandwich estimates with sums over clusters, and are added. Noise
+    of a channel is propagated through the operator: it spreads over bands, most where the camera is sharper.
     """
-    weights = _weights(fits, away)
-    groups = away[0].shape[1]
-    normal = prior.copy()
+    weights = _weights(fits, departures)
+    groups = departures[0].shape[1]
+    matrix = prior.copy()
     by_group = np.zeros((groups, 4))
     by_band = []
     by_channel = np.zeros((fits[0].noise.shape[0], 4))
-    for fit, r, j, w in zip(fits, away, slopes, weights, strict=True):
-        normal += np.einsum("ibg,jbg,bg->ij", j, j, w)
+    for fit, r, j, w in zip(fits, departures, slopes, weights, strict=True):
+        matrix += np.einsum("ibg,jbg,bg->ij", j, j, w)
         score = j * (r * w)
-        # departures lack what is smooth, and so do their derivatives: noise needs no projection of its own
+        # derivatives of departures have no smooth part, so noise needs no further projection
         by_channel += fit.noise @ (j * w).sum(axis=2).T
         by_group += score.sum(axis=1).T
         edges = np.arange(0, r.shape[0], _CLUSTER_BANDS)
-        free = r.shape[0] / max(r.shape[0] - rules.degree - 2, 1)
-        by_band.append(np.add.reduceat(score.sum(axis=2), edges, axis=1).T * np.sqrt(free))
+        freedom_factor = r.shape[0] / max(r.shape[0] - rules.degree - 2, 1)
+        by_band.append(np.add.reduceat(score.sum(axis=2), edges, axis=1).T * np.sqrt(freedom_factor))
     bands = np.concatenate(by_band)
     meat = by_group.T @ by_group * groups / max(groups - 1, 1)
     meat += bands.T @ bands * len(bands) / max(len(bands) - 3, 1)
     meat += by_channel.T @ by_channel
-    inverse = np.linalg.inv(normal)
-    floor = np.diag([rules.least_shift_u_nm, rules.least_shift_u_nm, rules.least_width_u]) ** 2
-    return np.asarray((inverse @ (meat + prior) @ inverse)[:3, :3] + floor)
+    inverse = np.linalg.inv(matrix)
+    min_variance = np.diag([rules.least_shift_u_nm, rules.least_shift_u_nm, rules.least_width_u]) ** 2
+    return np.asarray((inverse @ (meat + prior) @ inverse)[:3, :3] + min_variance)
 
 
-def _rms(fits: list[_WindowFit], away: list[Floats]) -> float:
-    shared = [r[:, fit.valid].mean(axis=1) for fit, r in zip(fits, away, strict=True)]
-    return float(np.sqrt(np.mean(np.concatenate(shared) ** 2)))
+def _rms(fits: list[_WindowFit], departures: list[Floats]) -> float:
+    means = [r[:, fit.valid].mean(axis=1) for fit, r in zip(fits, departures, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(means) ** 2)))
 
 
 # -- Compare camera and irradiance record of a flight line, and correct significant differences.
 
 _OXYGEN_NM, _BLUE_NM = 760.0, 450.0
-#: Upper end of the silicon detector of field spectrometers [nm]; results below do not hold for others.
+#: Upper end of the silicon detector of field spectrometers [nm]; results do not apply to detectors beyond.
 VNIR_END_NM = 1000.0
 
 
@@ -542,11 +557,12 @@ def align(
           ``"not significant"``, ``"not applied"`` or ``"not compared"``.
         * ``alignment_shift``, ``alignment_shift_slope``: wavelength of the camera minus wavelength of the
           record, relative to their declarations, at 600 nm [nm], and its change over 100 nm [nm];
-          ``alignment_width``: width of the record over the declared one [1], if all of it is the record's.
-          Each with ``_u``.
+          ``alignment_width``: width of the record over the declared one [1], if the whole difference is due
+          to the record. Each with ``_u``.
         * ``alignment_departure``: joint departure of these from agreement, in standard uncertainties;
           ``alignment_effect``: largest relative change of irradiance [1].
-        * ``alignment_residual``, ``alignment_residual_declared``: rms of the light's structure left in
+        * ``alignment_residual``, ``alignment_residual_declared``: rms of the light's structure that remains
+        in
           radiance over irradiance on average, relative, corrected and as declared [1].
         * ``alignment_record_shift``, ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm],
           ``alignment_camera_width`` [1]: the share of each instrument, by the solar lines in the record.
@@ -555,12 +571,12 @@ def align(
     Raises
     ------
     SchemaError
-        ``apply`` is another word.
+        ``apply`` is unknown.
 
     Warns
     -----
     PaintWarning
-        Camera and record differ, and it was not to be applied, or is beyond the search.
+        Camera and record differ, and the correction is switched off or beyond the range of the search.
 
     Notes
     -----
@@ -588,19 +604,16 @@ def align(
     >>> aligned.attrs["alignment_state"], round(aligned.attrs["alignment_shift"], 1)
     ('applied', -0.3)
     """
-    if apply not in ALIGNMENTS:
-        raise SchemaError(
-            f"apply={apply!r}", expected=f"one of {', '.join(map(repr, ALIGNMENTS))}", code="choice-unknown"
-        )
+    one_of(apply, ALIGNMENTS, "apply")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PaintWarning)  # computing the line itself warns
             comparison = compared(line, rules)
-    except (PaintError, OSError) as error:  # processing of the line itself raises it
+    except (PaintError, OSError) as error:  # processing of the line raises it again
         return _not_compared(line, str(error).splitlines()[0])
     if comparison is None:
         return _not_compared(line, "too few bands, pixels or channels where daylight has lines")
-    numbers = _numbers(comparison)
+    numbers = _attributes_of(comparison)
     is_significant = comparison.is_significant(rules)
     if comparison.at_limit:
         text = f"camera and irradiance record differ by more than can be corrected ({_sentence(comparison)})"
@@ -609,11 +622,11 @@ def align(
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
         # the camera's wavelengths move only where its share is significant
-        parts = _instruments(comparison)
-        is_camera = abs(parts.camera_shift) > rules.camera_significance * parts.camera_shift_u
-        camera = float(f"{parts.camera_shift:.3f}") if is_camera else 0.0
-        moved = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
-        text = f"irradiance record corrected in flight{moved}: {_sentence(comparison)}"
+        shares = _instruments(comparison)
+        is_camera_significant = abs(shares.camera_shift) > rules.camera_significance * shares.camera_shift_u
+        camera = float(f"{shares.camera_shift:.3f}") if is_camera_significant else 0.0
+        camera_text = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
+        text = f"irradiance record corrected in flight{camera_text}: {_sentence(comparison)}"
         return restated(_corrected(line, comparison, camera), text, numbers=numbers, state="applied")
     if is_significant:
         text = f"camera and irradiance record differ: {_sentence(comparison)}"
@@ -632,55 +645,58 @@ def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
     return restated(line, f"camera and irradiance record not compared: {reason}", state="not compared")
 
 
-def _numbers(found: Comparison) -> dict[str, float]:
-    spread = np.sqrt(np.diag(found.covariance))
+def _attributes_of(comparison: Comparison) -> dict[str, float]:
+    uncertainties = np.sqrt(np.diag(comparison.covariance))
     values = {
-        "shift": found.shift,
-        "shift_u": spread[0],
-        "shift_slope": found.tilt,
-        "shift_slope_u": spread[1],
-        "width": found.width,
-        "width_u": spread[2],
-        "effect": np.nanmax(np.abs(found.effect)),
-        "departure": found.departure,
-        "residual": found.residual,
-        "residual_declared": found.residual_declared,
+        "shift": comparison.shift,
+        "shift_u": uncertainties[0],
+        "shift_slope": comparison.tilt,
+        "shift_slope_u": uncertainties[1],
+        "width": comparison.width,
+        "width_u": uncertainties[2],
+        "effect": np.nanmax(np.abs(comparison.effect)),
+        "departure": comparison.departure,
+        "residual": comparison.residual,
+        "residual_declared": comparison.residual_declared,
     }
-    values |= _instruments(found)._asdict()
+    values |= _instruments(comparison)._asdict()
     return {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
 
 
-def _instruments(found: Comparison) -> Instruments:
-    spread = np.sqrt(np.diag(found.covariance))
-    shift, width = (found.shift, float(spread[0])), (found.width, float(spread[2]))
-    return divided(shift, width, found.sun, found.declared_fwhm)
+def _instruments(comparison: Comparison) -> Instruments:
+    uncertainties = np.sqrt(np.diag(comparison.covariance))
+    shift, width = (comparison.shift, float(uncertainties[0])), (comparison.width, float(uncertainties[2]))
+    return divided(shift, width, comparison.sun, comparison.declared_fwhm)
 
 
-def _sentence(found: Comparison) -> str:
-    spread = np.sqrt(np.diag(found.covariance))
-    places = ", ".join(
-        f"{float(found.effect[near]):+.2%} at {found.wavelength[near]:.0f} nm"
-        for near in (int(np.abs(found.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
+def _sentence(comparison: Comparison) -> str:
+    uncertainties = np.sqrt(np.diag(comparison.covariance))
+    changes = ", ".join(
+        f"{float(comparison.effect[near]):+.2%} at {comparison.wavelength[near]:.0f} nm"
+        for near in (int(np.abs(comparison.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
     )
     return (
-        f"camera minus record {found.shift:+.3f} +- {spread[0]:.3f} nm at 600 nm, changing by "
-        f"{found.tilt:+.3f} +- {spread[1]:.3f} nm over 100 nm; width of the record {found.width:.3f} +- "
-        f"{spread[2]:.3f} of that declared; irradiance changes by {places}, at most "
-        f"{np.nanmax(np.abs(found.effect)):.2%}"
+        f"camera minus record {comparison.shift:+.3f} +- {uncertainties[0]:.3f} nm at 600 nm, changing by "
+        f"{comparison.tilt:+.3f} +- {uncertainties[1]:.3f} nm over 100 nm; width of the record "
+        f"{comparison.width:.3f} +- "
+        f"{uncertainties[2]:.3f} of that declared; irradiance changes by {changes}, at most "
+        f"{np.nanmax(np.abs(comparison.effect)):.2%}"
     )
 
 
-def _corrected(line: xr.Dataset, found: Comparison, camera: float) -> xr.Dataset:
-    # Line with corrected channels of the record; `camera`: the camera's share [nm]
+def _corrected(line: xr.Dataset, comparison: Comparison, camera: float) -> xr.Dataset:
+    # Return the line with corrected channels of the record; `camera`: share of the camera [nm].
     dataset = schema.rename_to_roles(line)
     arrays = schema.require(dataset, [IRRADIANCE_WAVELENGTH, "irradiance_fwhm"], "the alignment")
     channels = arrays[IRRADIANCE_WAVELENGTH].values.astype(np.float64)
     # the shift is constant beyond the compared bands
-    reached = np.clip(channels, found.wavelength.min(), found.wavelength.max())
-    shifted = channels - found.shift_at(reached) + camera
+    limited = np.clip(channels, comparison.wavelength.min(), comparison.wavelength.max())
+    shifted = channels - comparison.shift_at(limited) + camera
     width = np.broadcast_to(arrays["irradiance_fwhm"].values, channels.shape)
-    same_detector = channels <= max(VNIR_END_NM, found.wavelength.max())
-    widths = xr.DataArray(np.where(same_detector, width * found.width, width), dims=IRRADIANCE_WAVELENGTH)
+    is_same_detector = channels <= max(VNIR_END_NM, comparison.wavelength.max())
+    widths = xr.DataArray(
+        np.where(is_same_detector, width * comparison.width, width), dims=IRRADIANCE_WAVELENGTH
+    )
     coordinate = xr.DataArray(shifted, dims=IRRADIANCE_WAVELENGTH)
     aligned = (
         without_products(dataset)
@@ -688,11 +704,11 @@ def _corrected(line: xr.Dataset, found: Comparison, camera: float) -> xr.Dataset
         .assign_coords({IRRADIANCE_WAVELENGTH: schema.label(coordinate, IRRADIANCE_WAVELENGTH)})
     )
     if camera:
-        # the columns' wavelengths move; ``wavelength`` stays, the axis of all lines
+        # ``wavelength`` stays, the common axis of all lines; the shift of columns changes
         names = [name for name in ("wavelength_shift",) if name in aligned.variables]
         declared = schema.require(aligned, names, "the alignment")
         zero = xr.DataArray(np.zeros(aligned.sizes[CROSS_TRACK]), dims=CROSS_TRACK)
         shift = declared.get("wavelength_shift", zero) + camera
-        plain = xr.DataArray(shift.values, dims=shift.dims)
-        aligned = aligned.assign_coords(wavelength_shift=schema.label(plain, "wavelength_shift"))
+        new_shift = xr.DataArray(shift.values, dims=shift.dims)
+        aligned = aligned.assign_coords(wavelength_shift=schema.label(new_shift, "wavelength_shift"))
     return aligned.assign(irradiance_fwhm=schema.label(widths, "irradiance_fwhm"))

@@ -1,8 +1,8 @@
-"""Wavelengths and line widths of the camera in flight, with the daylight as the lamp.
+"""Wavelengths and widths of the camera in flight, from absorption bands of the daylight.
 
-The irradiance record and the scene show the same absorption bands. Paint changes them smoothly over
-some tens of nanometres; where the ratio of radiance to matched irradiance is not smooth, the camera's
-wavelengths or widths are not those declared. The check is relative to the irradiance spectrometer, as
+The irradiance record and the scene show the same absorption bands. Spectra of paint are smooth over
+some tens of nanometres. Where the ratio of radiance to matched irradiance is not smooth, the camera's
+wavelengths or widths differ from the declared ones. The check is relative to the irradiance spectrometer, as
 reflectance is.
 """
 
@@ -28,7 +28,7 @@ from .oxygen import mean_over_lines, radiance_of_bands
 
 # -- Shift and width of every column by least squares in windows of the spectrum, and their mean.
 
-#: Least relative residual, by float32 and the matching [1].
+#: Lower limit of relative residuals, from float32 and matching [1].
 RESIDUAL_FLOOR = 1e-4
 _ITERATIONS = 12
 MIN_FREEDOM = 3
@@ -49,7 +49,7 @@ class Fit:
     # the degrees of freedom, at the best and at the declared values
     residual: Floats
     residual_declared: Floats
-    # departure, departure_declared (band, column): The same band by band
+    # departure, departure_declared (band, column): relative departure of every band
     departure: Floats
     departure_declared: Floats
     at_limit: Array  # (column,): True where the optimum is at an end of the search, or was not reached
@@ -63,29 +63,29 @@ class _Optimum:
     shift: Floats
     factor: Floats
     tilt: Floats  # (band, column): shift equivalent to the surface's slope [nm]
-    last_step: Floats  # (column, 2): of shift and factor; 0 where the optimum was reached
+    last_step: Floats  # (column, 2): last step of shift and factor; 0 where the search converged
 
 
 @dataclass(frozen=True)
-class _Smooth:
+class _SmoothPart:
     # Projection of logarithms (band, column) onto polynomials over the bands
     used: Array
     basis: Floats  # (column, band, power), orthonormal over the used bands
     slopes: Floats  # (column, band, power), its derivative [nm-1]
 
     @classmethod
-    def over(cls, wavelength: Floats, used: Array, degree: int) -> _Smooth:
+    def over(cls, wavelength: Floats, used: Array, degree: int) -> _SmoothPart:
         scale = np.ptp(wavelength) / 2.0
-        place = (wavelength - wavelength.min()) / scale - 1.0
-        powers = np.polynomial.legendre.legvander(place, degree)
+        position = (wavelength - wavelength.min()) / scale - 1.0
+        powers = np.polynomial.legendre.legvander(position, degree)
         polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
-        derivatives = np.stack([polynomial.deriv()(place) for polynomial in polynomials], axis=-1)
+        derivatives = np.stack([polynomial.deriv()(position) for polynomial in polynomials], axis=-1)
         basis, upper = np.linalg.qr(used.T[:, :, None] * powers)
         upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
         return cls(used, basis, derivatives / scale @ np.linalg.inv(upper))
 
     def slope(self, values: Floats) -> Floats:
-        # Derivative of the smooth curve (band, column) [nm-1]
+        # Return the derivative of the smooth curve (band, column) [nm-1].
         terms = np.einsum("xbp,bx->xp", self.basis, np.where(self.used, values, 0.0))
         return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms))
 
@@ -100,33 +100,35 @@ class _Ratio:
     # Logarithm of radiance over irradiance (band, column) at trial shifts and widths (column,).
     # `tilt` (band, column) [nm] is the shift equivalent to the surface's own slope.
     table: IrradianceTable
-    smooth: _Smooth
+    smooth: _SmoothPart
     log: Floats  # (band, column), of radiance
     declared: Floats  # (band, column), shift [nm]
 
     def departure(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
-        # Its departure from a smooth curve (band, column)
-        return self.smooth.without(self._at(tilt, shift, factor))
+        # Return the departure of the ratio from a smooth curve (band, column).
+        return self.smooth.without(self._log_ratio(tilt, shift, factor))
 
     def tilt(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
-        # Next tilt (band, column) [nm] from the slope of the smooth curve
-        return np.asarray(self.smooth.slope(self._at(tilt, shift, factor)) * self.table.variance_at(factor))
+        # Return the next tilt (band, column) [nm], from the slope of the smooth curve.
+        return np.asarray(
+            self.smooth.slope(self._log_ratio(tilt, shift, factor)) * self.table.variance_at(factor)
+        )
 
     def normal_equations(
-        self, tilt: Floats, shift: Floats, factor: Floats, away: Floats
+        self, tilt: Floats, shift: Floats, factor: Floats, departure: Floats
     ) -> tuple[Floats, Floats]:
-        # Normal matrix (column, 2, 2) and right side (column, 2) of a Gauss-Newton step
-        place = self.declared + tilt + shift
-        derivatives = (self.table.at(place, factor, dx=1), self.table.at(place, factor, dy=1))
+        # Return normal matrix (column, 2, 2) and right side (column, 2) of a Gauss-Newton step.
+        total_shift = self.declared + tilt + shift
+        derivatives = (self.table.at(total_shift, factor, dx=1), self.table.at(total_shift, factor, dy=1))
         slopes = np.stack([self.smooth.without(derivative) for derivative in derivatives])
-        return np.einsum("ibx,jbx->xij", slopes, slopes), np.einsum("ibx,bx->xi", slopes, away)
+        return np.einsum("ibx,jbx->xij", slopes, slopes), np.einsum("ibx,bx->xi", slopes, departure)
 
-    def _at(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
+    def _log_ratio(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
         return self.log - self.table.at(self.declared + tilt + shift, factor)
 
 
 def fewest_bands(degree: int) -> int:
-    """Return the number of bands that a fit needs: polynomial, shift and width, and some to spare."""
+    """Return the number of bands that a fit needs: polynomial, shift, width, and `MIN_FREEDOM` more."""
     return degree + 1 + 2 + MIN_FREEDOM
 
 
@@ -137,17 +139,17 @@ def fit_columns(
 
     ``table``: logarithm of irradiance; ``spectrum`` (band, column): mean radiance of every column, any scale;
     NaN where an element is bad; ``declared`` (band, column): declared shifts [nm]; ``degree``: of the
-    polynomial; ``max_shift``: how far from the declared shifts to look [nm].
+    polynomial; ``max_shift``: range of the search around the declared shifts [nm].
 
     Notes
     -----
-    Where the surface's spectrum has a slope g, a band of variance v sees it brighter on one side of its
-    centre, which acts as a shift g v (exactly so for a Gaussian): it is taken out with the slope of the
+    Where the surface's spectrum has a slope g, a band of variance v gets more light on one side of its
+    centre, which acts as a shift g v (exactly for a Gaussian); it is subtracted with the slope of the
     smooth curve.
 
-    A coarse search over the table, since absorption lines make several valleys, then Gauss-Newton.
-    Logarithms, because the surface's spectrum is then additive and drops out by projection, and because
-    relative noise has no gradient in them: at a relative noise s the ratio itself would be biased by s
+    A coarse search over the table, since absorption bands cause several minima, then Gauss-Newton.
+    Logarithms are used because the surface's spectrum is then additive and is removed by projection, and
+    because relative noise does not depend on the ratio: with relative noise s the ratio would be biased by s
     squared.
     """
     covered = np.isfinite(table.log).all(axis=(0, 1)).reshape(-1, 1)
@@ -157,7 +159,7 @@ def fit_columns(
     freedom = used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
     used = used & has_bands
     log = np.where(used, np.log(np.where(used, spectrum, 1.0)), 0.0)
-    ratio = _Ratio(table, _Smooth.over(table.wavelength, used, degree), log, declared)
+    ratio = _Ratio(table, _SmoothPart.over(table.wavelength, used, degree), log, declared)
     return _reported(ratio, _search(ratio, max_shift), has_bands, freedom, max_shift)
 
 
@@ -165,24 +167,24 @@ def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
     tilt: Floats = np.zeros(ratio.log.shape)
     # the best of a grid of shifts and widths: absorption bands cause several minima
     columns = tilt.shape[1]
-    best = np.full(columns, np.inf)
+    lowest_cost = np.full(columns, np.inf)
     shift, factor = np.zeros(columns), np.ones(columns)
     for trial_shift in np.linspace(-max_shift, max_shift, 2 * int(np.ceil(max_shift / 0.4)) + 1):
         for trial_factor in FACTORS[::2]:
-            away = ratio.departure(tilt, np.full(columns, trial_shift), np.full(columns, trial_factor))
-            total = (away**2).sum(axis=0)
-            better = total < best
-            best = np.where(better, total, best)
-            shift = np.where(better, trial_shift, shift)
-            factor = np.where(better, trial_factor, factor)
-    # Gauss-Newton, damped a little so that steps stay finite where the light has no structure
+            departure = ratio.departure(tilt, np.full(columns, trial_shift), np.full(columns, trial_factor))
+            cost = (departure**2).sum(axis=0)
+            is_better = cost < lowest_cost
+            lowest_cost = np.where(is_better, cost, lowest_cost)
+            shift = np.where(is_better, trial_shift, shift)
+            factor = np.where(is_better, trial_factor, factor)
+    # Gauss-Newton, slightly damped: steps stay finite where the light has no structure
     step = np.zeros((shift.size, 2))
     for _ in range(_ITERATIONS):
         tilt = ratio.tilt(tilt, shift, factor)
-        away = ratio.departure(tilt, shift, factor)
-        normal, right = ratio.normal_equations(tilt, shift, factor, away)
-        normal = normal + (1e-12 + 1e-9 * np.trace(normal, axis1=1, axis2=2))[:, None, None] * np.eye(2)
-        step = np.clip(np.linalg.solve(normal, right[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
+        departure = ratio.departure(tilt, shift, factor)
+        matrix, vector = ratio.normal_equations(tilt, shift, factor, departure)
+        matrix = matrix + (1e-12 + 1e-9 * np.trace(matrix, axis1=1, axis2=2))[:, None, None] * np.eye(2)
+        step = np.clip(np.linalg.solve(matrix, vector[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
         shift = np.clip(shift + step[:, 0], -max_shift, max_shift)
         factor = np.clip(factor + step[:, 1], FACTORS[0], FACTORS[-1])
     return _Optimum(shift, factor, tilt, step)
@@ -190,13 +192,13 @@ def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
 
 def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array, max_shift: float) -> Fit:
     shift, factor, used = optimum.shift, optimum.factor, ratio.smooth.used
-    after = ratio.departure(optimum.tilt, shift, factor)
-    normal, _ = ratio.normal_equations(optimum.tilt, shift, factor, after)
+    departure_best = ratio.departure(optimum.tilt, shift, factor)
+    matrix, _ = ratio.normal_equations(optimum.tilt, shift, factor, departure_best)
     zero, one = np.zeros_like(shift), np.ones_like(shift)
-    before = ratio.departure(ratio.tilt(optimum.tilt, zero, one), zero, one)
-    ends = (np.abs(shift) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
-    ends |= (np.abs(optimum.last_step) > 1e-3).any(axis=1)
-    shift_u, factor_u, correlation = _uncertainties(after, normal, freedom, has_bands)
+    departure_declared = ratio.departure(ratio.tilt(optimum.tilt, zero, one), zero, one)
+    at_limit = (np.abs(shift) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
+    at_limit |= (np.abs(optimum.last_step) > 1e-3).any(axis=1)
+    shift_u, factor_u, correlation = _uncertainties(departure_best, matrix, freedom, has_bands)
 
     def residual(departure: Floats) -> Floats:
         return np.where(has_bands, np.sqrt((departure**2).sum(axis=0) / np.maximum(freedom, 1)), np.nan)
@@ -207,30 +209,30 @@ def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array
         factor=np.where(has_bands, factor, np.nan),
         factor_u=factor_u,
         correlation=correlation,
-        residual=residual(after),
-        residual_declared=residual(before),
-        departure=np.where(used, np.expm1(after), np.nan),
-        departure_declared=np.where(used, np.expm1(before), np.nan),
-        at_limit=ends & has_bands,
+        residual=residual(departure_best),
+        residual_declared=residual(departure_declared),
+        departure=np.where(used, np.expm1(departure_best), np.nan),
+        departure_declared=np.where(used, np.expm1(departure_declared), np.nan),
+        at_limit=at_limit & has_bands,
         noise_gain=ratio.table.noise_gain_at(factor),
         freedom=np.where(has_bands, freedom, 0),
     )
 
 
 def _uncertainties(
-    after: Floats, normal: Floats, freedom: Array, has_bands: Array
+    departure: Floats, matrix: Floats, freedom: Array, has_bands: Array
 ) -> tuple[Floats, Floats, Floats]:
-    # Standard uncertainties of shift and factor from the residual, and their correlation.
+    # Return standard uncertainties of shift and factor from the residual, and their correlation.
     # Infinite where the light has no lines, NaN where a column has too few bands.
-    variance = np.maximum((after**2).sum(axis=0) / np.maximum(freedom, 1), RESIDUAL_FLOOR**2)
-    shift, factor, common = normal[:, 0, 0], normal[:, 1, 1], normal[:, 0, 1]
-    # written out, so that a column without lines does not make a singular matrix
-    determinant = shift * factor - common**2
+    variance = np.maximum((departure**2).sum(axis=0) / np.maximum(freedom, 1), RESIDUAL_FLOOR**2)
+    shift, factor, mixed = matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 0, 1]
+    # explicit inverse: a column without absorption bands would make the matrix singular
+    determinant = shift * factor - mixed**2
     with np.errstate(invalid="ignore", divide="ignore"):
-        lit = determinant > 0.0
-        shift_u = np.where(lit, np.sqrt(variance * factor / determinant), np.inf)
-        factor_u = np.where(lit, np.sqrt(variance * shift / determinant), np.inf)
-        correlation = np.where(lit, -common / np.sqrt(shift * factor), 0.0)
+        has_structure = determinant > 0.0
+        shift_u = np.where(has_structure, np.sqrt(variance * factor / determinant), np.inf)
+        factor_u = np.where(has_structure, np.sqrt(variance * shift / determinant), np.inf)
+        correlation = np.where(has_structure, -mixed / np.sqrt(shift * factor), 0.0)
     shift_u, factor_u, correlation = (
         np.where(has_bands, values, np.nan) for values in (shift_u, factor_u, correlation)
     )
@@ -243,11 +245,11 @@ Window = tuple[float, float]
 WINDOWS = ((740.0, 800.0), (890.0, 985.0))
 #: Margin by which the irradiance record must exceed a default window [nm].
 _RECORD_MARGIN = 15.0
-#: Why a column is not used.
+#: Reasons why a column is not used.
 FLAGS = {"no_data": 1, "too_noisy": 2, "at_limit": 4, "record_too_coarse": 8}
 MAX_NOISE_GAIN = 3.0
-#: Ratio of the windows' variances up to which they are pooled.
-_SAME_NOISE = 3.0
+#: Largest ratio of the windows' variances for which they are pooled.
+_MAX_VARIANCE_RATIO = 3.0
 
 
 def default_windows(declared: Declared, degree: int) -> list[Window]:
@@ -256,15 +258,15 @@ def default_windows(declared: Declared, degree: int) -> list[Window]:
     covered = [
         (low, high)
         for low, high in WINDOWS
-        if _inside(declared, low, high).sum() >= fewest_bands(degree)
+        if _is_inside(declared, low, high).sum() >= fewest_bands(degree)
         and channels.min() <= low - _RECORD_MARGIN
         and channels.max() >= high + _RECORD_MARGIN
     ]
     return covered or [*WINDOWS[:1]]
 
 
-def _inside(declared: Declared, low: float, high: float) -> Array:
-    # Whether bands are good and lie in a window, (band,) bool
+def _is_inside(declared: Declared, low: float, high: float) -> Array:
+    # Return whether bands are good and inside a window (band,).
     return declared.good & (declared.wavelength >= low) & (declared.wavelength <= high)
 
 
@@ -272,17 +274,17 @@ def checked_windows(window: Any) -> list[Window]:
     """Return the windows in the order passed; SchemaError for invalid ones."""
     problems = Problems(f"window={window!r} cannot be used", SchemaError)
     try:
-        values = np.asarray(window, np.float64)
+        limits = np.asarray(window, np.float64)
     except (TypeError, ValueError):  # texts, or pairs of unlike lengths
-        values = np.empty(0)
-    if values.ndim not in (1, 2) or values.shape[-1] != 2 or not values.size:
+        limits = np.empty(0)
+    if limits.ndim not in (1, 2) or limits.shape[-1] != 2 or not limits.size:
         problems.add(
             "it is not a pair of numbers",
             expected="a lowest and a highest wavelength in nm, or several such pairs",
             code="window-unreadable",
         )
         problems.raise_if_any()
-    pairs = [(float(low), float(high)) for low, high in np.atleast_2d(values)]
+    pairs = [(float(low), float(high)) for low, high in np.atleast_2d(limits)]
     for low, high in pairs:
         if not (np.isfinite([low, high]).all() and low < high):
             problems.add(
@@ -298,20 +300,20 @@ def checked_windows(window: Any) -> list[Window]:
 
 
 def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Array]:
-    """Return whether good bands lie in each window, (band,) bool; SchemaError for too few."""
-    chosen = [_inside(declared, low, high) for low, high in windows]
+    """Return which bands are good and inside each window (band,); SchemaError for too few."""
+    inside_windows = [_is_inside(declared, low, high) for low, high in windows]
     fewest = fewest_bands(degree)
     problems = Problems("the line cannot be aligned", SchemaError)
-    for (low, high), inside in zip(windows, chosen, strict=True):
-        if inside.sum() < fewest:
+    for (low, high), is_inside in zip(windows, inside_windows, strict=True):
+        if is_inside.sum() < fewest:
             problems.add(
-                f"{low:g} to {high:g} nm holds {inside.sum()} good bands",
+                f"{low:g} to {high:g} nm holds {is_inside.sum()} good bands",
                 expected=f"at least {fewest} for a polynomial of degree {degree}, shift and width",
                 mend="widen the window or lower degree=",
                 code="bands-too-few",
             )
     problems.raise_if_any()
-    return chosen
+    return inside_windows
 
 
 @dataclass(frozen=True)
@@ -331,7 +333,7 @@ class Estimate:
 
 
 def estimate(fit: Fit, inside: Array, declared: Declared, shift: Floats) -> Estimate:
-    """Return the estimate of one window, without the flag of noise, which depends on the mean of windows."""
+    """Return the estimate of a window, without the flag of noise, which depends on the mean of windows."""
     flag = np.where(np.isfinite(fit.shift), 0, FLAGS["no_data"])
     flag |= np.where(fit.at_limit, FLAGS["at_limit"], 0)
     with np.errstate(invalid="ignore"):
@@ -361,51 +363,53 @@ def combined(windows: list[Estimate]) -> Estimate:
     """Return the mean of the reliable windows, weighted with the inverse of their covariances."""
     value, covariance, flag = (stacked(windows, name) for name in ("value", "covariance", "flag"))
     is_reliable = (flag == 0) & np.isfinite(covariance).all(axis=(2, 3))
-    covariance = covariance * _one_noise(windows, is_reliable)[..., None, None]
+    covariance = covariance * _pooled_noise_factor(windows, is_reliable)[..., None, None]
     # where no window is reliable, report the flags of the first
     is_reliable[0] |= ~is_reliable.any(axis=0)
-    plain = np.where(is_reliable[..., None, None] & np.isfinite(covariance), covariance, np.eye(2))
-    weight = np.where(is_reliable[..., None, None], np.linalg.inv(plain), 0.0)
+    finite_covariance = np.where(
+        is_reliable[..., None, None] & np.isfinite(covariance), covariance, np.eye(2)
+    )
+    weight = np.where(is_reliable[..., None, None], np.linalg.inv(finite_covariance), 0.0)
     total = np.linalg.inv(weight.sum(axis=0))
-    used = np.where(is_reliable[..., None], value, 0.0)
-    mean = np.einsum("xij,wxjk,wxk->xi", total, weight, used)
-    away = used - mean
-    chi2 = np.einsum("wxi,wxij,wxj->x", away, weight, away)
+    reliable_values = np.where(is_reliable[..., None], value, 0.0)
+    mean = np.einsum("xij,wxjk,wxk->xi", total, weight, reliable_values)
+    deviation = reliable_values - mean
+    chi2 = np.einsum("wxi,wxij,wxj->x", deviation, weight, deviation)
     freedom = 2 * (is_reliable.sum(axis=0) - 1)
     # a single reliable window gives its own covariance and flag
-    single, only = is_reliable.sum(axis=0) == 1, np.argmax(is_reliable, axis=0)
+    is_single, single_window = is_reliable.sum(axis=0) == 1, np.argmax(is_reliable, axis=0)
     columns = np.arange(is_reliable.shape[1])
     return Estimate(
         value=mean,
-        covariance=np.where(single[:, None, None], covariance[only, columns], total),
+        covariance=np.where(is_single[:, None, None], covariance[single_window, columns], total),
         shift=np.mean(stacked(windows, "shift"), axis=0),
         fwhm=float(np.mean([window.fwhm for window in windows])),
         centre=float(np.mean([window.centre for window in windows])),
         residual=_pooled(windows, is_reliable, "residual"),
         residual_declared=_pooled(windows, is_reliable, "residual_declared"),
         freedom=np.where(is_reliable, stacked(windows, "freedom"), 0).sum(axis=0),
-        flag=np.where(single, flag[only, columns], 0).astype(np.uint8),
+        flag=np.where(is_single, flag[single_window, columns], 0).astype(np.uint8),
         chi2=np.where(freedom > 0, chi2 / np.maximum(freedom, 1), np.nan),
     )
 
 
 def _pooled(windows: list[Estimate], is_reliable: Array, name: str) -> Floats:
-    # A residual (column,) pooled over the reliable windows
+    # Return a residual (column,) pooled over the reliable windows.
     freedom = np.where(is_reliable, stacked(windows, "freedom"), 0)
     square = np.where(is_reliable, stacked(windows, name) ** 2, 0.0)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt((freedom * square).sum(axis=0) / freedom.sum(axis=0)))
 
 
-def _one_noise(windows: list[Estimate], is_reliable: Array) -> Floats:
-    # Pooled variance over each window's own (window, column); 1 where they differ too much.
-    # Variances from a few tens of bands are uncertain by a third, and would make weights as uncertain.
-    own = np.where(is_reliable, np.maximum(stacked(windows, "residual"), RESIDUAL_FLOOR) ** 2, np.nan)
+def _pooled_noise_factor(windows: list[Estimate], is_reliable: Array) -> Floats:
+    # Return pooled variance over variance of each window (window, column); 1 where variances differ too much.
+    # Variances from a few tens of bands are uncertain by a third, and so would be weights from them.
+    variance = np.where(is_reliable, np.maximum(stacked(windows, "residual"), RESIDUAL_FLOOR) ** 2, np.nan)
     pooled = np.maximum(_pooled(windows, is_reliable, "residual"), RESIDUAL_FLOOR) ** 2
     with np.errstate(invalid="ignore", all="ignore"):
-        largest, least = (np.where(is_reliable, own, end) for end in (-np.inf, np.inf))
-        alike = largest.max(axis=0) <= _SAME_NOISE * least.min(axis=0)
-        return np.asarray(np.where(is_reliable & alike, pooled / own, 1.0))
+        largest, smallest = (np.where(is_reliable, variance, limit) for limit in (-np.inf, np.inf))
+        is_alike = largest.max(axis=0) <= _MAX_VARIANCE_RATIO * smallest.min(axis=0)
+        return np.asarray(np.where(is_reliable & is_alike, pooled / variance, 1.0))
 
 
 #: Pixels below which a column is not used.
@@ -441,9 +445,9 @@ def align_to_irradiance(
     max_uncertainty: float = 0.1,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    r"""In-flight spectral calibration: smile and FWHM of every column from the daylight's own lines.
+    r"""In-flight spectral calibration: smile and FWHM of every column from lines of the daylight.
 
-    Found are the wavelength shift and the width at which the ratio of radiance to irradiance is smoothest.
+    Fits the wavelength shift and the width at which the ratio of radiance to irradiance is smoothest.
     Eager: reads the line once, a slab at a time, and changes nothing; see
     `hyperpaint.alignment.apply_alignment`.
 
@@ -455,18 +459,18 @@ def align_to_irradiance(
     window
         Lowest and highest wavelength [nm], or several such pairs, each with a polynomial of its own:
         (640, 700) holds H-alpha and the oxygen B band, (800, 860) and (890, 985) the water's. By default
-        (740, 800) and (890, 985), or that of them that camera and record have.
+        (740, 800) and (890, 985), as far as camera and record cover them.
     separate
-        Report every window by itself, for a shift or a width that changes with wavelength, instead of their
+        Report every window separately, for a shift or a width that changes with wavelength, instead of their
         weighted mean.
     lines
         Lines to average; all by default.
     degree
-        Of the polynomial that stands for the surface's own spectrum.
+        Degree of the polynomial that models the surface's spectrum.
     group
         Neighbouring columns that are averaged together.
     max_shift
-        How far from the declared wavelengths to look [nm].
+        Range of the search around the declared wavelengths [nm].
     max_uncertainty
         Standard uncertainty of the shift above which a column is flagged [nm].
     progress
@@ -475,7 +479,7 @@ def align_to_irradiance(
     -------
     Dataset
         By ``cross_track`` (and before it ``window``, with ``separate``), float64, each with ``units``:
-        ``wavelength_shift`` and ``fwhm`` as found, ``wavelength_shift_u`` and ``fwhm_u``, ``correlation``,
+        ``wavelength_shift`` and ``fwhm`` as fitted, ``wavelength_shift_u`` and ``fwhm_u``, ``correlation``,
         ``shift_correction`` and ``fwhm_factor`` (measured against declared), ``residual`` and
         ``residual_declared``, ``chi2`` (of the windows against their mean, over its degrees of freedom),
         ``pixels``, ``flag`` (0 where the column is reliable); ``departure`` and ``departure_declared`` (band,
@@ -496,14 +500,14 @@ def align_to_irradiance(
     .. math:: \sum_b \big( (1 - P) \ln (\bar L_b / \bar E_b(\delta, f)) \big)^2
 
     where :math:`\bar E_b` is matched to the band's response (`hyperpaint.light.responses.matching_operator`)
-    and :math:`P` projects onto polynomials. Pixels with a missing sample in the windows are left out whole,
-    since a mean over other pixels in every band would make steps. Uncertainties follow from the residual;
-    they know nothing of structure that surfaces have and polynomials lack, such as the foot of vegetation's
-    red edge, nor of noise in the irradiance record, which all columns share. The mean over windows weighs
-    with the inverse of their covariances.
+    and :math:`P` projects onto polynomials. Pixels with a missing sample in the windows are left out in all
+    bands, since means over different pixels would make steps between bands. Uncertainties follow from the
+    residual; they do not include structure of surfaces that polynomials cannot fit, such as the beginning of
+    vegetation's red edge, nor noise of the irradiance record, which all columns share. The mean over windows
+    is weighted by the inverse of their covariances.
 
-    The literature ([1]_, [2]_) matches spectra to a modelled atmosphere; here the irradiance record stands in
-    its place.
+    The literature ([1]_, [2]_) matches spectra to a modelled atmosphere; here the irradiance record replaces
+    the model.
 
     References
     ----------
@@ -525,22 +529,24 @@ def align_to_irradiance(
     _check_options(degree, group, max_shift, max_uncertainty)
     declared = Declared.by(dataset)
     windows = default_windows(declared, degree) if window is None else checked_windows(window)
-    chosen = bands_of(windows, declared, degree)
+    inside_windows = bands_of(windows, declared, degree)
     light, level = mean_light(declared, windows, lines)
-    used = np.flatnonzero(np.logical_or.reduce(chosen))
-    part = dataset if lines is None else dataset.isel({ALONG_TRACK: lines})
-    mean, pixels = mean_over_lines(radiance_of_bands(part, used), level, progress)
+    used_bands = np.flatnonzero(np.logical_or.reduce(inside_windows))
+    selected = dataset if lines is None else dataset.isel({ALONG_TRACK: lines})
+    mean, pixels = mean_over_lines(radiance_of_bands(selected, used_bands), level, progress)
     spectrum = np.full((declared.wavelength.size, mean.shape[1]), np.nan)
-    spectrum[used] = mean
+    spectrum[used_bands] = mean
     spectrum, pixels, shift, column = _grouped(spectrum, pixels, declared.shift(mean.shape[1]), group)
     fits = []
-    for inside in chosen:
-        limits = (float(shift[inside].min()) - max_shift, float(shift[inside].max()) + max_shift)
-        table = table_of_bands(declared.light, light, declared.bands(inside), limits, fewest_bands(degree))
-        fits.append(fit_columns(table, spectrum[inside], shift[inside], degree, max_shift))
-    apart = [estimate(fit, inside, declared, shift) for fit, inside in zip(fits, chosen, strict=True)]
-    report = _labelled(apart if separate else [combined(apart)], pixels, column, max_uncertainty)
-    return _with_spectra(report, fits, chosen, declared, separate).assign_attrs(
+    for is_inside in inside_windows:
+        limits = (float(shift[is_inside].min()) - max_shift, float(shift[is_inside].max()) + max_shift)
+        table = table_of_bands(declared.light, light, declared.bands(is_inside), limits, fewest_bands(degree))
+        fits.append(fit_columns(table, spectrum[is_inside], shift[is_inside], degree, max_shift))
+    estimates = [
+        estimate(fit, is_inside, declared, shift) for fit, is_inside in zip(fits, inside_windows, strict=True)
+    ]
+    report = _labelled(estimates if separate else [combined(estimates)], pixels, column, max_uncertainty)
+    return _with_spectra(report, fits, inside_windows, declared, separate).assign_attrs(
         window="; ".join(f"{low:g}-{high:g} nm" for low, high in windows),
         degree=degree,
         lines=len(level),
@@ -564,22 +570,22 @@ def _check_options(degree: int, group: int, max_shift: float, max_uncertainty: f
 def _grouped(
     spectrum: Floats, pixels: Ints, shift: Floats, group: int
 ) -> tuple[Floats, Ints, Floats, Floats]:
-    # Spectra, pixels, shifts and column numbers of groups of neighbouring columns
+    # Return spectra, pixels, shifts and column numbers of groups of neighbouring columns.
     columns = np.arange(pixels.size, dtype=np.float64)
     if group == 1:
         return spectrum, pixels, shift, columns
     starts = np.arange(0, pixels.size, group)
-    # leave out whole columns with a bad element: without it the group's mean would show another surface in
-    # that band alone
-    in_any_column = np.isfinite(spectrum).any(axis=1, keepdims=True)
-    weight = np.where(np.isfinite(spectrum).all(axis=0, where=in_any_column), pixels, 0)
+    # leave out columns with a bad element in all bands: otherwise the group's mean would show another surface
+    # in the band of that element
+    has_band = np.isfinite(spectrum).any(axis=1, keepdims=True)
+    weight = np.where(np.isfinite(spectrum).all(axis=0, where=has_band), pixels, 0)
     total = np.add.reduceat(weight, starts)
     size = np.diff(np.append(starts, pixels.size))
     with np.errstate(invalid="ignore", divide="ignore"):
         share = weight / np.repeat(total, size)
     mean = np.add.reduceat(np.where(share > 0, spectrum, 0.0) * share, starts, axis=1)
     return (
-        np.where(in_any_column & (total > 0), mean, np.nan),
+        np.where(has_band & (total > 0), mean, np.nan),
         total,
         np.add.reduceat(shift, starts, axis=1) / size,
         np.add.reduceat(columns, starts) / size,
@@ -587,21 +593,21 @@ def _grouped(
 
 
 def _labelled(estimates: list[Estimate], pixels: Ints, column: Floats, max_uncertainty: float) -> xr.Dataset:
-    # Estimates as a Dataset (window, cross_track), with flags of noise and of few pixels
+    # Return estimates as a Dataset (window, cross_track), with flags of noise and of few pixels.
     value, covariance, flag = (stacked(estimates, name) for name in ("value", "covariance", "flag"))
-    spread = np.sqrt(np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1))
+    uncertainties = np.sqrt(np.stack([covariance[..., 0, 0], covariance[..., 1, 1]], axis=-1))
     fwhm = np.array([estimate.fwhm for estimate in estimates])[:, None]
     with np.errstate(invalid="ignore"):
-        noisy = ~(spread[..., 0] <= max_uncertainty) & ~np.isnan(value[..., 0])
-        correlation = covariance[..., 0, 1] / (spread[..., 0] * spread[..., 1])
-    flag |= np.where(noisy, FLAGS["too_noisy"], 0).astype(np.uint8)
+        is_noisy = ~(uncertainties[..., 0] <= max_uncertainty) & ~np.isnan(value[..., 0])
+        correlation = covariance[..., 0, 1] / (uncertainties[..., 0] * uncertainties[..., 1])
+    flag |= np.where(is_noisy, FLAGS["too_noisy"], 0).astype(np.uint8)
     flag |= np.where(pixels < MIN_PIXELS, FLAGS["no_data"], 0).astype(np.uint8)
     columns = {
         "wavelength_shift": value[..., 0] + stacked(estimates, "shift"),
-        "wavelength_shift_u": spread[..., 0],
+        "wavelength_shift_u": uncertainties[..., 0],
         "shift_correction": value[..., 0],
         "fwhm": value[..., 1] * fwhm,
-        "fwhm_u": spread[..., 1] * fwhm,
+        "fwhm_u": uncertainties[..., 1] * fwhm,
         "fwhm_factor": value[..., 1],
         "correlation": correlation,
         **{name: stacked(estimates, name) for name in ("residual", "residual_declared", "chi2")},
@@ -617,24 +623,26 @@ def _labelled(estimates: list[Estimate], pixels: Ints, column: Floats, max_uncer
 
 
 def _with_spectra(
-    report: xr.Dataset, fits: list[Fit], chosen: list[Array], declared: Declared, separate: bool
+    report: xr.Dataset, fits: list[Fit], inside_windows: list[Array], declared: Declared, separate: bool
 ) -> xr.Dataset:
-    shown = report if separate else report.isel(window=0)
+    labelled = report if separate else report.isel(window=0)
     for name in ("departure", "departure_declared"):
         values = np.full((declared.wavelength.size, report.sizes[CROSS_TRACK]), np.nan)
-        for fit, inside in zip(fits, chosen, strict=True):
-            values[inside] = getattr(fit, name)
-        shown[name] = ((BAND, CROSS_TRACK), values)
-    shown = shown.assign_coords(wavelength=(BAND, declared.wavelength, schema.VARIABLES["wavelength"].attrs))
-    for name in map(str, shown.data_vars):
+        for fit, is_inside in zip(fits, inside_windows, strict=True):
+            values[is_inside] = getattr(fit, name)
+        labelled[name] = ((BAND, CROSS_TRACK), values)
+    labelled = labelled.assign_coords(
+        wavelength=(BAND, declared.wavelength, schema.VARIABLES["wavelength"].attrs)
+    )
+    for name in map(str, labelled.data_vars):
         if name in schema.VARIABLES:
-            shown[name].attrs = schema.VARIABLES[name].attrs
+            labelled[name].attrs = schema.VARIABLES[name].attrs
         else:
             units, meaning = _REPORTED[name]
-            shown[name].attrs = {"long_name": meaning, "units": units}
-    shown["flag"].attrs = {
+            labelled[name].attrs = {"long_name": meaning, "units": units}
+    labelled["flag"].attrs = {
         "long_name": _REPORTED["flag"][1],
         "flag_masks": np.array(list(FLAGS.values()), np.uint8),
         "flag_meanings": " ".join(FLAGS),
     }
-    return shown
+    return labelled

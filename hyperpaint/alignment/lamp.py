@@ -1,4 +1,4 @@
-"""The daylight as a lamp: declared bands and light of a flight line, and the light matched to bands."""
+"""Declared bands and irradiance record of a flight line, and the irradiance matched to the bands."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hyperpaint.light.responses import (
 )
 from hyperpaint.light.synchrony import line_light
 
-#: Largest declared shift [nm]; beyond, units are wrong.
+#: Largest declared shift [nm]; larger values have wrong units.
 MAX_SHIFT_NM = 20.0
 
 
@@ -55,7 +55,7 @@ class Declared:
 
     @classmethod
     def by(cls, dataset: xr.Dataset) -> Declared:
-        """Return the declarations of a dataset; SchemaError where some are missing."""
+        """Return the declarations of a dataset; SchemaError if any are missing."""
         needed = ["time", "wavelength", "fwhm", "irradiance", "irradiance_fwhm"]
         needed += [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
         optional = ["wavelength_shift", "good", "band_spacing", "radiance_gain", "irradiance_max_gap"]
@@ -69,7 +69,7 @@ class Declared:
             slope = log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
         spacing, offset, table = (values.get(name) for name in ("band_spacing", "srf_offset", "srf"))
         shape = str(dataset.attrs.get("srf_shape", "gaussian"))
-        gap = values.get("irradiance_max_gap")
+        max_gap = values.get("irradiance_max_gap")
         return cls(
             time=values["time"],
             wavelength=wavelength,
@@ -85,7 +85,7 @@ class Declared:
                 wavelength=values[IRRADIANCE_WAVELENGTH],
                 fwhm=np.asarray(values["irradiance_fwhm"], np.float64),
                 srf_shape=str(dataset.attrs.get("irradiance_srf_shape", "gaussian")),
-                max_gap=None if gap is None else float(gap),
+                max_gap=None if max_gap is None else float(max_gap),
             ),
         )
 
@@ -125,11 +125,11 @@ class IrradianceTable:
     factors: Floats  # (factor,): width over the declared one [1]
     log: Floats  # (shift, factor, band): Logarithm of irradiance; NaN where the record does not cover a band
     noise_gain: Floats  # (factor,): Largest noise gain of the operators at a width [1]
-    variance: Floats  # (factor, band): Mean square distance from its centre at which a band responds [nm2]
+    variance: Floats  # (factor, band): Variance of the response of a band [nm2]
 
     @cached_property
     def splines(self) -> list[Any]:
-        """One spline a covered band; None for the others."""
+        """Splines of the bands; None for bands that are not covered."""
         from scipy.interpolate import RectBivariateSpline
 
         return [
@@ -147,10 +147,10 @@ class IrradianceTable:
 
     def variance_at(self, factor: Floats) -> Floats:
         """Return the variance of the responses (band, column) at widths (column,) [nm2]."""
-        place = np.interp(factor, self.factors, np.arange(self.factors.size))
-        low = np.minimum(place.astype(np.int64), self.factors.size - 2)
+        position = np.interp(factor, self.factors, np.arange(self.factors.size))
+        lower = np.minimum(position.astype(np.int64), self.factors.size - 2)
         return np.asarray(
-            self.variance[low].T + (place - low) * (self.variance[low + 1] - self.variance[low]).T
+            self.variance[lower].T + (position - lower) * (self.variance[lower + 1] - self.variance[lower]).T
         )
 
     def noise_gain_at(self, factor: Floats) -> Floats:
@@ -163,8 +163,8 @@ def mean_light(
 ) -> tuple[Floats, Floats]:
     """Return the record's mean spectrum in units of its level (channel,), and the level of every line."""
     share, level_of_line = shares_of_samples(declared, windows, lines)
-    used = share > 0.0
-    return share[used] @ declared.light.spectra[used], level_of_line
+    is_used = share > 0.0
+    return share[is_used] @ declared.light.spectra[is_used], level_of_line
 
 
 def shares_of_samples(
@@ -174,36 +174,39 @@ def shares_of_samples(
     light = declared.light
     level = _level(light, min(low for low, _ in windows), max(high for _, high in windows))
     times = declared.time if lines is None else declared.time[lines]
-    lit = line_light(times, light.time, level, light.max_gap)
-    before, after, weight = lit.before, lit.after, lit.weight
+    neighbours = line_light(times, light.time, level, light.max_gap)
+    before, after, weight = neighbours.before, neighbours.after, neighbours.weight
     level_of_line = level[before] + weight * (level[after] - level[before])
-    lines_lit = np.flatnonzero(np.isfinite(level_of_line))
-    if lines_lit.size == 0:
+    lines_with_light = np.flatnonzero(np.isfinite(level_of_line))
+    if lines_with_light.size == 0:
         raise SchemaError(
             "no line of the flight has irradiance at its time",
             mend="check the clocks",
             code="irradiance-time-gap",
         )
     share = np.zeros(len(light.spectra))
-    np.add.at(share, before[lines_lit], (1.0 - weight[lines_lit]) / level_of_line[lines_lit])
-    np.add.at(share, after[lines_lit], weight[lines_lit] / level_of_line[lines_lit])
-    return share / lines_lit.size, level_of_line
+    np.add.at(
+        share, before[lines_with_light], (1.0 - weight[lines_with_light]) / level_of_line[lines_with_light]
+    )
+    np.add.at(share, after[lines_with_light], weight[lines_with_light] / level_of_line[lines_with_light])
+    return share / lines_with_light.size, level_of_line
 
 
 def _level(light: Light, low: float, high: float) -> Floats:
-    # Mean irradiance of every sample between two wavelengths; NaN where it is not positive
-    inside = (light.wavelength >= low) & (light.wavelength <= high)
-    # leave out channels that are missing in a tenth of the spectra, and spectra that lack others
+    # Return the mean irradiance of every sample between two wavelengths; NaN where it is not positive.
+    is_inside = (light.wavelength >= low) & (light.wavelength <= high)
+    # leave out channels that are missing in over a tenth of the spectra, then spectra that lack other
+    # channels
     has_values = np.isfinite(light.spectra).any(axis=1)
-    inside &= np.isnan(light.spectra[has_values]).mean(axis=0) <= 0.1 if has_values.any() else False
-    if not inside.any():
+    is_inside &= np.isnan(light.spectra[has_values]).mean(axis=0) <= 0.1 if has_values.any() else False
+    if not is_inside.any():
         raise SchemaError(
             f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) has no "
             "channel in the window",
             mend="choose a window that the record covers",
             code="irradiance-coverage",
         )
-    level = light.spectra[:, inside].mean(axis=1)
+    level = light.spectra[:, is_inside].mean(axis=1)
     return np.where(level > 0.0, level, np.nan)
 
 
@@ -217,12 +220,14 @@ def table_of_bands(
     """
     channels = light.wavelength
     width = np.broadcast_to(light.fwhm, channels.shape)
-    # only channels near the window: a spectrometer reaches far beyond it
+    # select channels near the window: a spectrometer covers a much wider range
     reach = np.abs(limits).max() + 2.0 * bands.reach().max() + 4.0 * width.max()
-    near = np.flatnonzero(np.abs(channels - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach)
-    near = near[np.argsort(channels[near], kind="stable")]
-    spectrometer = Responses(channels[near], width[near], light.srf_shape)
-    table = irradiance_table(spectrometer, bands, spectrum[near], limits)
+    nearby = np.flatnonzero(
+        np.abs(channels - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach
+    )
+    nearby = nearby[np.argsort(channels[nearby], kind="stable")]
+    spectrometer = Responses(channels[nearby], width[nearby], light.srf_shape)
+    table = irradiance_table(spectrometer, bands, spectrum[nearby], limits)
     covered = np.isfinite(table.log).all(axis=(0, 1))
     if covered.sum() < fewest:
         raise SchemaError(
@@ -245,19 +250,19 @@ def irradiance_table(
     ``spectrum`` (channel,): irradiance, any unit; ``limits``: lowest and highest shift [nm].
     """
     shifts, operators = _operators(spectrometer, imager, limits)
-    log = np.stack([_log_of_seen(matching, spectrum) for matching in operators], axis=1)
+    log = np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1)
     gain = np.array([np.nan_to_num(matching.noise_gain).max() for matching in operators])
     variance = np.stack([variance_of_responses(_widened(imager, float(factor))) for factor in FACTORS])
     return IrradianceTable(imager.wavelength, shifts, FACTORS, log, gain, variance)
 
 
-def _log_of_seen(matching: Matching, spectrum: Floats) -> Floats:
-    # Logarithm of a spectrum (channel,) matched to bands (shift, band); NaN without channels
+def _log_matched(matching: Matching, spectrum: Floats) -> Floats:
+    # Return the logarithm of a spectrum (channel,) matched to bands (shift, band); NaN without channels.
     missing = ~np.isfinite(spectrum)
     matched = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
-    touched = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
+    is_incomplete = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where((matched > 0.0) & ~touched, np.log(matched), np.nan))
+        return np.asarray(np.where((matched > 0.0) & ~is_incomplete, np.log(matched), np.nan))
 
 
 def responses_table(
@@ -265,20 +270,20 @@ def responses_table(
 ) -> tuple[Floats, Floats, Floats]:
     """Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum matched to bands.
 
-    Widths are those of the spectrometer over the declared ones; else as `irradiance_table`. Beside them the
-    weights (band, channel) of the channels at the middle shift and the declared width.
+    Widths are relative to the declared ones of the spectrometer; otherwise as `irradiance_table`. The third
+    result are the weights (band, channel) of the channels at the middle shift and the declared width.
     """
     shifts = _shift_nodes(limits)
     operators = _operators_of_widths(spectrometer, imager, tuple(shifts), tuple(widths))
     weights = operators[int(np.abs(widths - 1.0).argmin())].weights[shifts.size // 2]
-    return shifts, np.stack([_log_of_seen(matching, spectrum) for matching in operators], axis=1), weights
+    return shifts, np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1), weights
 
 
 @functools.lru_cache(maxsize=16)
 def _operators_of_widths(
     spectrometer: Responses, imager: Responses, shifts: tuple[float, ...], widths: tuple[float, ...]
 ) -> list[Matching]:
-    # Operators of spectrometers of several widths; once for all flight lines of a camera
+    # Return operators for several widths of the spectrometer; cached for all flight lines of a camera.
     return [
         matching_operator(replace(spectrometer, fwhm=spectrometer.fwhm * width), imager, shifts)
         for width in widths
@@ -286,7 +291,7 @@ def _operators_of_widths(
 
 
 def _shift_nodes(limits: tuple[float, float]) -> Floats:
-    # Even shifts [nm] around the limits
+    # Return even shifts [nm] around the limits.
     first, last = np.floor(limits[0] / SHIFT_STEP) - 1, np.ceil(limits[1] / SHIFT_STEP) + 1
     return np.asarray(np.arange(first, last + 1) * SHIFT_STEP)
 
@@ -295,14 +300,14 @@ def _shift_nodes(limits: tuple[float, float]) -> Floats:
 def _operators(
     spectrometer: Responses, imager: Responses, limits: tuple[float, float]
 ) -> tuple[Floats, list[Matching]]:
-    # Shifts, and the operators at every width; once for all flight lines of a camera
+    # Return shifts, and the operators at every width; cached for all flight lines of a camera.
     shifts = _shift_nodes(limits)
-    widened = [_widened(imager, float(factor)) for factor in FACTORS]
-    return shifts, [matching_operator(spectrometer, bands, shifts) for bands in widened]
+    imagers = [_widened(imager, float(factor)) for factor in FACTORS]
+    return shifts, [matching_operator(spectrometer, bands, shifts) for bands in imagers]
 
 
 def _widened(imager: Responses, factor: float) -> Responses:
-    # Responses of another width; the pixel width of a slit response does not change
+    # Return responses of another width; the pixel width of a slit response does not change.
     if imager.shape == "tabulated":
         return replace(imager, offset=np.asarray(imager.offset) * factor)
     return replace(imager, fwhm=imager.fwhm * factor)

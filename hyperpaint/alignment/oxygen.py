@@ -16,7 +16,7 @@ from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.stray_light import described
 
-#: Lines in which bad elements are recognised.
+#: Number of first lines in which bad elements are detected.
 _FIRST_LINES = 64
 
 
@@ -33,32 +33,32 @@ def mean_over_lines(
 ) -> tuple[Floats, npt.NDArray[np.int64]]:
     """Return the mean over lines of a cube over its light's level (band, column), and its number of pixels.
 
-    One slab is in memory at a time. Lines are added one after the other, so that the result does not depend
-    on chunks. A pixel counts where all bands are valid, except bands that are missing in each of the first
-    lines; their mean is NaN.
+    One slab is in memory at a time. Lines are added in order, so that the result does not depend
+    on chunks. A pixel counts if all bands are valid, except bands that are missing in all of the first
+    lines, whose mean is NaN.
     """
     cube = line_chunked(cube)
     count = cube.sizes[ALONG_TRACK]
-    first = cube[:_FIRST_LINES].values
-    has_values = np.isfinite(first).any(axis=1, keepdims=True)
-    bad = (np.isnan(first) | ~has_values).all(axis=0) & has_values.any(axis=0)
+    first_lines = cube[:_FIRST_LINES].values
+    has_values = np.isfinite(first_lines).any(axis=1, keepdims=True)
+    is_bad = (np.isnan(first_lines) | ~has_values).all(axis=0) & has_values.any(axis=0)
     total = np.zeros(cube.shape[1:])
     scaled = np.empty_like(total)
     pixels = np.zeros(cube.shape[2], np.int64)
     start = 0
     for size in cube.chunks[0] if cube.chunks else (count,):
         stop = start + size
-        slab = first[start:stop] if stop <= len(first) else cube[start:stop].values
+        slab = first_lines[start:stop] if stop <= len(first_lines) else cube[start:stop].values
         for values, light in zip(slab, level[start:stop], strict=True):
             if np.isfinite(light):
-                whole = (np.isfinite(values) | bad).all(axis=0)
-                pixels += whole
-                np.add(total, np.divide(values, light, out=scaled), out=total, where=whole & ~bad)
+                is_complete = (np.isfinite(values) | is_bad).all(axis=0)
+                pixels += is_complete
+                np.add(total, np.divide(values, light, out=scaled), out=total, where=is_complete & ~is_bad)
         start += size
         if progress is not None:
             progress(start, count)
     with np.errstate(invalid="ignore"):
-        return np.where(bad | (pixels == 0), np.nan, total / pixels), pixels
+        return np.where(is_bad | (pixels == 0), np.nan, total / pixels), pixels
 
 
 #: Intervals beside the oxygen A band, free of it at a width of 6 nm [nm].
@@ -98,7 +98,7 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
               w_b \propto \max(0, 1 - |\lambda_b - 760| / 5), \qquad \sum_b w_b = 1
 
     with :math:`\bar\rho` the mean over lines at the column's own wavelengths, and :math:`\rho_c` the parabola
-    through its shoulders, 740-753 and 775-788 nm. The wavelength is on the steep side of the band, where
+    through its shoulders, 740-753 and 775-788 nm. 760 nm is on the steep side of the band, where
     shift and width both show: with a 6 nm camera the depth is about -0.06 for each nanometre that declared
     wavelengths are too long, and 0.03 for each that declared widths are too large. The two can cancel;
     `hyperpaint.alignment.align_to_irradiance` separates them.
@@ -118,10 +118,10 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
     arrays = schema.require(dataset, names, "the oxygen residual")
     cube = arrays["reflectance"]
     shift = arrays["wavelength_shift"].values if "wavelength_shift" in arrays else 0.0
-    own = arrays["wavelength"].values[:, None] + np.broadcast_to(
+    wavelengths = arrays["wavelength"].values[:, None] + np.broadcast_to(
         shift, (cube.sizes[BAND], cube.sizes[CROSS_TRACK])
     )
-    shoulders, weight = _parts(own)
+    shoulders, weight = _parts(wavelengths)
     if not (weight.any(axis=0) & (shoulders.sum(axis=0) >= MIN_SHOULDER_BANDS)).all():
         raise SchemaError(
             "too few bands for the oxygen residual",
@@ -129,9 +129,9 @@ def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) ->
             "in every column",
             code="bands-too-few",
         )
-    used = np.flatnonzero((shoulders | (weight > 0)).any(axis=1))
-    mean, _ = mean_over_lines(cube[:, used], np.ones(cube.sizes[ALONG_TRACK]), progress)
-    depth = np.array([oxygen_depth(own[used, x], mean[:, x]) for x in range(mean.shape[1])])
+    used_bands = np.flatnonzero((shoulders | (weight > 0)).any(axis=1))
+    mean, _ = mean_over_lines(cube[:, used_bands], np.ones(cube.sizes[ALONG_TRACK]), progress)
+    depth = np.array([oxygen_depth(wavelengths[used_bands, x], mean[:, x]) for x in range(mean.shape[1])])
     residual = xr.DataArray(depth, dims=CROSS_TRACK, name="oxygen_residual")
     return residual.assign_attrs(
         units="1", long_name="Depth of the oxygen A band left in reflectance; negative where overcorrected"
@@ -166,9 +166,9 @@ def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     """
     shoulders, weight = _parts(wavelength)
     finite = np.isfinite(spectrum)
-    beside, below = shoulders & finite, (weight > 0.0) & finite
-    if beside.sum() < MIN_SHOULDER_BANDS or not below.any():
+    in_shoulders, in_band = shoulders & finite, (weight > 0.0) & finite
+    if in_shoulders.sum() < MIN_SHOULDER_BANDS or not in_band.any():
         return float("nan")
-    curve = np.polynomial.Polynomial.fit(wavelength[beside], spectrum[beside], 2)
-    ratio = spectrum[below] / curve(wavelength[below])
-    return float(1.0 - np.average(ratio, weights=weight[below]))
+    curve = np.polynomial.Polynomial.fit(wavelength[in_shoulders], spectrum[in_shoulders], 2)
+    ratio = spectrum[in_band] / curve(wavelength[in_band])
+    return float(1.0 - np.average(ratio, weights=weight[in_band]))

@@ -1,8 +1,8 @@
 """Wavelengths and width of the irradiance record alone, from solar lines and those of oxygen.
 
 The reference is the sunlight of ASTM G173 at 1 nm (`hyperpaint.light.clear_sky`). It is coarse relative to a
-spectrometer of 3 nm, so that tenths of a nanometre are resolved; the difference of camera and record
-(`comparison`) is known ten times better, and this module divides it between the two.
+spectrometer of 3 nm, so that only tenths of a nanometre are resolved. The difference of camera and record
+(`comparison`) is ten times more accurate, and this module divides it between the two.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class SunLineRules:
         Compared intervals [nm]: magnesium b and iron, H-alpha, the oxygen A band; the blue, where cells of 1
         nm hold many solar lines, gave widths twice too large of a real spectrometer.
     degree
-        Of the polynomial that models light of unknown air and colour in a window.
+        Degree of the polynomial that models the unknown colour of the light in a window.
     shifts_nm, widths_nm
         Trials: shifts [nm] and full widths at half maximum [nm], both even.
     cell_nm
         Width of the table's cells, which widens every solar line [nm].
     least_shift_u_nm, least_width_u_nm
-        Least reported uncertainties: three windows of a real record agreed to 0.06 nm and
+        Lower limits of reported uncertainties: three windows of a real record agreed to 0.06 nm and
         0.9 nm (0.3 nm without the narrowest solar lines).
     record_prior_nm, camera_prior_nm, camera_width_prior
         Standard deviations of the prior: of the wavelengths of a field spectrometer
@@ -89,13 +89,14 @@ def divided(
     declared_fwhm: tuple[float, float],
     rules: SunLineRules = SUN_LINES,
 ) -> Instruments:
-    """Return the share of each instrument in their difference.
+    """Return the shares of both instruments in their difference.
 
     ``shift``: camera minus record [nm] and its uncertainty; ``width``: width of the record over the declared
     one, if the camera is as declared, and its uncertainty; ``declared_fwhm``: of record and camera [nm].
 
-    Least squares of two unknowns each, record and camera: their difference is known, the record by the sun,
-    and both by priors. Widths add as squares: :math:`w^2 - (W^2 - W_0^2)` is known.
+    Least squares of two unknowns for shifts, and two for widths: record and camera. Their difference is
+    measured, the record is measured by the sun, and both have priors. Widths add as squares: :math:`w^2 -
+    (W^2 - W_0^2)` is measured.
     """
     record, camera = declared_fwhm
     rows = [
@@ -110,10 +111,10 @@ def divided(
     if sun is not None:
         rows.append((1.0, 0.0, sun.shift, sun.shift_u))
         squares.append((1.0, 0.0, sun.width**2, 2.0 * sun.width * sun.width_u))
-    (record_shift, camera_shift), (u_record, u_camera) = _solved(rows)
-    (of_record, of_camera), (v_record, v_camera) = _solved(squares)
-    record_fwhm = np.sqrt(max(of_record, 0.01))
-    camera_fwhm = np.sqrt(max(camera**2 + of_camera, 0.01))
+    (record_shift, camera_shift), (u_record, u_camera) = _least_squares(rows)
+    (record_square, camera_square), (v_record, v_camera) = _least_squares(squares)
+    record_fwhm = np.sqrt(max(record_square, 0.01))
+    camera_fwhm = np.sqrt(max(camera**2 + camera_square, 0.01))
     return Instruments(
         record_shift,
         u_record,
@@ -126,7 +127,7 @@ def divided(
     )
 
 
-def _solved(rows: list[tuple[float, float, float, float]]) -> tuple[list[float], list[float]]:
+def _least_squares(rows: list[tuple[float, float, float, float]]) -> tuple[list[float], list[float]]:
     table = np.array(rows)
     weighted = table[:, :3] / table[:, 3:]
     inverse = np.linalg.inv(weighted[:, :2].T @ weighted[:, :2])
@@ -139,93 +140,107 @@ def record_against_sun(
     """Return shift and width of a record (channel,) of daylight; None where it has too few channels.
 
     In every window the logarithm of the table at a shift and a width, with free strengths of oxygen and water
-    and times a polynomial, is fitted to the logarithm of the record. Windows count by the inverse of their
-    variance; where they disagree by more than their uncertainty, the result's grows by as much.
+    and plus a polynomial, is fitted to the logarithm of the record. Windows are weighted by the inverse of
+    their variance; where they disagree by more than their uncertainty, the uncertainty of the result is
+    increased.
     """
     windows = [_window(channels, spectrum, low, high, rules) for low, high in rules.windows]
     fits = np.array([fit for fit in windows if fit is not None])
     if not len(fits):
         return None
     numbers = []
-    for value, spread, floor in (
+    for value, uncertainty, min_uncertainty in (
         (fits[:, 0], fits[:, 1], rules.least_shift_u_nm),
         (fits[:, 2], fits[:, 3], rules.least_width_u_nm),
     ):
-        weight = 1.0 / (spread**2 + floor**2)
+        weight = 1.0 / (uncertainty**2 + min_uncertainty**2)
         mean = float(weight @ value / weight.sum())
         chi2 = float(weight @ (value - mean) ** 2) / max(len(value) - 1, 1)
-        numbers += [mean, float(np.sqrt(max(chi2, 1.0) / weight.sum() + floor**2))]
+        numbers += [mean, float(np.sqrt(max(chi2, 1.0) / weight.sum() + min_uncertainty**2))]
     return RecordAgainstSun(*numbers)
 
 
 def _window(
     channels: Floats, spectrum: Floats, low: float, high: float, rules: SunLineRules
 ) -> tuple[float, float, float, float] | None:
-    # Shift and width of one window, each with its uncertainty [nm]; None without a minimum
-    used = (channels >= low) & (channels <= high) & (spectrum > 0)
-    if used.sum() < rules.degree + 1 + 12:
+    # Return shift and width of a window, each with its uncertainty [nm]; None without a minimum.
+    is_used = (channels >= low) & (channels <= high) & (spectrum > 0)
+    if is_used.sum() < rules.degree + 1 + 12:
         return None
-    nm, log = channels[used], np.log(spectrum[used])
-    trials = _trials(tuple(nm.tolist()), rules)
-    away = log - trials.seen
-    away = away - np.einsum("swck,swk->swc", trials.basis, np.einsum("swck,swc->swk", trials.basis, away))
-    left = np.einsum("swc,swc->sw", away, away)
-    i, j = divmod(int(left.argmin()), trials.widths.size)
+    wavelength, log = channels[is_used], np.log(spectrum[is_used])
+    trials = _trials(tuple(wavelength.tolist()), rules)
+    residual = log - trials.log_sun
+    residual = residual - np.einsum(
+        "swck,swk->swc", trials.basis, np.einsum("swck,swc->swk", trials.basis, residual)
+    )
+    costs = np.einsum("swc,swc->sw", residual, residual)
+    i, j = divmod(int(costs.argmin()), trials.widths.size)
     if i in (0, trials.shifts.size - 1) or j in (0, trials.widths.size - 1):
         return None
-    # minimum of the parabola around the least trial, with its uncertainties
-    box = left[i - 1 : i + 2, j - 1 : j + 2]
-    gradient = np.array([box[2, 1] - box[0, 1], box[1, 2] - box[1, 0]]) / 2.0
-    mixed = (box[2, 2] - box[2, 0] - box[0, 2] + box[0, 0]) / 4.0
-    curved = np.array([box[2, 1] - 2 * box[1, 1] + box[0, 1], box[1, 2] - 2 * box[1, 1] + box[1, 0]])
-    hessian = np.array([[curved[0], mixed], [mixed, curved[1]]])
-    move = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
-    freedom = nm.size - (rules.degree + 1) - 4
-    variance = 2.0 * np.diag(np.linalg.inv(hessian)) * box[1, 1] / max(freedom, 1)
+    # minimum of the paraboloid around the best trial, with its uncertainties
+    costs_around = costs[i - 1 : i + 2, j - 1 : j + 2]
+    gradient = (
+        np.array([costs_around[2, 1] - costs_around[0, 1], costs_around[1, 2] - costs_around[1, 0]]) / 2.0
+    )
+    mixed = (costs_around[2, 2] - costs_around[2, 0] - costs_around[0, 2] + costs_around[0, 0]) / 4.0
+    curvature = np.array(
+        [
+            costs_around[2, 1] - 2 * costs_around[1, 1] + costs_around[0, 1],
+            costs_around[1, 2] - 2 * costs_around[1, 1] + costs_around[1, 0],
+        ]
+    )
+    hessian = np.array([[curvature[0], mixed], [mixed, curvature[1]]])
+    step = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
+    freedom = wavelength.size - (rules.degree + 1) - 4
+    variance = 2.0 * np.diag(np.linalg.inv(hessian)) * costs_around[1, 1] / max(freedom, 1)
     steps = np.array([trials.shifts[1] - trials.shifts[0], trials.widths[1] - trials.widths[0]])
-    spread = np.sqrt(np.maximum(variance, 0.0)) * steps
-    shift, width = trials.shifts[i] + move[0] * steps[0], trials.widths[j] + move[1] * steps[1]
-    return shift, spread[0], width, spread[1]
+    uncertainty = np.sqrt(np.maximum(variance, 0.0)) * steps
+    shift, width = trials.shifts[i] + step[0] * steps[0], trials.widths[j] + step[1] * steps[1]
+    return shift, uncertainty[0], width, uncertainty[1]
 
 
 class _Trials(NamedTuple):
     shifts: Floats  # (shift,) [nm]
     widths: Floats  # (width,) [nm]
-    seen: Floats  # (shift, width, channel): logarithm of the sun above the air
-    basis: Floats  # (shift, width, channel, term), orthonormal: smooth, then gases; 0 for those that lack
+    log_sun: Floats  # (shift, width, channel): logarithm of the sun above the air
+    basis: Floats  # (shift, width, channel, term), orthonormal: polynomial, then gases; 0 for missing gases
 
 
 @functools.lru_cache(maxsize=4)  # the lines of a collect have the same channels
 def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
-    nm = np.array(channels)
-    smooth = np.polynomial.legendre.legvander((nm - nm.mean()) / (np.ptp(nm) / 2.0), rules.degree)
+    wavelength = np.array(channels)
+    smooth = np.polynomial.legendre.legvander(
+        (wavelength - wavelength.mean()) / (np.ptp(wavelength) / 2.0), rules.degree
+    )
     first, last, step = rules.shifts_nm
     shifts = np.arange(first, last + step / 2, step)
     first, last, step = rules.widths_nm
     widths = np.arange(first, last + step / 2, step)
-    seen = np.empty((shifts.size, widths.size, nm.size))
-    basis = np.zeros((*seen.shape, smooth.shape[1] + 2))
+    log_sun = np.empty((shifts.size, widths.size, wavelength.size))
+    basis = np.zeros((*log_sun.shape, smooth.shape[1] + 2))
     for j, width in enumerate(widths):
-        seen[:, j], gases = _seen(nm + shifts[:, None], float(width), rules)
+        log_sun[:, j], gases = _log_light(wavelength + shifts[:, None], float(width), rules)
         has_lines = np.ptp(gases, axis=2) > 1e-4  # (gas, shift)
         for group in itertools.product((False, True), repeat=len(gases)):
-            those = np.flatnonzero((has_lines == np.array(group)[:, None]).all(axis=0))
-            terms = np.moveaxis(gases[np.flatnonzero(group)][:, those], 0, -1)
-            both = np.concatenate([np.broadcast_to(smooth, (those.size, *smooth.shape)), terms], axis=-1)
-            basis[those, j, :, : both.shape[-1]] = np.linalg.qr(both)[0]
-    return _Trials(shifts, widths, seen, basis)
+            shifts_of_group = np.flatnonzero((has_lines == np.array(group)[:, None]).all(axis=0))
+            terms = np.moveaxis(gases[np.flatnonzero(group)][:, shifts_of_group], 0, -1)
+            terms_of_group = np.concatenate(
+                [np.broadcast_to(smooth, (shifts_of_group.size, *smooth.shape)), terms], axis=-1
+            )
+            basis[shifts_of_group, j, :, : terms_of_group.shape[-1]] = np.linalg.qr(terms_of_group)[0]
+    return _Trials(shifts, widths, log_sun, basis)
 
 
-def _seen(nm: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:
-    # Logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width.
-    # First of the sun above the air, then (gas, shift, channel) the change by two gases.
+def _log_light(wavelengths: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:
+    # Return logarithms of the table (shift, channel) at wavelengths (shift, channel) and a width:
+    # of the sun above the air, and the changes by two gases (gas, shift, channel).
     table = sunlight_table()
-    away = np.abs(table.wavelength - nm.mean(axis=1, keepdims=True))
-    near = away < np.ptp(nm, axis=1, keepdims=True) / 2.0 + 3.0 * width  # (shift, cell)
-    cells = near.any(axis=0)
-    own = max(width**2 - 8.0 * np.log(2.0) * rules.cell_nm**2 / 12.0, 0.25)
-    distance = table.wavelength[cells] - nm[..., None]
-    response = np.exp(-4.0 * np.log(2.0) / own * distance**2) * near[:, None, cells]
+    from_mean = np.abs(table.wavelength - wavelengths.mean(axis=1, keepdims=True))
+    is_near = from_mean < np.ptp(wavelengths, axis=1, keepdims=True) / 2.0 + 3.0 * width  # (shift, cell)
+    cells = is_near.any(axis=0)
+    squared_width = max(width**2 - 8.0 * np.log(2.0) * rules.cell_nm**2 / 12.0, 0.25)
+    offset = table.wavelength[cells] - wavelengths[..., None]
+    response = np.exp(-4.0 * np.log(2.0) / squared_width * offset**2) * is_near[:, None, cells]
     response /= response.sum(axis=2, keepdims=True)
     sun = table.extraterrestrial[cells]
     lights = np.stack([sun, sun * np.exp(-table.mixed[cells]), sun * np.exp(-table.water[cells])], axis=-1)

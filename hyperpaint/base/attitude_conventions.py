@@ -171,7 +171,7 @@ class Convention:
         if self.euler_order != "ZYX":
             x, y, z = _reordered(x, y, z, self.euler_order)
         x, y, z = _nan_together(x, y, z + self._north(convergence))
-        # twice, since a tiny negative angle becomes 360 itself
+        # twice: the first mod turns a tiny negative angle into 360
         return wrapped(x), y, np.mod(np.mod(z, 360.0), 360.0)
 
     def ellipsoidal(self, height: npt.ArrayLike) -> Floats:
@@ -221,8 +221,8 @@ class Convention:
 
 
 def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
-    unknown = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
-    return np.where(unknown, np.nan, x), np.where(unknown, np.nan, y), np.where(unknown, np.nan, z)
+    missing = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
+    return np.where(missing, np.nan, x), np.where(missing, np.nan, y), np.where(missing, np.nan, z)
 
 
 def wrapped(angle: Floats) -> Floats:
@@ -231,16 +231,16 @@ def wrapped(angle: Floats) -> Floats:
 
 
 def _reordered(roll: Floats, pitch: Floats, heading: Floats, order: str) -> tuple[Floats, Floats, Floats]:
-    # The same rotation in the order heading, pitch, roll.
+    # Return the angles of the same rotation in the order heading, pitch, roll.
     axes = {"X": roll, "Y": pitch, "Z": heading}
-    turned = np.eye(3)
+    rotation = np.eye(3)
     for axis in order:
-        turned = turned @ _turn("XYZ".index(axis), np.radians(axes[axis]))
+        rotation = rotation @ _turn("XYZ".index(axis), np.radians(axes[axis]))
     # R[2, 0] = -sin(pitch); R[2, 1:] = cos(pitch) (sin, cos)(roll); R[:2, 0] = cos(pitch) (cos, sin)(heading)
     return (
-        np.degrees(np.arctan2(turned[..., 2, 1], turned[..., 2, 2])),
-        np.degrees(np.arcsin(np.clip(-turned[..., 2, 0], -1.0, 1.0))),
-        np.degrees(np.arctan2(turned[..., 1, 0], turned[..., 0, 0])),
+        np.degrees(np.arctan2(rotation[..., 2, 1], rotation[..., 2, 2])),
+        np.degrees(np.arcsin(np.clip(-rotation[..., 2, 0], -1.0, 1.0))),
+        np.degrees(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])),
     )
 
 

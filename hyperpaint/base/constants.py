@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, get_args
 
-#: Distance from the largest count of the converter within which a sample is saturated (DESIGN.md,
+#: A sample within this distance of the largest count of the converter is saturated (DESIGN.md,
 #: `saturated`).
 SATURATION_MARGIN_COUNTS = 16
 
@@ -19,16 +19,16 @@ WGS84_SEMI_MAJOR_AXIS_M = 6378137.0
 #: NIMA TR8350.2, World Geodetic System 1984. The simulator's ellipsoid has its own, to check against.
 WGS84_ECCENTRICITY_SQUARED = 6.69437999014e-3
 
-#: Time from the stamp of a frame to the middle of its exposure, by the instant that it marks [exposures].
-STAMP_TO_MID_EXPOSURES: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": -0.5}
+#: Time from the stamp of a frame to its mid exposure [exposure times], by the instant that stamps mark.
+MID_EXPOSURE_OFFSETS: Mapping[str, float] = {"start": 0.5, "mid": 0.0, "end": -0.5}
 
 #: Version of the numbers that `process` and `render` store. Raise it with every change after which the same
 #: inputs and settings may give other bits (a formula, a constant, a threshold, an order of summation); not
-#: for speed, words or layout. `tests/workflows/test_numerics_version.py` holds the checksums that go with it.
-#: Stores made by another version say so, and are computed again on request.
+#: for speed, words or layout. `tests/workflows/test_numerics_version.py` holds the checksums of this version.
+#: A store of another version is reported, and computed again on request.
 NUMERICS_VERSION = 1
 
-#: Output of one task; a larger block costs the allocator a trip to the kernel each time.
+#: Size of the output of one task; the allocator requests a larger block from the kernel each time.
 MAX_TASK_BYTES = 24_000_000
 
 #: Codec of stored arrays, see `hyperpaint.to_store`.
@@ -43,12 +43,12 @@ ALIGNMENTS: tuple[Alignment, ...] = get_args(Alignment)
 MAX_STRAY_LIGHT_U = 0.5
 
 
-def lines_a_task(bytes_a_line: int, most: int = 32) -> int:
-    """Return the number of whole lines in a task: ``most``, or as many as fit `MAX_TASK_BYTES`, at least one.
+def lines_a_task(bytes_a_line: int, max_lines: int = 32) -> int:
+    """Return the number of whole lines in a task: at most ``max_lines`` and `MAX_TASK_BYTES`, at least one.
 
     Examples
     --------
     >>> lines_a_task(640 * 272 * 4), lines_a_task(2_000_000)
     (32, 12)
     """
-    return min(most, max(1, MAX_TASK_BYTES // max(bytes_a_line, 1)))
+    return min(max_lines, max(1, MAX_TASK_BYTES // max(bytes_a_line, 1)))

@@ -9,20 +9,20 @@ import numpy as np
 from .arrays import Floats
 
 #: Range of plausible median irradiance over 400-1000 nm [W m-2 nm-1]. Above the atmosphere the sun has a
-#: maximum of 2.2 and a median of 1.5, and light from clouds hardly adds more than the air takes; 3e-4 is deep
-#: twilight, yet more than full sun whose W m-2 nm-1 are read as W cm-2 nm-1.
+#: maximum of 2.2 and a median of 1.5, and clouds add little more than the air absorbs; 3e-4 is deep
+#: twilight, but more than full sun in W m-2 nm-1 that is declared as W cm-2 nm-1.
 HIGHEST_MEDIAN, LOWEST_MEDIAN = 3.0, 3e-4
 
-#: Median irradiance below which the light is too dim to fly [W m-2 nm-1]: a dull sky with the lowest usable
-#: sun has 0.04.
+#: Median irradiance below which light is too weak for a flight [W m-2 nm-1]: an overcast sky at the lowest
+#: usable sun gives 0.04.
 DULL_MEDIAN = 0.02
 
 _JUDGED_NM = (400.0, 1000.0)
-_IN_W_M2_NM = {
+_UNIT_FACTORS = {
     "uW cm-2 nm-1": 1e-2, "mW m-2 nm-1 (W m-2 um-1)": 1e-3, "uW m-2 nm-1": 1e-6, "mW cm-2 nm-1": 10.0,
     "W cm-2 nm-1": 1e4,
 }  # fmt: skip
-_FIT = math.log(3.0)
+_MAX_LOG_RATIO = math.log(3.0)
 
 
 def brightest_median(wavelength: Floats, values: Floats) -> float:
@@ -30,9 +30,9 @@ def brightest_median(wavelength: Floats, values: Floats) -> float:
 
     wavelength: (irradiance_wavelength,) [nm]; values: (irradiance_time, irradiance_wavelength).
     """
-    judged = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
-    judged = judged[np.isfinite(judged).any(axis=1)] if judged.shape[1] else judged[:0]
-    return float(np.nanmedian(judged, axis=1).max()) if len(judged) else math.nan
+    samples = values[:, (wavelength >= _JUDGED_NM[0]) & (wavelength <= _JUDGED_NM[1])]
+    samples = samples[np.isfinite(samples).any(axis=1)] if samples.shape[1] else samples[:0]
+    return float(np.nanmedian(samples, axis=1).max()) if len(samples) else math.nan
 
 
 def unit_slip(ratio: float) -> str:
@@ -41,7 +41,7 @@ def unit_slip(ratio: float) -> str:
     Examples
     --------
     >>> unit_slip(1.2e-6)
-    'as of values in W m-2 nm-1 that are said to be in uW m-2 nm-1'
+    'as of values in W m-2 nm-1 that are declared in uW m-2 nm-1'
     >>> unit_slip(90.0)
     'as of values in uW cm-2 nm-1 that are taken for W m-2 nm-1'
     >>> unit_slip(1.5)
@@ -50,11 +50,11 @@ def unit_slip(ratio: float) -> str:
     if not 0.0 < ratio < math.inf:
         return ""
     texts = {
-        f"as of values in W m-2 nm-1 that are said to be in {unit}": factor
-        for unit, factor in _IN_W_M2_NM.items()
+        f"as of values in W m-2 nm-1 that are declared in {unit}": factor
+        for unit, factor in _UNIT_FACTORS.items()
     } | {
         f"as of values in {unit} that are taken for W m-2 nm-1": 1.0 / factor
-        for unit, factor in _IN_W_M2_NM.items()
+        for unit, factor in _UNIT_FACTORS.items()
     }
     nearest = min(texts, key=lambda text: abs(math.log(texts[text] / ratio)))
-    return nearest if abs(math.log(texts[nearest] / ratio)) <= _FIT else ""
+    return nearest if abs(math.log(texts[nearest] / ratio)) <= _MAX_LOG_RATIO else ""

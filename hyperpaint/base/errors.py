@@ -65,8 +65,8 @@ class Problem:
     @property
     def codes(self) -> tuple[str, ...]:
         """Codes of this fault and of its parts."""
-        own = (self.code,) if self.code else ()
-        return own + tuple(code for part in self.inner for code in part.codes)
+        codes = (self.code,) if self.code else ()
+        return codes + tuple(code for part in self.inner for code in part.codes)
 
     def text(self, *, on_command_line: bool = False) -> str:
         """Return the message, spelled for Python or for the command line; the code stands last."""
@@ -149,14 +149,14 @@ class PaintError(Exception):
 
     def about(self, subject: str) -> Self:
         """Return the same error with the subject, such as the path of a file, before its message."""
-        own = self.problem
+        problem = self.problem
         return type(self)(
-            f"{subject}: {own.found}",
-            expected=own.expected,
-            mend=own.mend,
-            option=own.option,
-            code=own.code,
-            problems=own.inner,
+            f"{subject}: {problem.found}",
+            expected=problem.expected,
+            mend=problem.mend,
+            option=problem.option,
+            code=problem.code,
+            problems=problem.inner,
         )
 
     def text(self, *, on_command_line: bool = False) -> str:

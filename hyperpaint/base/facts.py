@@ -20,10 +20,10 @@ import numpy as np
 from .errors import PaintError, Problems, SchemaError
 from .units import takes_quantities
 
-#: Magnitude from which a number counts as infinite.
+#: Smallest magnitude that counts as infinite.
 MAX_NUMBER = 1e300
 
-#: Length of a value in a message.
+#: Maximum length of a value in a message.
 MAX_SHOWN_CHARS = 60
 
 _Class = TypeVar("_Class", bound=type)
@@ -73,7 +73,7 @@ def one_of(
     name
         The argument or key, as the user spells it.
     problems
-        Takes the fault; None raises it.
+        List that receives the fault; None raises it.
     error
         Class of the error raised.
 
@@ -97,7 +97,7 @@ def one_of(
 def shown(value: object) -> str:
     try:
         text = str(value) if isinstance(value, datetime.date | datetime.time) else repr(value)
-    except ValueError:  # Python does not print whole numbers of over 4300 digits, which hexadecimals can have
+    except ValueError:  # Python prints no integer of over 4300 digits; a hexadecimal number can have more
         text = "a number of thousands of digits"
     return text if len(text) <= MAX_SHOWN_CHARS else f"{text[: MAX_SHOWN_CHARS - 3]}..."
 
@@ -119,7 +119,7 @@ class Fact:
     unit
         CF spelling; empty for pure numbers and words.
     default
-        Value where none is given; None for no default.
+        Value of an absent key or argument; None for no default.
     least, most
         Range of numbers, both included; None is open.
     above, below
@@ -129,7 +129,7 @@ class Fact:
     length
         Length of "numbers"; 0 accepts any from 1 on.
     single
-        Whether "numbers" may be one number as well.
+        Whether "numbers" also accepts a single number.
     optional
         Whether None is accepted.
     needed
@@ -313,15 +313,15 @@ def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
 
 def facts_of(owner: Any) -> dict[str, Fact]:
     return {
-        one.name: dataclasses.replace(one.metadata["fact"], name=one.name)
-        for one in dataclasses.fields(owner)
-        if "fact" in one.metadata
+        field.name: dataclasses.replace(field.metadata["fact"], name=field.name)
+        for field in dataclasses.fields(owner)
+        if "fact" in field.metadata
     }
 
 
 def by_key(facts: Iterable[Fact]) -> dict[str, Fact]:
     """Return declarations by the keys of a TOML table, in the units of the file."""
-    return {one.key or one.name: one.in_file() for one in facts}
+    return {declaration.key or declaration.name: declaration.in_file() for declaration in facts}
 
 
 #: Returns a name and its value as the user wrote them.
@@ -351,21 +351,23 @@ def declared(cls: _Class) -> _Class:
     facts = facts_of(cls)
     entries = "".join(f"{name}\n    {described(one)}\n" for name, one in facts.items())
     doc = inspect.cleandoc(cls.__doc__ or "")
-    own = re.search(r"^Attributes\n-+\n(?:.+\n)*", doc, re.MULTILINE)
-    first = re.search(r"^(?:Raises|Notes|References|Examples)\n-+$", doc, re.MULTILINE)
-    place = own.end() if own else first.start() if first else len(doc)
-    heading = "" if own else "Attributes\n----------\n"
-    before, after = doc[:place].rstrip("\n"), doc[place:].lstrip("\n")
-    cls.__doc__ = f"{before}{'' if own else chr(10)}\n{heading}{entries}\n{after}"
+    section = re.search(r"^Attributes\n-+\n(?:.+\n)*", doc, re.MULTILINE)
+    following = re.search(r"^(?:Raises|Notes|References|Examples)\n-+$", doc, re.MULTILINE)
+    end = section.end() if section else following.start() if following else len(doc)
+    heading = "" if section else "Attributes\n----------\n"
+    before, after = doc[:end].rstrip("\n"), doc[end:].lstrip("\n")
+    cls.__doc__ = f"{before}{'' if section else chr(10)}\n{heading}{entries}\n{after}"
     return takes_quantities(**{name: one.unit for name, one in facts.items() if one.unit})(cls)
 
 
-def described(one: Fact) -> str:
+def described(declaration: Fact) -> str:
     """Return the meaning, unit and accepted values of a declaration as one line."""
-    unit = f" [{one.unit}]" if one.unit else ""
-    accepted = "" if one.kind in ("flag", "text") and not one.phrase else f"; {one.expected}"
-    none = ", or None" if one.optional and accepted else ""
-    return f"{one.doc[:1].upper()}{one.doc[1:]}{unit}{accepted}{none}."
+    unit = f" [{declaration.unit}]" if declaration.unit else ""
+    accepted = (
+        "" if declaration.kind in ("flag", "text") and not declaration.phrase else f"; {declaration.expected}"
+    )
+    optional = ", or None" if declaration.optional and accepted else ""
+    return f"{declaration.doc[:1].upper()}{declaration.doc[1:]}{unit}{accepted}{optional}."
 
 
 def key_line(facts: Facts, key: str, value: Any = None, note: str = "") -> str:
@@ -379,12 +381,12 @@ def key_line(facts: Facts, key: str, value: Any = None, note: str = "") -> str:
     >>> key_line(facts, "gap_s", 3.0), key_line(facts, "gap_s")
     ('gap_s = 3.0  # longest gap [s]', '# gap_s = 2.0  # longest gap [s]')
     """
-    one = facts[key]
-    unit = f" [{one.unit}]" if one.unit else ""
-    words = f"; one of {', '.join(one.choices)}" if one.choices else ""
-    hint = one.example if one.default is None else one.default
+    declaration = facts[key]
+    unit = f" [{declaration.unit}]" if declaration.unit else ""
+    choices = f"; one of {', '.join(declaration.choices)}" if declaration.choices else ""
+    hint = declaration.example if declaration.default is None else declaration.default
     text = toml_text(hint if value is None else value)
-    return f"{'# ' if value is None else ''}{key} = {text}  # {note or f'{one.doc}{unit}{words}'}"
+    return f"{'# ' if value is None else ''}{key} = {text}  # {note or f'{declaration.doc}{unit}{choices}'}"
 
 
 #: Descriptions of the parameters that many functions share, by parameter or by a name of the meaning.
@@ -438,7 +440,7 @@ PARAMETERS = {
     "tile": "Rows and columns of a task.",
     "variable": "Name; by default the first of ``reflectance``, ``radiance``, ``counts``, ``values``.",
     "width": "Width of the figure [inch].",
-    # meanings that decorators refer to by these names
+    # descriptions that decorators name
     "group overwrite": "Replace groups that were made from other inputs or parameters.",
     "library page": (
         "A paint library beside the store, as ``hyperpaint signatures`` writes it; libraries in the store "
@@ -456,13 +458,13 @@ def _indented(text: str) -> str:
     return textwrap.fill(text, 106, initial_indent="    ", subsequent_indent="    ", break_on_hyphens=False)
 
 
-def documented(**own: str) -> Callable[[_Function], _Function]:
+def documented(**descriptions: str) -> Callable[[_Function], _Function]:
     """Return a decorator that fills in parameters of a numpydoc docstring that have no description.
 
     Parameters
     ----------
-    **own
-        By parameter, before those of `PARAMETERS`: its description, or the name of one there.
+    **descriptions
+        Description of a parameter, or a key of `PARAMETERS`; takes precedence over `PARAMETERS`.
 
     Examples
     --------
@@ -477,22 +479,22 @@ def documented(**own: str) -> Callable[[_Function], _Function]:
     >>> save.__doc__.splitlines()[-1].strip()
     'Replace the output where it exists.'
     """
-    texts = PARAMETERS | {name: PARAMETERS.get(text, text) for name, text in own.items()}
+    texts = PARAMETERS | {name: PARAMETERS.get(text, text) for name, text in descriptions.items()}
 
     def decorated(function: _Function) -> _Function:
         doc = inspect.cleandoc(function.__doc__ or "")
         before, heading, after = doc.partition("\nParameters\n----------\n")
         if heading:
             end = re.search(r"^\S.*\n---", after, re.MULTILINE)
-            section, others = (after[: end.start()], after[end.start() :]) if end else (after, "")
-            # an entry without description is not followed by an indented line
+            section, rest = (after[: end.start()], after[end.start() :]) if end else (after, "")
+            # the line after an entry without description is not indented
             filled = re.sub(
                 r"^(\S.*)$(?!\n )",
                 lambda entry: f"{entry[1]}\n{_indented(texts[entry[1].lstrip('*')])}",
                 section,
                 flags=re.MULTILINE,
             )
-            function.__doc__ = f"{before}{heading}{filled}{others}"
+            function.__doc__ = f"{before}{heading}{filled}{rest}"
         return function
 
     return decorated

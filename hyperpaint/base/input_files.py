@@ -1,6 +1,6 @@
 """Opening of input files: the name is checked, only plain files are opened, the size is bounded.
 
-A pipe would wait for ever, a device never end, a socket cannot be read, and a URL may reach another machine.
+A pipe may block for ever, a device has no end, a socket cannot be read, and a URL may reach another machine.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ MAX_NAME_BYTES = 255
 #: Bytes of a path: PATH_MAX of Linux.
 MAX_PATH_BYTES = 4096
 
-#: ``https://...``, ``dask::...``; pathlib makes one slash of two. A drive of Windows has one letter.
+#: ``https://...``, ``dask::...``; pathlib reduces ``//`` to ``/``. A drive of Windows has one letter.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::|:/)")
-#: Neither waits for the writer of a pipe, nor becomes the terminal of this process.
-_FLAGS = os.O_RDONLY | sum(
+#: Opening does not wait for the writer of a pipe, and the file does not become the controlling terminal.
+_OPEN_FLAGS = os.O_RDONLY | sum(
     getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_CLOEXEC", "O_BINARY")
 )
 _CHECK_PATH = "check the path"
@@ -72,7 +72,7 @@ a local disk; download it, and give the path of the copy [url-not-local]
             mend=_CHECK_PATH,
             code="path-too-long",
         )
-    if _URL.match(text) and not ("://" not in text and _is_there(text)):
+    if _URL.match(text) and not ("://" not in text and _exists(text)):
         raise error(
             f"{shown}: a URL", expected=f"{expected} on a local disk", mend=instead, code="url-not-local"
         )
@@ -85,8 +85,8 @@ a local disk; download it, and give the path of the copy [url-not-local]
     return Path(text)
 
 
-def _is_there(text: str) -> bool:
-    # A name that looks like a URL may be a file, such as `field::day1`.
+def _exists(text: str) -> bool:
+    # A name in the form of a URL may be a file, such as `field::day1`.
     try:
         return os.path.lexists(text)
     except ValueError:
@@ -108,18 +108,18 @@ def is_plain_file(path: str | os.PathLike[str]) -> bool:
 def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = None) -> BufferedReader:
     """Open a plain file to read its bytes; ``expected`` names the kind of file in messages.
 
-    The opened file itself is checked: its name may be given to another file meanwhile.
+    The checks use the open descriptor: another file may take the name in the meantime.
 
     Raises `FormatError`: As `input_path`; the file cannot be read, is a folder, or is larger than ``limit``
     bytes.
     """
-    place = input_path(path, expected)
+    file_path = input_path(path, expected)
     try:
-        descriptor = os.open(place, _FLAGS)
+        descriptor = os.open(file_path, _OPEN_FLAGS)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FormatError(
-            f"{place}: cannot be read ({reason})", mend=_CHECK_PATH, code="file-unreadable"
+            f"{file_path}: cannot be read ({reason})", mend=_CHECK_PATH, code="file-unreadable"
         ) from error
     status = os.fstat(descriptor)
     if stat.S_ISREG(status.st_mode) and (limit is None or status.st_size <= limit):
@@ -127,13 +127,13 @@ def open_input(path: str | os.PathLike[str], expected: str, limit: int | None = 
     os.close(descriptor)
     if stat.S_ISREG(status.st_mode):
         raise FormatError(
-            f"{place}: {status.st_size} bytes",
+            f"{file_path}: {status.st_size} bytes",
             expected=f"{expected} of at most {limit} bytes",
             mend=_CHECK_PATH,
             code="file-too-large",
         )
     raise FormatError(
-        f"{place}: {_kind(status.st_mode)}", expected=expected, mend=_CHECK_PATH, code="file-special"
+        f"{file_path}: {_kind(status.st_mode)}", expected=expected, mend=_CHECK_PATH, code="file-special"
     )
 
 
@@ -143,7 +143,7 @@ def read_limited(path: str | os.PathLike[str], limit: int, expected: str) -> byt
     Raises `FormatError`: As `open_input`.
     """
     with open_input(path, expected, limit) as file:
-        # read() allocates as much as it may read
+        # read() allocates the requested size
         try:
             return file.read(os.fstat(file.fileno()).st_size)
         except OSError as error:

@@ -40,8 +40,8 @@ def kernel(function: Function) -> Function:
     must come out whatever the chunking.
 
     Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else beside the package,
-    else, where that is read-only, in the user's cache folder. Where none can be written (a container with a
-    read-only disk, a full disk) every process compiles the kernels that none of them holds (see ``hyperpaint
+    or, where that is read-only, in the user's cache folder. Where no folder is writable (a container with a
+    read-only disk, a full disk) every process compiles the kernels that the folders lack (see ``hyperpaint
     warm``).
     """
     return _compiled(function, {"nogil": True, "error_model": "numpy"})
@@ -50,39 +50,39 @@ def kernel(function: Function) -> Function:
 def borrowing_kernel(function: Function) -> Function:
     """Compile, as `kernel` does, a function that makes no arrays, neither new ones nor returned views.
 
-    Its caller owns all arrays, so references are not counted. In a short function that is called for every
-    ray counting costs more than the work, and threads that share the arrays wait for one another's counts.
+    The caller owns all arrays, so references are not counted. In a short function that is called for every
+    ray, counting takes longer than the computation, and threads that share arrays wait for the counter.
     """
     return _compiled(function, _borrowing_options())
 
 
 def inlined_kernel(function: Function) -> Function:
-    """Compile, as `borrowing_kernel` does, a row of a loop, into each of its callers.
+    """Compile a loop over one row as `borrowing_kernel` does, inlined in every caller.
 
-    For a row of a few hundred samples, passing arrays costs half as much as the work.
+    For a row of a few hundred samples, passing arrays takes half as long as the computation.
     """
     return _compiled(function, {**_borrowing_options(), "forceinline": True})
 
 
 def _borrowing_options() -> dict[str, Any]:
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    if hasattr(CPUTargetOptions, "_nrt"):  # private to numba: without it all is the same, but slower
+    if hasattr(CPUTargetOptions, "_nrt"):  # private to numba; only speed depends on it
         options["_nrt"] = False
     return options
 
 
-# The cache may be full, read-only or damaged; the kernel is then compiled.
+# Cache that may be full, read-only or damaged; the kernel is then compiled.
 class _OptionalCache(FunctionCache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        # None lets numba compile. numba would first register everything that it can compile, which takes
-        # longer than the load; its compiler does that anyway when it is needed.
+        # None lets numba compile. numba's own method first registers all supported functions, which takes
+        # longer than loading the kernel; the compiler registers them when it runs.
         rtsys.initialize(target_context)
         try:
             with self._guard_against_spurious_io_errors():
                 return self._load_overload(sig, target_context)
         except OSError:
             return None
-        except Exception:  # what a torn pickle raises has no common class
+        except Exception:  # a truncated pickle raises any class of error
             with contextlib.suppress(OSError):
                 self.flush()
             return None
@@ -90,7 +90,7 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
             super().save_overload(sig, data)
-        except Exception as error:  # of a torn index that could not be removed, too
+        except Exception as error:  # also from a truncated index that cannot be removed
             reason = getattr(error, "strerror", None) or error
             warnings.warn(
                 PaintWarning(
@@ -102,23 +102,23 @@ class _OptionalCache(FunctionCache):  # type: ignore[misc]
             )
 
 
-# The folder need not be writable.
-class _Readable(_CacheLocator):  # type: ignore[misc]
+# Locator of a cache folder that may be read-only.
+class _ReadableLocator(_CacheLocator):  # type: ignore[misc]
     def ensure_cache_path(self) -> None:
-        # numba would refuse a read-only folder as well.
+        # numba's own check refuses a read-only folder
         os.listdir(self.get_cache_path())
 
 
-class _Given(_Readable, UserProvidedCacheLocator):  # type: ignore[misc]
+class _EnvironmentLocator(_ReadableLocator, UserProvidedCacheLocator):  # type: ignore[misc]
     """``NUMBA_CACHE_DIR``."""
 
 
-class _Installed(_Readable, InTreeCacheLocator):  # type: ignore[misc]
+class _PackageLocator(_ReadableLocator, InTreeCacheLocator):  # type: ignore[misc]
     """The folder beside the module."""
 
 
 class _ReadableImplementation(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes: ClassVar = [_Given, _Installed]
+    _locator_classes: ClassVar = [_EnvironmentLocator, _PackageLocator]
 
 
 # Kernels that `hyperpaint warm` stored in a folder that may be read-only, as in a container image.
@@ -126,17 +126,17 @@ class _ReadableCache(_OptionalCache):
     _impl_class = _ReadableImplementation
 
 
-# Caches are located on the first call from Python, which most kernels never get.
+# Caches are located when Python first calls a kernel; most kernels are only called by other kernels.
 class _KernelCaches(NullCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
 
     @functools.cached_property
     def _caches(self) -> list[_OptionalCache]:
-        # The first folder may be written, unless it is a `_ReadableCache`.
+        # the folder that numba writes to, then the folder that may be read-only
         caches: list[_OptionalCache] = []
         for kind in (_OptionalCache, _ReadableCache):
-            with contextlib.suppress(RuntimeError):  # numba has no folder for it
+            with contextlib.suppress(RuntimeError):  # no folder exists
                 caches.append(kind(self._function))
         return caches[:1] if len({cache.cache_path for cache in caches}) == 1 else caches
 
@@ -157,8 +157,8 @@ class _KernelCaches(NullCache):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def _uncollected() -> Iterator[None]:
-    # A compiler makes millions of objects that are all in use: no garbage collection meanwhile.
-    with global_compiler_lock:  # one thread at a time switches
+    # The compiler makes millions of objects that stay in use: garbage collection would only cost time.
+    with global_compiler_lock:  # one thread at a time switches collection off
         was_enabled = gc.isenabled()
         gc.disable()
         try:
@@ -168,30 +168,30 @@ def _uncollected() -> Iterator[None]:
                 gc.enable()
 
 
-# A kernel with an entry point for Python; other kernels that call it include a `_Part`.
+# A kernel with an entry point for Python; other kernels that call it include a `_InnerKernel`.
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
     def compile(self, sig: Any) -> Any:
         with _uncollected():
             return super().compile(sig)
 
     @functools.cached_property
-    def _part(self) -> _Part:
+    def _inner(self) -> _InnerKernel:
         options = {**self.targetoptions, "no_cpython_wrapper": True}
-        return _Part(self.py_func, targetoptions=options, pipeline_class=_PartCompiler)
+        return _InnerKernel(self.py_func, targetoptions=options, pipeline_class=_InnerCompiler)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        # Constants in the call lose their literal type: numba would compile a part again for every number.
+        # without literal types: numba would compile the inner kernel for every constant argument
         kinds = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
-        return self._part.get_call_template(tuple(map(types.unliteral, args)), kinds)
+        return self._inner.get_call_template(tuple(map(types.unliteral, args)), kinds)
 
     def get_overload(self, sig: Any) -> Any:
-        return self._part.get_overload(sig)
+        return self._inner.get_overload(sig)
 
 
-class _Part(CPUDispatcher):  # type: ignore[misc]
+class _InnerKernel(CPUDispatcher):  # type: ignore[misc]
     """A kernel inside another: without machine code, entry point for Python and place in the cache.
 
-    By default numba assembles each function once alone and again in all its callers, with the code that
+    By default numba assembles every function on its own and again in all its callers, with the code that
     unpacks its arguments for Python. Here only the outer kernel, which Python calls, is assembled.
     """
 
@@ -200,7 +200,7 @@ class _Part(CPUDispatcher):  # type: ignore[misc]
         self._compiler._customize_flags = _without_machine_code
 
     def add_overload(self, cres: Any) -> None:
-        # Names must be unique.
+        # the name must be unique
         name = object()
         self.targetctx.insert_user_function(name, cres.fndesc, [cres.library])
         self.overloads[tuple(cres.signature.args)] = cres._replace(entry_point=name)
@@ -211,15 +211,15 @@ def _without_machine_code(flags: Any) -> Any:
     return flags
 
 
-class _PartCompiler(Compiler):  # type: ignore[misc]
+class _InnerCompiler(Compiler):  # type: ignore[misc]
     def __init__(self, typing: Any, target: Any, _library: Any, *args: Any) -> None:
-        super().__init__(typing, target, _PartLibrary(target.codegen(), "part"), *args)
+        super().__init__(typing, target, _InnerLibrary(target.codegen(), "inner"), *args)
 
 
-class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
+class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
     """Code that is assembled in the libraries that link it.
 
-    It is optimised before: callers decide by its optimised size whether to inline it, and without this the
+    It is optimised on its own: callers decide by the optimised size whether to inline it. Without that, the
     renderer ran a fifth slower. The methods are private to numba: without them kernels compile more slowly.
     """
 

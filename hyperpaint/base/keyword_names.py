@@ -13,7 +13,7 @@ R = TypeVar("R")
 
 
 def renamed(**names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that answers an old keyword argument with its new name (`SchemaError`).
+    """Return a decorator that refuses an old keyword argument and names the new one (`SchemaError`).
 
     Examples
     --------

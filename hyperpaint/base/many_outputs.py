@@ -31,9 +31,9 @@ def split_outputs(
     blocks
         dtype object; each block is the mapping or the tuple of arrays that a task returns.
     dims
-        Index of the blocks, a letter a dim. An output may lack those in which there is a single block.
+        Index of the blocks, one letter per dim. An output may lack dims along which there is a single block.
     outputs
-        Index and dtype of each output, by its key in the mapping, or its place in the tuple.
+        Index and dtype of each output, by its key in the mapping or its position in the tuple.
     sizes
         Length of the dims of outputs that ``blocks`` lacks.
     """

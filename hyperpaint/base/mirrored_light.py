@@ -19,10 +19,10 @@ THROUGH_COAT = "reflectance factor of the body through its clear coat"
 #: Attribute ``quantity``: all light from the painted surface, including its mirror image of the sky.
 OUTSIDE = "reflectance factor of the outside of the coat"
 
-_DECLARED = "mirror_reflection"
-_COMPONENT = "specular_component"
-_REMOVED = "mirrored_sky_removed"
-_APART = "specular_reflectance"
+_ATTRIBUTE = "mirror_reflection"
+_MAKERS_ATTRIBUTE = "specular_component"
+_REMOVAL_ATTRIBUTE = "mirrored_sky_removed"
+_SPECULAR_VARIABLE = "specular_reflectance"
 
 
 def mirror_reflection(library: xr.Dataset) -> str | None:
@@ -31,7 +31,7 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     The attribute ``mirror_reflection`` of ``reflectance``, or else of the library, decides; or
     ``specular_component``, the term of instrument makers. Without either, mirrored light is excluded where a
     variable ``specular_reflectance`` holds it, or where ``mirrored_sky_removed`` states its subtraction; it
-    is included where that states "none", even for one of several sources ("F0 0.04; none").
+    is included where that attribute states "none", even for one of several sources ("F0 0.04; none").
 
     Parameters
     ----------
@@ -54,19 +54,19 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     'excluded'
     """
     attrs = {**library.attrs, **library["reflectance"].attrs}
-    declared = attrs.get(_DECLARED, attrs.get(_COMPONENT))
+    declared = attrs.get(_ATTRIBUTE, attrs.get(_MAKERS_ATTRIBUTE))
     if declared is not None:
         if not isinstance(declared, str) or declared not in (INCLUDED, EXCLUDED):
             raise SchemaError(
-                f"attribute {_DECLARED!r} of reflectance is {declared!r:.60}",
+                f"attribute {_ATTRIBUTE!r} of reflectance is {declared!r:.60}",
                 expected=f"{INCLUDED!r} or {EXCLUDED!r}",
                 code="choice-unknown",
             )
         return declared
-    if _APART in library.variables:
+    if _SPECULAR_VARIABLE in library.variables:
         return EXCLUDED
-    if _REMOVED not in attrs:
+    if _REMOVAL_ATTRIBUTE not in attrs:
         return None
     # a library of several flight lines states the subtraction of each of them
-    sources = [text.strip() for text in str(attrs[_REMOVED]).split(";")]
+    sources = [text.strip() for text in str(attrs[_REMOVAL_ATTRIBUTE]).split(";")]
     return INCLUDED if any(text in ("", "none") for text in sources) else EXCLUDED

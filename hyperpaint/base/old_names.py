@@ -9,16 +9,16 @@ import xarray as xr
 
 from .errors import PaintWarning
 
-#: Dimension of a paint library: `paint` until 0.2, a name that the accessor hides. A property of regions that
-#: was called `signature` gets the free name `paint`.
+#: Dimension of a paint library: `paint` until 0.2, a name that the accessor shadows. A property of regions
+#: called `signature` becomes `paint`, which is then free.
 NEW_NAMES = {"paint": "signature", "signature": "paint"}
 
-_OLD, _NEW, _BAND = "paint", "signature", "band"
-_FREE = "property_signature"
+_OLD_DIM, _NEW_DIM, _BAND = "paint", "signature", "band"
+_FREE_NAME = "property_signature"
 #: Attribute of a library: the version of its specification (docs/paint-library.md).
 VERSION_NAME = "paint_library_version"
 
-_OF_LIBRARIES = ("reflectance", "score_threshold")  # the second: of detections
+_LIBRARY_VARIABLES = ("reflectance", "score_threshold")  # the second: of detections
 
 _Labelled = TypeVar("_Labelled", xr.Dataset, xr.DataArray)
 
@@ -44,13 +44,13 @@ def with_new_names(library: _Labelled) -> _Labelled:
     if not _is_old(library):
         return library
     warn_of_old_names("the paint library")
-    is_taken = _NEW in (library.variables if isinstance(library, xr.Dataset) else library.coords)
-    if is_taken:  # in steps: swapped at once, the dimension would lose its index
-        library = library.rename({_NEW: _FREE})
-    renamed = library.rename({_OLD: _NEW})
+    is_taken = _NEW_DIM in (library.variables if isinstance(library, xr.Dataset) else library.coords)
+    if is_taken:  # in two steps: a swap in one step drops the index of the dimension
+        library = library.rename({_NEW_DIM: _FREE_NAME})
+    renamed = library.rename({_OLD_DIM: _NEW_DIM})
     if is_taken:
-        renamed = renamed.rename({_FREE: _OLD})
-    if renamed.attrs.get(VERSION_NAME) == 1:  # all that version 2 changes
+        renamed = renamed.rename({_FREE_NAME: _OLD_DIM})
+    if renamed.attrs.get(VERSION_NAME) == 1:  # version 2 changes nothing else
         renamed = renamed.assign_attrs({VERSION_NAME: 2})
     return renamed
 
@@ -58,8 +58,8 @@ def with_new_names(library: _Labelled) -> _Labelled:
 def warn_of_old_names(source: str) -> None:
     warnings.warn(
         PaintWarning(
-            f"{source} has the dimension {_OLD!r} of hyperpaint 0.2 and before, which is now {_NEW!r}; write "
-            "the library again to store the new name",
+            f"{source} has the dimension {_OLD_DIM!r} of hyperpaint 0.2 and before, which is now "
+            f"{_NEW_DIM!r}; write the library again to store the new name",
             code="dim-renamed",
         ),
         stacklevel=3,
@@ -67,15 +67,15 @@ def warn_of_old_names(source: str) -> None:
 
 
 def _is_old(library: xr.Dataset | xr.DataArray) -> bool:
-    # Spectra, or thresholds of detections, had the dim `paint` or its scalar coordinate.
-    if _NEW in library.dims or not (_OLD in library.dims or _OLD in library.coords):
+    # Spectra and thresholds of detections had the dim `paint`, or `paint` as a scalar coordinate.
+    if _NEW_DIM in library.dims or not (_OLD_DIM in library.dims or _OLD_DIM in library.coords):
         return False
     shapes = (
         [library.dims]
         if isinstance(library, xr.DataArray)
-        else [library.variables[name].dims for name in _OF_LIBRARIES if name in library.variables]
+        else [library.variables[name].dims for name in _LIBRARY_VARIABLES if name in library.variables]
     )
-    if any(_OLD in dims and set(dims) <= {_OLD, _BAND} for dims in shapes):
+    if any(_OLD_DIM in dims and set(dims) <= {_OLD_DIM, _BAND} for dims in shapes):
         return True
-    name = library.coords.get(_OLD)  # as .isel(paint=0) leaves it
+    name = library.coords.get(_OLD_DIM)  # as .isel(paint=0) leaves it
     return name is not None and name.ndim == 0 and name.dtype.kind in "OUT" and (_BAND,) in shapes

@@ -17,7 +17,7 @@ def part_of(progress: Progress, number: int, total: int) -> Progress: ...
 @overload
 def part_of(progress: Progress | None, number: int, total: int) -> Progress | None: ...
 def part_of(progress: Progress | None, number: int, total: int) -> Progress | None:
-    """Return a progress for one of several parts, which counts thousandths of parts; None for None.
+    """Return the progress callback of part ``number`` of ``total``, in thousandths of a part; None for None.
 
     Examples
     --------

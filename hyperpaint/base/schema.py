@@ -194,18 +194,18 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         cubed or cupy.
     """
     # arrays of other packages look like numpy's or dask's; none of the packages is imported here
-    for label_of, variable in dataset.variables.items():
+    for array_name, variable in dataset.variables.items():
         data = variable._data
         for array in (data, getattr(data, "_meta", None)):  # a dask array of such arrays
             package = type(array).__module__.partition(".")[0]
             if package in _FOREIGN_ARRAYS:
                 raise SchemaError(
-                    f"{label_of!r} is an array of {package}",
+                    f"{array_name!r} is an array of {package}",
                     expected="numpy or dask",
                     mend=_FOREIGN_ARRAYS[package],
                     code="array-foreign",
                 )
-    # every cell of a map has its own line and time
+    # lines and times vary from cell to cell of a map
     is_map = {"y", "x"} <= {*dataset.dims, *dataset.coords} or "spatial_ref" in dataset.variables
     dataset = _with_table_units(plain(dataset))
     names: dict[Hashable, Hashable] = {}
@@ -236,11 +236,11 @@ def rename_to_roles(dataset: xr.Dataset, dims: Mapping[str, Hashable] | None = N
         dataset = dataset.reset_index(indexed)
     names = {old: new for old, new in names.items() if old != new}
     dataset = dataset.rename_dims(names) if names else dataset
-    for dim, thing in zip(CUBE, ("line", "band", "column"), strict=True):
+    for dim, item in zip(CUBE, ("line", "band", "column"), strict=True):
         if dataset.sizes.get(dim) == 0:
             raise SchemaError(
                 f"nothing is selected: {dim} has size 0",
-                expected=f"one {thing} or more",
+                expected=f"one {item} or more",
                 mend="widen the slice, mask or wavelength range",
                 code="selection-empty",
             )
@@ -256,7 +256,7 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
     # removed dim is checked when they are computed.
     changed: dict[Hashable, xr.Variable] = {}
     dropped = []
-    # after where() on counts, darks and gain have the dims of the cube: require refuses them, naming isel
+    # after where() on counts, darks and gain have the dims of the cube: `require` refuses them and names isel
     is_masked = "counts" in dataset.variables and dataset.variables["counts"].dtype.kind == "f"
     for name, variable in dataset.variables.items():
         row = VARIABLES.get(str(name))
@@ -266,7 +266,7 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
             reduced = _without_added_dims(variable, row)
             changed |= {} if reduced is variable else {name: reduced}
         elif not set(variable.dims) <= set(row.dims):
-            dropped.append(name)  # made for the whole line, not for this part
+            dropped.append(name)  # it shows the whole line, not this selection
     if "quality" in dataset.variables and _is_averaged(dataset):
         dropped.append("quality")
         warnings.warn(
@@ -282,7 +282,7 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _is_averaged(dataset: xr.Dataset) -> bool:
-    # coarsen and interp leave means of flags over pixels.
+    # coarsen and interp average flags over pixels.
     quality = dataset.variables["quality"]
     if quality.dtype.kind != "f":
         return False
@@ -292,7 +292,7 @@ def _is_averaged(dataset: xr.Dataset) -> bool:
 
 
 def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
-    # A variable that is constant along dims of a cube loses them; missing values are left out.
+    # Drop the dims of a cube along which a variable is constant; missing values are ignored.
     dims = set(variable.dims)
     fitting = [shape for shape in row.allowed_dims if set(shape) < dims and dims - set(shape) <= set(CUBE)]
     if not fitting or any(dims == set(shape) for shape in row.allowed_dims):
@@ -318,7 +318,7 @@ def _without_added_dims(variable: xr.Variable, row: Variable) -> xr.Variable:
 
 
 def _constant(low: Any, high: Any, *, name_of: str, dims: list[str]) -> Any:
-    # Minima must equal maxima.
+    # Return the minima, which must equal the maxima.
     if not ((low == high) | (low != low)).all():
         raise SchemaError(
             f"{name_of!r} differs along {' and '.join(dims)}",
@@ -381,7 +381,7 @@ _CALIBRATION_VARIABLES = (
 
 
 def with_calibration_names(line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line whose gain names the other calibration variables, to notice their loss."""
+    """Return a flight line whose gain lists the other calibration variables, so that a loss is noticed."""
     if "radiance_gain" not in line.variables:
         return line
     names = " ".join(name for name in _CALIBRATION_VARIABLES if name in line.variables)
@@ -408,11 +408,15 @@ def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
 def with_numbers(line: xr.Dataset) -> xr.Dataset:
     """Return a flight line with index coordinates that number its lines and columns.
 
-    A crop keeps them, and so its place; ``band`` has none, since two cameras would be joined by number.
+    A crop keeps its numbers; ``band`` has no numbers, since xarray would align two cameras by them.
     """
-    places = {dim: np.arange(line.sizes[dim]) for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.dims}
+    numbers = {dim: np.arange(line.sizes[dim]) for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.dims}
     return line.assign_coords(
-        {dim: (dim, place, VARIABLES[dim].attrs) for dim, place in places.items() if dim not in line.coords}
+        {
+            dim: (dim, values, VARIABLES[dim].attrs)
+            for dim, values in numbers.items()
+            if dim not in line.coords
+        }
     )
 
 
@@ -475,7 +479,7 @@ def require(
     Raises
     ------
     SchemaError
-        Variables are missing, or have other dims or units than the table allows; all are listed.
+        Variables are missing, or have dims or units that the table does not allow; all are listed.
     """
     arrays, faults = find(dataset, names, table)
     if faults:
@@ -486,7 +490,7 @@ def require(
 def find(
     dataset: xr.Dataset, names: Iterable[str], table: Mapping[str, Variable] = VARIABLES
 ) -> tuple[dict[str, xr.DataArray], list[Problem]]:
-    """Return the variables that the table accepts, as `require` does, and the faults of the others."""
+    """Return the variables that the table accepts, as `require` does, and the faults of the rest."""
     problems: list[Problem] = []
     arrays: dict[str, xr.DataArray] = {}
     for name in names:
@@ -503,9 +507,9 @@ def find(
         array = plain(dataset[name])
         fault = row.dim_problem(array) or row.unit_problem(array)
         if fault:
-            # one call mends all variables that went wrong in the same way: it is named once
-            known = any(fault.mend == other.mend for other in problems)
-            problems.append(replace(fault, mend="") if known else fault)
+            # one call mends all variables with the same fault: the message names it once
+            is_repeated = any(fault.mend == other.mend for other in problems)
+            problems.append(replace(fault, mend="") if is_repeated else fault)
             continue
         order = next(dims for dims in row.allowed_dims if set(dims) == set(array.dims))
         array = array.transpose(*order)
@@ -517,19 +521,19 @@ def dtype_of(name: str) -> np.dtype[Any]:
     return np.dtype(VARIABLES[name].dtype)
 
 
-_STAMP = "means_of"
+_MEANS_STAMP = "means_of"
 MAX_HASHED_BYTES = 2**24
 _NOT_INPUTS = {"coarse_reflectance", "reflectance", "overview", "quality", ALONG_TRACK, CROSS_TRACK}
 
 
 def stamp_means(means: xr.DataArray | xr.Variable, line: xr.Dataset) -> None:
-    """Note in the encoding of stored means from which arrays they were computed."""
-    means.encoding[_STAMP] = {str(name): _identity(line[name].variable) for name in line.variables}
+    """Store the identities of the arrays of the line in the encoding of means computed from them."""
+    means.encoding[_MEANS_STAMP] = {str(name): _identity(line[name].variable) for name in line.variables}
 
 
 def has_own_means(line: xr.Dataset) -> bool:
     """Return whether ``coarse_reflectance`` follows from the arrays of this line."""
-    stamp = line["coarse_reflectance"].encoding.get(_STAMP)
+    stamp = line["coarse_reflectance"].encoding.get(_MEANS_STAMP)
     if stamp is None:
         return False
     names = (
@@ -537,17 +541,17 @@ def has_own_means(line: xr.Dataset) -> bool:
         if "reflectance" in line.variables
         else (set(stamp) | {str(name) for name in line.variables}) - _NOT_INPUTS
     )
-    now = {name: _identity(line[name].variable) for name in names if name in line.variables}
-    return all(now.get(name) is not None and now[name] == stamp.get(name) for name in names)
+    identities = {name: _identity(line[name].variable) for name in names if name in line.variables}
+    return all(identities.get(name) is not None and identities[name] == stamp.get(name) for name in names)
 
 
 def _identity(variable: xr.Variable) -> str | None:
-    # None where a hash would need to read more than a scalar.
+    # Return None where a hash would have to read an array from a file.
     from dask.base import is_dask_collection, tokenize
 
     if is_dask_collection(variable):
         return str(tokenize(variable.data.name, variable.dims, variable.shape))
-    # xarray leaves a scalar of a store lazy without dask
+    # without dask, xarray opens a scalar of a store lazily
     if variable.nbytes > MAX_HASHED_BYTES or (variable.ndim and not variable._in_memory):
         return None
     return str(tokenize(variable.dims, variable.values))

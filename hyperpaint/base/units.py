@@ -1,6 +1,6 @@
 """Units: CF text in ``attrs``, pint at the boundary.
 
-The registry is private, and in it the steradian, the count and the electron are dimensions: a forgotten
+The registry is private. Its steradian, count and electron are dimensions: a forgotten
 ``pi sr`` between radiance and irradiance is then an error, where pint's own registry, like UDUNITS, lets it
 pass. No Quantity ever enters an array, a graph or a store: `takes_quantities` and `plain` turn those of any
 registry into numbers with text beside them where they come in.
@@ -79,22 +79,22 @@ _WORDS = {
     "metres": "m",
     "%": "percent",
 }
-#: Of units that headers give, so that they can be read without pint, which takes a tenth of a second.
+#: Factors of common units in headers; they save the import of pint, which takes 0.1 s.
 _USUAL_FACTORS = {("ms", "s"): 1e-3, ("us", "s"): 1e-6, ("um", "nm"): 1e3}
 _CF_SPELLING = "CF spelling such as 'W m-2 sr-1 nm-1'"
-# a power that may reach pint: of a name or a number, to a literal of one or two digits, never of a power
+# powers allowed for pint: a name or number, raised to a literal of one or two digits; no power of a power
 _POWER = re.compile(r"(?:\*\*|\^)")
 _SAFE_POWER = re.compile(r"(?<=[A-Za-z0-9µμ .])(?:\*\*|\^)\s*[-+]?[0-9]{1,2}(?![0-9.]|\s*\*\*|\s*\^)")
-# pint would turn raised digits into a power of its own, after the check above
+# superscript digits: pint would expand them to powers after the check above
 _RAISED = re.compile("[⁺⁻]?[⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 _LOWERED = str.maketrans("⁺⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "+-0123456789")
-# pint's parser leaves out what it does not know, such as a question mark
+# pint's parser skips unknown characters, such as a question mark
 _READABLE = re.compile(r"[A-Za-z0-9µμ°ÅÅ%_*/^()+\-.\s]*")
 _WORD = re.compile("|".join(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])" for word in _WORDS), re.IGNORECASE)
 
 
 def _plain_powers(text: str) -> str:
-    # Raised digits become powers, so that they can be checked, and dots become spaces.
+    # Superscript digits become powers, which are checked later, and dots become spaces.
     text = _DOT.sub(r"\1 ", text.replace("·", " "))
     return _RAISED.sub(lambda match: f"**{match[0].translate(_LOWERED)} ", text)
 
@@ -119,15 +119,15 @@ def registry(force_ndarray_like: bool = False) -> pint.UnitRegistry[Any]:
     )
     for line in _DEFINITIONS.strip().splitlines():
         units.define(line)
-    for towards in ("_north", "N", "_N", "_east", "E", "_E", "_true"):  # CF's latitude, longitude, heading
-        units.define(f"@alias degree = degree{towards} = degrees{towards}")
+    for suffix in ("_north", "N", "_N", "_east", "E", "_E", "_true"):  # CF's latitude, longitude, heading
+        units.define(f"@alias degree = degree{suffix} = degrees{suffix}")
     return units
 
 
 def _quantity(text: object) -> Any:
     if not isinstance(text, str):
         raise UnitsError(f"units {text!r:.60}", expected=_CF_SPELLING, code="type-wrong")
-    # pint evaluates powers, so that 9**9**9 or s1000000000000 would never return
+    # pint evaluates powers: 9**9**9 or s1000000000000 would never return
     text = _plain_powers(text[:201])
     huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
     unsafe = len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text))
@@ -247,7 +247,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
     except UnitsError as error:
         raise error.about(repr(name)) from error
     if factor != 1.0:
-        # as an integer, a factor of 0.001 would be 0
+        # an integer factor of 0.001 would be 0
         kind = np.result_type(array.dtype, np.float16 if array.dtype.kind == "f" else np.float32)
         array = array.copy(data=array.data * kind.type(factor))
     return array.assign_attrs(units=wanted)
@@ -258,7 +258,7 @@ def convert(array: xr.DataArray, wanted: str, name: str | None = None) -> xr.Dat
 
 def _is_quantity(value: object) -> bool:
     # A Quantity of pint, astropy or unyt.
-    if isinstance(value, xr.DataArray):  # has any of these where its attributes do
+    if isinstance(value, xr.DataArray):  # its attributes can have these names
         return False
     is_pint = hasattr(value, "magnitude") and hasattr(value, "units")
     return is_pint or (hasattr(value, "to_value") and (hasattr(value, "unit") or hasattr(value, "units")))
@@ -270,21 +270,21 @@ def _magnitude(quantity: Any) -> Any:
 
 
 def _unit_text(quantity: Any) -> str:
-    # Symbols differ between registries: each part is read by its full name; a part that is unknown to our
-    # registry is resolved by its own registry.
+    # Symbols differ between registries, so parts are read by their full names; a part that our registry does
+    # not define is resolved by the registry of the Quantity.
     if not hasattr(quantity, "unit_items"):  # astropy and unyt
         return str(getattr(quantity, "unit", None) or quantity.units)
     scale, powers = 1.0, []
     for name, power in quantity.unit_items():
         parts = [(name, 1)]
         if not same_dimension(name, name):
-            one, zero = (type(quantity)(number, name).to_root_units() for number in (1.0, 0.0))
-            if zero.magnitude:
+            scale_unit, offset_unit = (type(quantity)(number, name).to_root_units() for number in (1.0, 0.0))
+            if offset_unit.magnitude:
                 raise UnitsError(
                     f"units {name!r} have an offset zero", expected="multiples of a unit", code="units-offset"
                 )
-            scale *= one.magnitude**power
-            parts = list(one.unit_items())
+            scale *= scale_unit.magnitude**power
+            parts = list(scale_unit.unit_items())
         powers += [(_symbol(part), exponent * power) for part, exponent in parts]
     text = " ".join(symbol if power == 1 else f"{symbol}{power:g}" for symbol, power in powers)
     return f"{scale:.15g} {text}".strip() if scale != 1.0 else text or "1"
@@ -293,7 +293,7 @@ def _unit_text(quantity: Any) -> str:
 def _symbol(name: str) -> str:
     try:
         return str(registry().get_symbol(name))
-    except Exception:  # pint's own class; the text is then refused where it is read
+    except Exception:  # pint's own class; the parser then refuses the text
         return name
 
 
@@ -323,18 +323,18 @@ def plain(labelled: Any) -> Any:
     labelled = with_new_names(labelled)
     # the public `data` would read a lazily opened variable
     variables = labelled.variables if isinstance(labelled, xr.Dataset) else labelled.coords.variables
-    held = {name: variable._data for name, variable in variables.items()}
-    whole = labelled.variable._data if isinstance(labelled, xr.DataArray) else None
-    for name, data in [*held.items(), (getattr(labelled, "name", None), whole)]:
+    arrays = {name: variable._data for name, variable in variables.items()}
+    array_values = labelled.variable._data if isinstance(labelled, xr.DataArray) else None
+    for name, data in [*arrays.items(), (getattr(labelled, "name", None), array_values)]:
         if _is_quantity(getattr(data, "_meta", None)):
             raise UnitsError(
                 f"{name!r} is a dask array of Quantities",
                 mend=f"make it a Quantity of a dask array, such as pint.Quantity({name}.data, unit)",
                 code="array-foreign",
             )
-    if _is_quantity(whole):
-        labelled = labelled.copy(data=_magnitude(whole)).assign_attrs(units=_unit_text(whole))
-    coords = {name: data for name, data in held.items() if _is_quantity(data)}
+    if _is_quantity(array_values):
+        labelled = labelled.copy(data=_magnitude(array_values)).assign_attrs(units=_unit_text(array_values))
+    coords = {name: data for name, data in arrays.items() if _is_quantity(data)}
     if not coords:
         return labelled
     values = {
@@ -371,7 +371,7 @@ def in_units(value: Any, wanted: str, name: str) -> Any:
     if isinstance(value, xr.DataArray):
         value = plain(value)
         return value if wanted == "1" and "units" not in value.attrs else convert(value, wanted, name)
-    if isinstance(value, list | tuple):  # of any depth; the function refuses text in them
+    if isinstance(value, list | tuple):  # nested to any depth; the decorated function refuses text
         numbers = [item if isinstance(item, str) else in_units(item, wanted, name) for item in value]
         changed = any(number is not item for number, item in zip(numbers, value, strict=True))
         return type(value)(numbers) if changed else value
@@ -424,7 +424,7 @@ def takes_quantities(**units: str) -> Callable[[_Public], _Public]:
         @functools.wraps(function)
         def with_numbers(*arguments: Any, **options: Any) -> Any:
             numbers = [number(value, name) for name, value in zip(names, arguments, strict=False)]
-            numbers += arguments[len(names) :]  # the function refuses too many
+            numbers += arguments[len(names) :]  # the function refuses surplus arguments
             return function(*numbers, **{name: number(value, name) for name, value in options.items()})
 
         if not isinstance(target, type):
@@ -498,6 +498,6 @@ def quantify(dataset: xr.Dataset, units: pint.UnitRegistry[Any] | None = None) -
                 code="units-unknown",
             )
     problems.raise_if_any()
-    # coordinates stay plain: an index of Quantities cannot be selected on
+    # coordinates stay plain: xarray cannot select by an index of Quantities
     variables = dataset[list(unit_of)].drop_vars(dataset.coords, errors="ignore")
     return dataset.assign(variables.pint.quantify(unit_of, unit_registry=units).data_vars)

@@ -23,7 +23,7 @@ IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH = "irradiance_time", "irradiance_waveleng
 #: Dim of a lab sweep: one wavelength of the monochromator after the other.
 STEP = "step"
 
-#: Dims of a traced scene: its suns, and the different paths of light that a pixel holds.
+#: Dims of a traced scene: its suns, and the light paths of a pixel.
 SUN, SLOT = "sun", "slot"
 
 #: Dim of the panels of known reflectance in a scene.
@@ -193,7 +193,7 @@ _LINE_TABLE = (
     Variable("roll", _LINE, "degree", "float64", "Roll", coordinate=True),
     Variable("pitch", _LINE, "degree", "float64", "Pitch", coordinate=True),
     Variable("heading", _LINE, "degree", "float64", "Heading", coordinate=True),
-    # --- from where a pixel is seen
+    # --- directions from a pixel to the camera
     Variable("look_across", (CROSS_TRACK,), "degree", "float64", _LOOK_ACROSS),
     Variable("look_along", (CROSS_TRACK,), "degree", "float64", "Angle of a column's line of sight from the plane of the slit, positive forward"),
     Variable("ground_height", _PIXEL, "m", "float64", "Height of the observed point above the ellipsoid", coordinate=True),
@@ -214,7 +214,7 @@ _LINE_TABLE = (
     Variable("responsivity", _ELEMENT, "count J-1", "float64", "Counts per energy of light entering a pixel's etendue"),
     Variable("quantum_efficiency", (BAND,), "1", "float64", "Electrons per photon entering a pixel's etendue", alternatives=(_ELEMENT,)),
     Variable("stray_light", (BAND, "source_band"), "1", "float64", "Share of the light of a source band that scatters into another band"),
-    # --- the lines a calibration was made from
+    # --- lamp lines that a calibration was computed from
     Variable("step_wavelength", (STEP,), "nm", "float64", "Wavelength of the monochromator", coordinate=True),
     Variable("line_band", _LINE_FIT, "1", "float64", "Band at the centre of a monochromatic line"),
     Variable("line_centre", _LINE_FIT, "nm", "float64", "Wavelength of a lamp line by the wavelength map, to compare with step_wavelength"),
@@ -258,7 +258,7 @@ _LINE_TABLE = (
     Variable("adjacency", _PIXEL, "1", "float32", "Largest reflectance, in any channel, that coloured neighbours add"),
     Variable("adjacency_segment", _PIXEL, "", "int32", "Segment of the scene model with the largest part of adjacency; -1 for none", gap=-1),
     Variable("mirrored_sky", _PIXEL, "1", "float32", "Mirror image of the sky, minus that of the rest of the body"),
-    # --- paints looked for
+    # --- detections of searched paints
     Variable("detection_score", _PIXEL, "1", "float32", "Score of the most likely paint of a pixel"),
     Variable("best_paint", _PIXEL, "", "int16", "Number of the most likely paint of a pixel; -1 where values are missing", gap=-1),
     Variable("paint_distance", _PIXEL, "1", "float32", "Residual of a pixel after a scaled paint and the mirrored sky, relative to the paint"),
@@ -288,7 +288,7 @@ _LINE_TABLE = (
     Variable("linearity_u", (), "1", "float32", "Relative standard uncertainty that linearity leaves in linear counts"),
 )
 
-#: A lab sweep, whose counts are means on other dims than those of a flight line.
+#: A lab sweep: its counts are means, on other dims than the counts of a flight line.
 _SWEEP_TABLE = (
     Variable("counts", _SWEEP, "count", "float32", "Counts, mean of the frames of a step, dark not subtracted"),
     Variable("counts_variance", _SWEEP, "count2", "float32", "Variance of one frame over the frames of a step"),
@@ -352,9 +352,9 @@ _LIBRARY_TABLE = (
 # fmt: on
 
 
-def _table(rows: tuple[Variable, ...], *of_a_line: str) -> Mapping[str, Variable]:
-    # Rows of a flight line that hold here too come first.
-    shared = tuple(variable for variable in _LINE_TABLE if variable.name in of_a_line)
+def _table(rows: tuple[Variable, ...], *line_names: str) -> Mapping[str, Variable]:
+    # Return the rows by name, with the rows of the flight-line table named in `line_names` appended.
+    shared = tuple(variable for variable in _LINE_TABLE if variable.name in line_names)
     return {variable.name: variable for variable in rows + shared}
 
 

@@ -11,6 +11,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, VARIABLES, label, require
 from hyperpaint.base.units import convert, same_dimension, takes_quantities
 from hyperpaint.light.responses import Responses, log_slope
@@ -19,11 +20,11 @@ from hyperpaint.radiometry.linear_counts import linearity_of
 from .detector import row_medians
 
 _ELEMENT = (BAND, CROSS_TRACK)
-#: Distance of nodes between which the mean of a spectrum over a band is linear [nm].
+#: Distance of nodes [nm]; between them, the mean of a spectrum over a band is linear in wavelength.
 NODE_SPACING_NM = 0.25
-#: Least share of a response inside the source's spectrum [1].
+#: Minimum share of a response inside the source's spectrum [1].
 MIN_COVERAGE = 0.999
-#: Relative difference of exposures that count as equal [1].
+#: Relative difference of exposure times that are taken as equal [1].
 SAME_EXPOSURE = 0.01
 
 
@@ -36,9 +37,9 @@ def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) 
     Parameters
     ----------
     f_number
-        Of the fore optics.
+        f-number of the fore optics.
     pixel_pitch
-        Along the slit [m].
+        Pixel pitch along the slit [m].
     slit_width
         [m]
 
@@ -53,8 +54,8 @@ def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) 
 
     Examples
     --------
-    The same from the pupil's side, with a focal length of 12 mm (pupil 4.8 mm, fields of 0.617 and 1.667
-    mrad):
+    From the pupil's side, the result is equal, with a focal length of 12 mm (pupil 4.8 mm, fields of 0.617
+    and 1.667 mrad):
 
     >>> f"{etendue_from_optics(2.5, 7.4e-6, 20e-6):.4e}"
     '1.8598e-11'
@@ -73,7 +74,7 @@ def etendue_from_pupil(diameter: float, field_along_slit: float, field_across_sl
     Parameters
     ----------
     diameter
-        Of the entrance pupil [m].
+        Diameter of the entrance pupil [m].
     field_along_slit, field_across_slit
         Instantaneous fields of view [rad]: pixel pitch and slit width over the focal length.
 
@@ -116,9 +117,9 @@ def panel_radiance(irradiance: xr.DataArray, reflectance: float | xr.DataArray) 
     Parameters
     ----------
     irradiance
-        On the panel, with units and a dim of wavelengths.
+        Irradiance on the panel, with units and a dim of wavelengths.
     reflectance
-        Of the panel [1]; on the wavelengths of ``irradiance`` where it is a spectrum.
+        Reflectance of the panel [1]; a spectrum is on the wavelengths of ``irradiance``.
 
     Returns
     -------
@@ -161,10 +162,11 @@ def anchor_to_radiance(
         ``dark_exposure_time`` needs ``dark_rate`` in the calibration. A ``linearity`` that the
         calibration declares is applied to these counts as well.
     radiance
-        Its spectral radiance with units, on one dim with a coordinate of that name or ``wavelength`` [nm].
+        Spectral radiance of the source with units, on one dim with a coordinate of that name or
+        ``wavelength`` [nm].
     scale
-        "element": every element gets its own factor, which holds flat field and responsivity. "common": one
-        factor for all, the median, that leaves the shape of the sweep.
+        "element": every element gets its own factor, which includes flat field and responsivity. "common":
+        one factor for all elements, the median, which keeps the relative gains of the sweep.
     uncertainty
         Relative standard uncertainty of the radiance.
 
@@ -172,7 +174,7 @@ def anchor_to_radiance(
     -------
     xarray.Dataset
         With another ``radiance_gain``: ``L_b,x x exposure_time / (counts - dark)``, L the mean radiance over
-        the element's response; NaN where the source's spectrum does not reach, or no light came.
+        the element's response; NaN where the spectrum does not cover the response, or without signal.
 
     Raises
     ------
@@ -196,23 +198,22 @@ def anchor_to_radiance(
     >>> float((anchored.radiance_gain * rate).mean().round(6))
     0.05
     """
-    if scale not in ("element", "common"):
-        raise SchemaError(f"scale {scale!r}", expected="'element' or 'common'", code="choice-unknown")
+    one_of(scale, ("element", "common"), "scale")
     response_inputs = require(calibration, ["wavelength", "fwhm"], "an anchor")
     spectrum = convert(radiance, VARIABLES["radiance"].units, "radiance")
     level = _band_means(calibration, response_inputs, spectrum)
-    signal, exposure = _signal(frames, calibration)
+    signal, exposure = _anchor_signal(frames, calibration)
     first, last = calibration.attrs.get("lit_columns", (0, signal.shape[1] - 1))
     # the sweep gives no wavelengths for unlit columns
     signal[:, :first] = signal[:, last + 1 :] = np.nan
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.where(signal > 0, level * exposure / signal, np.nan)
     if scale == "common":
-        relative = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
-        gain = relative * float(np.nanmedian(gain / relative))
+        relative_gain = require(calibration, ["radiance_gain"], "a common scale")["radiance_gain"].to_numpy()
+        gain = relative_gain * float(np.nanmedian(gain / relative_gain))
     if not np.isfinite(gain).any():
         raise SchemaError(
-            "no element is covered by the source's spectrum and lit by it",
+            "no element has a signal and a response inside the source's spectrum",
             mend="check wavelengths and dark",
             code="source-coverage",
         )
@@ -223,11 +224,11 @@ def anchor_to_radiance(
 def _with_gain(
     calibration: xr.Dataset, gain: Floats, anchor: str, uncertainty: float, *, same_shape: bool = False
 ) -> xr.Dataset:
-    good = np.isfinite(gain).mean(axis=1) > 0.5
-    systematic = np.where(good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
-    stale = ["radiance_gain_u_systematic", "quantum_efficiency", "responsivity"]
-    stale += [] if same_shape else ["radiance_gain_u_random"]
-    rescaled = calibration.drop_vars(stale, errors="ignore")
+    is_good = np.isfinite(gain).mean(axis=1) > 0.5
+    systematic = np.where(is_good, np.float32(uncertainty), np.float32(np.nan)).astype(np.float32)
+    outdated = ["radiance_gain_u_systematic", "quantum_efficiency", "responsivity"]
+    outdated += [] if same_shape else ["radiance_gain_u_random"]
+    rescaled = calibration.drop_vars(outdated, errors="ignore")
     if {"responsivity", "radiance_gain"} <= set(calibration.variables):
         ratio = calibration["radiance_gain"].transpose(*_ELEMENT).astype(np.float64) / gain
         rescaled["responsivity"] = label(calibration["responsivity"] * ratio, "responsivity")
@@ -235,12 +236,13 @@ def _with_gain(
         radiance_gain=label(xr.DataArray(gain.astype(np.float32), dims=_ELEMENT), "radiance_gain"),
         radiance_gain_u_systematic=label(xr.DataArray(systematic, dims=BAND), "radiance_gain_u_systematic"),
     )
-    rescaled = rescaled.assign_coords(good=label(xr.DataArray(good, dims=BAND), "good"))
+    rescaled = rescaled.assign_coords(good=label(xr.DataArray(is_good, dims=BAND), "good"))
     return rescaled.assign_attrs(absolute_anchor=anchor, absolute_scale="known")
 
 
-def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
-    # Linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure [s]
+def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]:
+    # Return linear mean counts above dark (band, cross_track), NaN where saturated, and the exposure time
+    # [s].
     problems = Problems("these frames cannot be used as an anchor", SchemaError)
     for name in ("counts", "dark_counts", "exposure_time"):
         if name not in frames.variables:
@@ -270,50 +272,55 @@ def _signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats, float]
                 f"{array.name!r} has sizes {sizes}, the calibration {expected}", code="grid-mismatch"
             )
     problems.raise_if_any()
-    others = [dim for dim in counts.dims if dim not in _ELEMENT]
-    full = None
+    other_dims = [dim for dim in counts.dims if dim not in _ELEMENT]
+    is_saturated = None
     if "saturation_count" in {*frames.variables, *calibration.variables}:
         limit: Any = frames.get("saturation_count", calibration.get("saturation_count"))
-        full = counts >= limit - float(SATURATION_MARGIN_COUNTS)
-        full = full.any(others) if others else full
-    mean = counts.astype(np.float64).mean(others) if others else counts.astype(np.float64)
+        is_saturated = counts >= limit - float(SATURATION_MARGIN_COUNTS)
+        is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
+    mean = counts.astype(np.float64).mean(other_dims) if other_dims else counts.astype(np.float64)
     dark = dark.astype(np.float64)
     dark = dark.mean(ALONG_TRACK) if ALONG_TRACK in dark.dims else dark
-    raw, bare = (np.asarray(a.transpose(*_ELEMENT).to_numpy(), np.float64) for a in (mean, dark))
-    bare = bare + _dark_of_exposure(frames, calibration, exposure[0])
-    signal = linearity_of(calibration).net(raw, bare)
-    if full is not None and (saturated := np.asarray(full.transpose(*_ELEMENT).to_numpy())).any():
+    raw_counts, dark_counts = (
+        np.asarray(a.transpose(*_ELEMENT).to_numpy(), np.float64) for a in (mean, dark)
+    )
+    dark_counts = dark_counts + _dark_of_exposure(frames, calibration, exposure[0])
+    signal = linearity_of(calibration).net(raw_counts, dark_counts)
+    if (
+        is_saturated is not None
+        and (saturated_elements := np.asarray(is_saturated.transpose(*_ELEMENT).to_numpy())).any()
+    ):
         warnings.warn(
             PaintWarning(
-                f"{int(saturated.sum())} elements are saturated in the anchor's frames",
+                f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
                 code="elements-saturated",
             ),
             stacklevel=3,
         )
-        signal = np.where(saturated, np.nan, signal)
+        signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
 
 
 def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: float) -> Floats | float:
-    # Correction of the frames' dark to their exposure [count]; 0 for a dark at that exposure
+    # Return the correction of the dark to the exposure of the frames [count]; 0 for a dark at that exposure.
     if "dark_exposure_time" not in frames.variables:
         return 0.0
-    taken = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
-    if not (np.abs(taken - exposure) > SAME_EXPOSURE * exposure).any():
+    dark_exposure = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
+    if not (np.abs(dark_exposure - exposure) > SAME_EXPOSURE * exposure).any():
         return 0.0
     if "dark_rate" not in calibration.variables:
         raise SchemaError(
             f"frames at {exposure * 1e3:g} ms, dark at "
-            f"{', '.join(f'{t * 1e3:g}' for t in np.unique(taken))} ms, and no dark_rate in the calibration",
+            f"{', '.join(f'{t * 1e3:g}' for t in np.unique(dark_exposure))} ms, and dark_rate is missing",
             mend="take a dark at the exposure of the frames",
             code="dark-exposure-differs",
         )
     rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy().astype(np.float64)
-    return np.asarray(rate * (exposure - float(np.mean(taken))))
+    return np.asarray(rate * (exposure - float(np.mean(dark_exposure))))
 
 
 def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectrum: xr.DataArray) -> Floats:
-    # Mean of a spectrum over the response of every element (band, cross_track)
+    # Return the mean of a spectrum over the response of every element (band, cross_track).
     if spectrum.ndim != 1:
         raise SchemaError(
             f"the source's radiance has dims {tuple(map(str, spectrum.dims))}",
@@ -348,7 +355,7 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         spacing=None if spacing is None else spacing.to_numpy(),
         offset=calibration["srf_offset"].to_numpy() if "srf_offset" in calibration.variables else None,
         table=calibration["srf"].to_numpy() if "srf" in calibration.variables else None,
-        slope=_slope(calibration, response_inputs),
+        slope=_log_slope_of(calibration, response_inputs),
     )
     low, high = float(shifts.min()), float(shifts.max())
     nodes = np.linspace(low, high, max(int(np.ceil((high - low) / NODE_SPACING_NM)) + 1, 1))
@@ -356,13 +363,13 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
     columns = calibration.sizes.get(CROSS_TRACK, shifts.shape[1])
     means = np.empty((bands, columns))
     for band in range(bands):
-        at_nodes = [_mean_over(responses.shifted(float(node)), band, grid, values) for node in nodes]
+        at_nodes = [_mean_over_response(responses.shifted(float(node)), band, grid, values) for node in nodes]
         means[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
     return means
 
 
-def _slope(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats | None:
-    # Slope of the log responsivity over a band (band,) [nm-1]; None without a gain
+def _log_slope_of(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats | None:
+    # Return the slope of the log responsivity (band,) [nm-1]; None without a gain.
     if "radiance_gain" not in calibration.variables:
         return None
     gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
@@ -370,16 +377,19 @@ def _slope(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats |
     return log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
 
 
-def _mean_over(responses: Responses, band: int, grid: Floats, values: Floats) -> float:
-    half = float(responses.reach()[band])
-    step = min(float(responses.fwhm[band]) / 40.0, half / 20.0)
+def _mean_over_response(responses: Responses, band: int, grid: Floats, values: Floats) -> float:
+    reach = float(responses.reach()[band])
+    step = min(float(responses.fwhm[band]) / 40.0, reach / 20.0)
     centre = float(responses.wavelength[band])
-    fine = np.arange(centre - half - step, centre + half + 1.5 * step, step)
-    response = responses.on(fine, band) * step
-    inside = (fine >= grid[0]) & (fine <= grid[-1])
-    if response[inside].sum() < MIN_COVERAGE:
+    fine_grid = np.arange(centre - reach - step, centre + reach + 1.5 * step, step)
+    response = responses.on(fine_grid, band) * step
+    is_inside = (fine_grid >= grid[0]) & (fine_grid <= grid[-1])
+    if response[is_inside].sum() < MIN_COVERAGE:
         return float("nan")
-    return float((response[inside] * np.interp(fine[inside], grid, values)).sum() / response[inside].sum())
+    return float(
+        (response[is_inside] * np.interp(fine_grid[is_inside], grid, values)).sum()
+        / response[is_inside].sum()
+    )
 
 
 @takes_quantities(exposure_time="s")
@@ -402,7 +412,7 @@ def calibration_from_coefficients(
     wavelength, fwhm : (band,)
         With units.
     exposure_time
-        Exposure [s] at which radiance per count holds.
+        Exposure time [s] to which coefficients in radiance per count refer.
     srf_shape
         Line shape of the camera.
     uncertainty
@@ -415,7 +425,7 @@ def calibration_from_coefficients(
     Raises
     ------
     SchemaError, UnitsError
-        Units or dims are others than those.
+        Coefficients have other units or dims.
 
     Examples
     --------
@@ -441,7 +451,7 @@ def calibration_from_coefficients(
     if same_dimension(units, "W m-2 sr-1 nm-1 count-1"):
         if exposure_time is None or not exposure_time > 0:
             raise SchemaError(
-                f"coefficients in {units!r} hold at one exposure",
+                f"coefficients in {units!r} refer to one exposure time",
                 mend="give exposure_time [s]",
                 code="exposure-missing",
             )

@@ -25,14 +25,14 @@ from .elements import at_steps, line_wavelengths
 from .lab_sweep import LabSweep, refused
 from .line_fits import Window, fit_beam
 from .responsivity import element_gain, second_order_factor, shape_variance
-from .steps import FROM_FRAMES, Lines, Read
+from .steps import FROM_FRAMES, LampLines, SweepData
 from .views import PLANCK_TIMES_LIGHT
 from .wavelength_map import WavelengthMap
 
 # -- Measure the camera's response from all lamp lines of a sweep, where neither line model fits.
 # Every lamp line is the monochromator's line convolved with the camera's response, sampled at as many
-# places as columns and steps put bands beside it. In units of the width all lines are one curve; the
-# monochromator's line is deconvolved by least squares without negative response.
+# distances from its centre as columns and steps provide. In units of the width, all lamp lines follow one
+# curve; the monochromator's line is deconvolved by least squares without negative response.
 
 
 @dataclass(frozen=True)
@@ -42,21 +42,22 @@ class ShapeRules:
     Attributes
     ----------
     reach
-        Half support of the table in widths; beyond lie 2e-7 of a Gaussian.
+        Half support of the table in widths; 2e-7 of a Gaussian's area lies beyond.
     step
-        Of the table in widths.
+        Step of the table in widths.
     smoothing
-        Weight of the table's second differences against the curve: keeps noise of 1e-3 from ringing where the
-        monochromator is as wide as the camera's response.
+        Weight of the table's second differences relative to the curve: suppresses ringing by noise of 1e-3
+        where the monochromator is as wide as the camera's response.
     least_samples
-        Least mean number of samples at a place of the curve.
+        Minimum mean number of samples at a point of the curve.
     least_misfit
-        Distance of curve and model, relative to the model, from which a table is used [1]: the right model
-        leaves 0.0006, a slit with a tail of a tenth of its width 0.024.
+        Distance of curve and model, relative to the model, above which a table is used [1]: the right model
+        gives 0.0006, a slit with a tail of a tenth of its width 0.024.
     widest_light
-        Width of the monochromator over the camera's from which its line hides the response [1].
+        Largest width of the monochromator relative to the camera's width at which the response is resolved
+        [1].
     sun_zenith_deg
-        Zenith angle of the sun in the daylight for which the effect is stated [degree].
+        Zenith angle of the sun for the daylight in which the effect is stated [degree].
     """
 
     reach: float = 2.0
@@ -74,10 +75,10 @@ SHAPE_RULES = ShapeRules()
 class MeasuredShape(NamedTuple):
     """The response in units of its width.
 
-    ``offset`` (place,): wavelength minus that of the band, over the width; ``response`` (place,), of unit
-    area; ``misfit``: distance of the lamp lines from the best model, relative [1]; ``effect``: largest
-    relative change of matched daylight by the model instead of the response [1]; ``is_resolved``: whether the
-    light was narrow enough.
+    ``offset`` (place,): wavelength minus wavelength of the band, over the width; ``response`` (place,), of
+    unit area; ``misfit``: distance of the lamp lines from the best model, relative [1]; ``effect``: largest
+    relative change of matched daylight if the model replaces the response [1]; ``is_resolved``: whether the
+    monochromator's line was narrow enough.
     """
 
     offset: Floats
@@ -87,7 +88,7 @@ class MeasuredShape(NamedTuple):
     is_resolved: bool
 
     @property
-    def is_another(self) -> bool:
+    def fits_no_model(self) -> bool:
         """Whether the response fits neither model."""
         return self.misfit > SHAPE_RULES.least_misfit
 
@@ -99,106 +100,116 @@ class MeasuredShape(NamedTuple):
 
 def measured_shape(
     lab: LabSweep,
-    read: Read,
-    lines: Lines,
-    surface: WavelengthMap,
-    placed: Bools,
-    own: Floats,
+    sweep_data: SweepData,
+    lamp_lines: LampLines,
+    wavelength_map: WavelengthMap,
+    is_placed: Bools,
+    camera_width: Floats,
     shape: str,
 ) -> MeasuredShape | None:
     """Return the response measured from the lamp lines; None where they are too few.
 
-    ``placed`` (step, cross_track): lines that are used; ``own`` (step,): the camera's width there [nm];
+    ``is_placed`` (step, cross_track): lamp lines that are used; ``camera_width`` (step,) [nm];
     ``shape``: the best line model.
     """
     rules = SHAPE_RULES
     edges = np.arange(-rules.reach - rules.step / 2, rules.reach + rules.step, rules.step)
-    # area, area times place, area times height of what falls between two edges
+    # sums over the samples between two edges: area, area times distance, area times height
     sums, light, spacing, count = np.zeros((3, edges.size - 1)), [], [], 0
-    for step, window in enumerate(read.windows):
+    for step, window in enumerate(sweep_data.windows):
         if window is None:
             continue
-        used = placed[step, window.columns] & ~window.saturated
-        columns = window.columns[used]
+        is_used = is_placed[step, window.columns] & ~window.saturated
+        columns = window.columns[is_used]
         if not columns.size:
             continue
-        places, centre = window.places[used], lines.centre[step, columns][:, None]
-        apart = (surface.at(centre, columns[:, None]) - surface.at(places, columns[:, None])) / own[step]
-        pitch = surface.spacing(places, columns[:, None]) / own[step]
-        density = window.values[used] / (lines.area[step, columns][:, None] * pitch)
-        there = np.isfinite(density)
-        bins = np.digitize(apart[there], edges) - 1
-        inside = (bins >= 0) & (bins < edges.size - 1)
+        bands, centre = window.places[is_used], lamp_lines.centre[step, columns][:, None]
+        distance = (
+            wavelength_map.at(centre, columns[:, None]) - wavelength_map.at(bands, columns[:, None])
+        ) / camera_width[step]
+        pitch = wavelength_map.spacing(bands, columns[:, None]) / camera_width[step]
+        density = window.values[is_used] / (lamp_lines.area[step, columns][:, None] * pitch)
+        is_finite = np.isfinite(density)
+        bins = np.digitize(distance[is_finite], edges) - 1
+        is_inside = (bins >= 0) & (bins < edges.size - 1)
         # shot noise dominates, so a brighter lamp line has more weight
-        area = np.broadcast_to(lines.area[step, columns][:, None], density.shape)[there][inside]
-        for row, value in zip(sums, (1.0, apart[there][inside], density[there][inside]), strict=True):
-            row += np.bincount(bins[inside], area * value, row.size)
-        light.append(float(lab.width[step] / own[step]))
+        area = np.broadcast_to(lamp_lines.area[step, columns][:, None], density.shape)[is_finite][is_inside]
+        for row, value in zip(
+            sums, (1.0, distance[is_finite][is_inside], density[is_finite][is_inside]), strict=True
+        ):
+            row += np.bincount(bins[is_inside], area * value, row.size)
+        light.append(float(lab.width[step] / camera_width[step]))
         spacing.append(float(np.median(pitch)))
-        count += int(inside.sum())
+        count += int(is_inside.sum())
     if count < rules.least_samples * (edges.size - 1):
         return None
     offset, width = 0.5 * (edges[1:] + edges[:-1]), float(np.median(light))
-    # steps and bands repeat their distances: where nothing falls, nothing is known but by its neighbours
+    # distances repeat between steps and bands: bins without samples are determined by their neighbours
     weight = sums[0, sums[0] > 0]
-    place, seen = sums[1:, sums[0] > 0] / weight
-    source = _convolution(place, offset, width, triangular=lab.triangular)
+    distances, observed = sums[1:, sums[0] > 0] / weight
+    source = _convolution(distances, offset, width, triangular=lab.triangular)
     pitch_of_all = np.array([np.median(spacing)])
     model = Responses(np.zeros(1), np.ones(1), shape, spacing=pitch_of_all).on(offset, 0)
-    ideal = source @ model
-    share = np.sqrt(weight)
-    misfit = float(np.linalg.norm(share * (seen - ideal)) / np.linalg.norm(share * ideal))
-    response = _without_light(source, seen, weight)
+    model_curve = source @ model
+    root_weight = np.sqrt(weight)
+    misfit = float(
+        np.linalg.norm(root_weight * (observed - model_curve)) / np.linalg.norm(root_weight * model_curve)
+    )
+    response = _deconvolved(source, observed, weight)
     return MeasuredShape(
         offset=offset,
         response=response,
         misfit=misfit,
-        effect=_effect(offset, response, model, float(np.median(own))),
+        effect=_effect(offset, response, model, float(np.median(camera_width))),
         is_resolved=width <= rules.widest_light,
     )
 
 
 def _convolution(place: Floats, offset: Floats, width: float, *, triangular: bool) -> Floats:
-    # Matrix from a response (offset,) to a curve at places (place,) through a line of a width
-    apart = place[:, None] - offset
-    line = (
-        np.clip(1.0 - np.abs(apart) / width, 0.0, None) / width
+    # Return the matrix from a response (offset,) to a curve at distances (place,), convolved with a lamp
+    # line.
+    distance = place[:, None] - offset
+    lamp_line = (
+        np.clip(1.0 - np.abs(distance) / width, 0.0, None) / width
         if triangular
-        else np.exp(-4.0 * np.log(2.0) * (apart / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
+        else np.exp(-4.0 * np.log(2.0) * (distance / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
     )
-    return np.asarray(line * SHAPE_RULES.step)
+    return np.asarray(lamp_line * SHAPE_RULES.step)
 
 
-def _without_light(source: Floats, seen: Floats, weight: Floats) -> Floats:
-    # Response (offset,), not negative and of unit area, whose convolution fits a curve
+def _deconvolved(source: Floats, observed: Floats, weight: Floats) -> Floats:
+    # Return the response (offset,), not negative and of unit area, whose convolution fits a curve.
     from scipy.optimize import nnls
 
     size = source.shape[1]
-    share = np.sqrt(weight / weight.mean())
-    bend = np.diff(np.eye(size), 2, axis=0) * np.sqrt(SHAPE_RULES.smoothing) / SHAPE_RULES.step
+    root_weight = np.sqrt(weight / weight.mean())
+    smoothness = np.diff(np.eye(size), 2, axis=0) * np.sqrt(SHAPE_RULES.smoothing) / SHAPE_RULES.step
     response, _ = nnls(
-        np.vstack([share[:, None] * source, bend]), np.concatenate([share * seen, np.zeros(size - 2)])
+        np.vstack([root_weight[:, None] * source, smoothness]),
+        np.concatenate([root_weight * observed, np.zeros(size - 2)]),
     )
     return np.asarray(response / (response.sum() * SHAPE_RULES.step))
 
 
 def _effect(offset: Floats, response: Floats, model: Floats, width: float) -> float:
-    # Largest relative change of daylight in a band, 420 to 950 nm, by a model of its response
-    nm = np.arange(380.0, 1001.0)
-    mass = 1.0 / np.cos(np.radians(SHAPE_RULES.sun_zenith_deg))
-    direct, diffuse = ClearSky(SHAPE_RULES.sun_zenith_deg, airmass=float(mass)).irradiance(nm)
-    light = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width, nm, direct + diffuse)
+    # Return the largest relative change of daylight in a band, 420 to 950 nm, if a model replaces the
+    # response.
+    wavelength = np.arange(380.0, 1001.0)
+    air_mass = 1.0 / np.cos(np.radians(SHAPE_RULES.sun_zenith_deg))
+    direct, diffuse = ClearSky(SHAPE_RULES.sun_zenith_deg, airmass=float(air_mass)).irradiance(wavelength)
+    light = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width, wavelength, direct + diffuse)
     return float(np.abs(light @ response / (light @ model) * model.sum() / response.sum() - 1.0).max())
 
 
-# -- Light where it does not belong: scattered into wings over all bands, and the second order of the grating.
-# The bands of a sweep outside of its lines are the stray-light matrix, one column a step. Between steps it
-# is filled by what hardly changes from step to step: the wings as a function of the distance from the line,
-# the second order as a share of the line at twice its wavelength.
+# -- Light outside the lamp lines: wings of scattered light over all bands, and the second order of the
+# grating. The bands outside a lamp line are a column of the stray-light matrix, one column per step. Between
+# steps it is filled by quantities that hardly change from step to step: wings as a function of the distance
+# from the lamp line, and the second order as a share of the lamp line at twice its wavelength.
 
-#: Least bands outside a lamp line from which scattered light is known.
+#: Minimum number of bands outside a lamp line for an estimate of scattered light.
 MIN_BANDS_OUTSIDE = 4
-#: Bins of distance beside a lamp line from which its wing is extrapolated, exponentially, by e at most.
+#: Number of nearest bins of distance from which a wing is extrapolated, exponentially, by at most a factor of
+#: e.
 _NEAREST_BINS = 3
 #: Relative standard uncertainty of the wing inside a line's window, extrapolated from outside [1].
 _WING_U = 0.25
@@ -207,25 +218,26 @@ _WING_U = 0.25
 class OffLines(NamedTuple):
     """Light off the lamp lines of a sweep."""
 
-    second_order: Floats  #: (step,): counts at twice the wavelength over those of the line [1]
-    stray_light: Floats  #: (band, source band): share of each band's counts that every other sees [1]
-    relative: float  #: Relative standard uncertainty of that [1]
-    wing: float  #: Share of the lines' areas that is light scattered into their windows [1]
+    second_order: Floats  #: (step,): counts at twice the wavelength over those of the lamp line [1]
+    #: (band, source band): share of the counts of a source band that other bands receive [1]
+    stray_light: Floats
+    relative: float  #: Relative standard uncertainty of ``stray_light`` [1]
+    wing: float  #: Share of the areas of lamp lines that is light scattered into their windows [1]
 
     @property
-    def is_known(self) -> bool:
-        """Whether stray light is known well enough to be subtracted from a flight."""
+    def is_usable(self) -> bool:
+        """Whether stray light is accurate enough to be subtracted from a flight."""
         return self.relative < MAX_STRAY_LIGHT_U
 
     @property
     def counted(self) -> float:
         """Measured areas of the lamp lines over their areas without scattered light [1]."""
-        return 1.0 / (1.0 - self.wing) if self.is_known else 1.0
+        return 1.0 / (1.0 - self.wing) if self.is_usable else 1.0
 
     @property
     def counted_u(self) -> float:
         """Relative standard uncertainty of the areas by scattered light [1]."""
-        return self.wing * (_WING_U if self.is_known else 1.0)
+        return self.wing * (_WING_U if self.is_usable else 1.0)
 
 
 def light_off_lines(
@@ -233,15 +245,15 @@ def light_off_lines(
     dark_check: dict[str, float],
 ) -> OffLines:  # fmt: skip
     """Return the light off the lamp lines; arguments as of `stray_light_matrix` and `dark_off_lines`."""
-    second = second_order_share(rows, step_wavelength, wavelength, width)
-    matrix = stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second)
+    second_order = second_order_share(rows, step_wavelength, wavelength, width)
+    matrix = stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second_order)
     offset = abs(dark_check.get("dark_offset_count", 0.0)) * dark_check.get("out_of_band_of_one_count", 0.0)
     relative = wing_uncertainty(rows, matrix, centre, offset)
-    return OffLines(second, matrix, relative, wing_in_window(rows, matrix, centre))
+    return OffLines(second_order, matrix, relative, wing_in_window(rows, matrix, centre))
 
 
 def dark_off_lines(
-    windows: Sequence[Window | None], area: Floats, placed: Bools, rows: Floats
+    windows: Sequence[Window | None], area: Floats, is_placed: Bools, rows: Floats
 ) -> dict[str, float]:
     """Return the offset of the dark, and the effect of one count of it on the light off the lamp lines.
 
@@ -250,16 +262,16 @@ def dark_off_lines(
     """
     level, areas, bands = np.full(len(rows), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows))
     for step, window in enumerate(windows):
-        if window is not None and placed[step].any() and (window.background_variance > 0).any():
+        if window is not None and is_placed[step].any() and (window.background_variance > 0).any():
             level[step] = np.median(window.background[window.background_variance > 0])
-            areas[step] = np.median(area[step, placed[step]])
+            areas[step] = np.median(area[step, is_placed[step]])
             bands[step] = np.count_nonzero(rows[step])
     has_level = np.isfinite(level)
     if not has_level.any():
         return {}
-    checks = {"out_of_band_of_one_count": float(np.median(bands[has_level] / areas[has_level]))}
+    results = {"out_of_band_of_one_count": float(np.median(bands[has_level] / areas[has_level]))}
     offset = common_offset(level, areas)
-    return checks | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
+    return results | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
 
 
 def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
@@ -272,24 +284,24 @@ def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats
     share = np.full(len(rows), np.nan)
     for step, (centre, fwhm) in enumerate(zip(2.0 * step_wavelength, width, strict=True)):
         distance = np.abs(wavelength - centre)
-        near, ring = distance <= 2.0 * fwhm, (distance > 3.0 * fwhm) & (distance <= 6.0 * fwhm)
-        inside = wavelength.min() + 2.0 * fwhm <= centre <= wavelength.max() - 2.0 * fwhm
-        if inside and ring.sum() >= 4 and (rows[step][near] != 0).all():
-            share[step] = (rows[step][near] - np.median(rows[step][ring])).sum()
+        is_near, is_ring = distance <= 2.0 * fwhm, (distance > 3.0 * fwhm) & (distance <= 6.0 * fwhm)
+        is_covered = wavelength.min() + 2.0 * fwhm <= centre <= wavelength.max() - 2.0 * fwhm
+        if is_covered and is_ring.sum() >= 4 and (rows[step][is_near] != 0).all():
+            share[step] = (rows[step][is_near] - np.median(rows[step][is_ring])).sum()
     return share
 
 
 def common_offset(level: Floats, area: Floats) -> float:
-    """Return the offset of the dark: counts off the lamp lines that do not follow their light [count].
+    """Return the offset of the dark: counts off the lamp lines that are independent of their light [count].
 
     ``level`` and ``area`` (step,) are the counts of a band off the line and the area of the line, medians of
     the lit columns [count].
     """
-    usable = np.isfinite(level) & np.isfinite(area) & (area > 0)
-    if usable.sum() < 4 or np.ptp(area[usable]) < 0.2 * area[usable].max():
+    is_usable = np.isfinite(level) & np.isfinite(area) & (area > 0)
+    if is_usable.sum() < 4 or np.ptp(area[is_usable]) < 0.2 * area[is_usable].max():
         return float("nan")
-    terms = np.column_stack([np.ones(int(usable.sum())), area[usable]])
-    return float(np.linalg.lstsq(terms, level[usable], rcond=None)[0][0])
+    terms = np.column_stack([np.ones(int(is_usable.sum())), area[is_usable]])
+    return float(np.linalg.lstsq(terms, level[is_usable], rcond=None)[0][0])
 
 
 def wing_in_window(rows: Floats, matrix: Floats, centre: Floats) -> float:
@@ -299,13 +311,13 @@ def wing_in_window(rows: Floats, matrix: Floats, centre: Floats) -> float:
     """
     shares = []
     for row, source in zip(rows, _bands_of(centre, len(matrix)), strict=True):
-        outside = row != 0
-        if outside.sum() >= MIN_BANDS_OUTSIDE:
-            # the background that is subtracted from a line: the clipped mean of the bands outside
-            middle = np.median(row[outside])
-            spread = 1.4826 * np.median(np.abs(row[outside] - middle))
-            background = row[outside & (np.abs(row - middle) <= 4.0 * spread)].mean()
-            shares.append((matrix[~outside, source] - background).sum())
+        is_outside = row != 0
+        if is_outside.sum() >= MIN_BANDS_OUTSIDE:
+            # the background that is subtracted from a lamp line: clipped mean of the bands outside its window
+            median = np.median(row[is_outside])
+            spread = 1.4826 * np.median(np.abs(row[is_outside] - median))
+            background = row[is_outside & (np.abs(row - median) <= 4.0 * spread)].mean()
+            shares.append((matrix[~is_outside, source] - background).sum())
     return max(float(np.median(shares)), 0.0) if shares else 0.0
 
 
@@ -322,10 +334,10 @@ def stray_light_matrix(
     ``second`` (step,) is the result; ``centre`` (step,) are the bands of the lamp lines.
     """
     bands = rows.shape[1]
-    usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
-    wing = _line_spread((np.arange(bands) - centre[:, None])[usable], rows[usable], bands)
-    place = np.arange(bands)
-    matrix = wing(place[:, None] - place)
+    is_usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
+    wing = _wing_function((np.arange(bands) - centre[:, None])[is_usable], rows[is_usable], bands)
+    bands_index = np.arange(bands)
+    matrix = wing(bands_index[:, None] - bands_index)
     has_second = np.isfinite(second)
     if has_second.any():
         matrix += _second_order(
@@ -334,50 +346,50 @@ def stray_light_matrix(
     return np.asarray(matrix)
 
 
-def _line_spread(distance: Floats, share: Floats, bands: int) -> Any:
-    # Wings as a function of the distance in bands: medians of bins that widen with distance
+def _wing_function(distance: Floats, share: Floats, bands: int) -> Any:
+    # Return the wing as a function of the distance in bands: medians of bins that widen with distance.
     edges = np.unique(np.round(np.geomspace(1.0, bands, 25)))
     edges = np.concatenate([-edges[::-1], edges])
     bins = np.digitize(distance, edges)
     centres, levels = [], []
     for index in range(1, len(edges)):
-        inside = bins == index
-        if inside.sum() >= 8:
-            centres.append(float(distance[inside].mean()))
-            levels.append(float(np.median(share[inside])))
+        is_inside = bins == index
+        if is_inside.sum() >= 8:
+            centres.append(float(distance[is_inside].mean()))
+            levels.append(float(np.median(share[is_inside])))
     if not centres:
-        return lambda at: np.zeros(np.shape(at))
+        return lambda x: np.zeros(np.shape(x))
 
-    near = float(np.abs(distance).min())
-    sides = [_side(np.array(centres) * sign, np.array(levels)) for sign in (-1.0, 1.0)]
+    nearest = float(np.abs(distance).min())
+    sides = [_wing_side(np.array(centres) * sign, np.array(levels)) for sign in (-1.0, 1.0)]
 
-    def wing(at: npt.NDArray[Any]) -> Floats:
-        # within the window of a line scattered light is hidden: extrapolate its rise from outside
-        level = np.interp(at, centres, levels)
-        for sign, (first, rise) in zip((-1.0, 1.0), sides, strict=True):
-            within = np.maximum(near - sign * at, 0.0) * (sign * at >= 0) * rise
-            level = np.where((np.abs(at) < near) & (sign * at >= 0), first * np.exp(within), level)
+    def wing(x: npt.NDArray[Any]) -> Floats:
+        # inside the window of a lamp line the wing is hidden: extrapolate its rise from outside
+        level = np.interp(x, centres, levels)
+        for sign, (nearest_level, rise) in zip((-1.0, 1.0), sides, strict=True):
+            exponent = np.maximum(nearest - sign * x, 0.0) * (sign * x >= 0) * rise
+            level = np.where((np.abs(x) < nearest) & (sign * x >= 0), nearest_level * np.exp(exponent), level)
         return np.asarray(np.maximum(level, 0.0))
 
     return wing
 
 
-def _side(distance: Floats, levels: Floats) -> tuple[float, float]:
-    # Wing nearest to its lamp line on one side, and its rise towards the line [band-1]
+def _wing_side(distance: Floats, levels: Floats) -> tuple[float, float]:
+    # Return the wing nearest to its lamp line on one side, and its rise towards the lamp line [band-1].
     order = np.argsort(np.where(distance > 0, distance, np.inf))[:_NEAREST_BINS]
-    at, level = distance[order], levels[order]
-    if not ((at > 0) & (level > 0)).all() or level.size < _NEAREST_BINS:
+    nearest, level = distance[order], levels[order]
+    if not ((nearest > 0) & (level > 0)).all() or level.size < _NEAREST_BINS:
         return float(max(level[0], 0.0)), 0.0
-    rise = -float(np.polyfit(at, np.log(level), 1)[0])
-    return float(level[0]), float(np.clip(rise, 0.0, 1.0 / at[0]))
+    rise = -float(np.polyfit(nearest, np.log(level), 1)[0])
+    return float(level[0]), float(np.clip(rise, 0.0, 1.0 / nearest[0]))
 
 
 def wing_uncertainty(rows: Floats, matrix: Floats, centre: Floats, offset: float) -> float:
     """Return the relative standard uncertainty of the light off the lamp lines in a matrix [1].
 
-    From the difference of its sums to those of single steps, and from the ``offset`` of the dark that is in
-    them, relative to a line's area. ``rows`` and ``centre`` as in `stray_light_matrix`, of which ``matrix``
-    (band, source band) is the result. 1 without any.
+    It follows from the difference of its sums to the sums of single steps, and from the ``offset`` of the
+    dark in them, relative to the area of a lamp line. ``rows`` and ``centre`` as in `stray_light_matrix`, of
+    which ``matrix`` (band, source band) is the result. 1 without stray light.
     """
     source = _bands_of(centre, len(matrix))
     modelled = np.where(rows != 0, matrix[:, source].T, 0.0).sum(axis=1)
@@ -387,32 +399,32 @@ def wing_uncertainty(rows: Floats, matrix: Floats, centre: Floats, offset: float
 
 
 def _second_order(step_wavelength: Floats, share: Floats, wavelength: Floats, width: float) -> Floats:
-    inside = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
+    is_covered = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
     level = np.interp(wavelength, step_wavelength, np.maximum(share, 0.0), left=share[0], right=share[-1])
-    level = np.where(inside, np.maximum(level, 0.0), 0.0)
+    level = np.where(is_covered, np.maximum(level, 0.0), 0.0)
     shape = np.exp(-4.0 * np.log(2.0) * ((wavelength[:, None] - 2.0 * wavelength) / (1.5 * width)) ** 2)
     return np.asarray(level * shape / np.maximum(shape.sum(axis=0), 1.0))
 
 
-# -- Structure of the responsivity between the lamp lines of a sweep: fringes and etalons that its steps miss.
+# -- Structure of the responsivity between the lamp lines of a sweep: fringes and etalons that the steps miss.
 # The areas of the lamp lines show a ripple, but not whether the steps resolve it: a fringe of 8 nm sampled
-# every 10 nm looks like one of 40. The places of the lamp lines do: light of variance v moves by v g where
-# the responsivity rises by g per nanometre, wherever the next line is.
+# every 10 nm looks like one of 40 nm. The centres of the lamp lines show it: light of variance v moves by v g
+# where the responsivity rises by g per nanometre, at any distance of the next lamp line.
 
 
 @dataclass(frozen=True)
 class FringeRules:
-    """Thresholds beyond which the steps of a sweep are too wide.
+    """Thresholds above which the steps of a sweep are too wide.
 
     Attributes
     ----------
     least_error
-        Relative error of the gain from which it is reported [1].
+        Relative error of the gain above which it is reported [1].
     window_steps
-        Steps over which departures are averaged: structure need not be everywhere.
+        Number of steps over which departures are averaged: structure may be local.
     degree
-        Of the polynomial of the logarithm over the whole sweep, around which areas ripple: detectors and
-        gratings change over some 60 nm and more.
+        Degree of the polynomial of the log responsivity over the sweep, around which areas ripple: detectors
+        and gratings change over some 60 nm and more.
     spread
         Error between lamp lines over the root mean square of the ripple, where they are independent:
         root mean squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over
@@ -427,9 +439,9 @@ class FringeRules:
 
     @property
     def scatters(self) -> float:
-        """Error from which it is reported, in units of the scatter of the columns' median.
+        """Error above which it is reported, in units of the scatter of the columns' median.
 
-        That scatter ripples like missed structure, by `spread`; twice that exceeds chance.
+        That scatter ripples like missed structure, by `spread`; twice that is significant.
         """
         return 2.0 * self.spread
 
@@ -460,49 +472,51 @@ def error_between_lines(wavelength: Floats, level: Floats, moved: Floats, source
     from scipy.interpolate import CubicSpline
 
     rules = FRINGES
-    at = np.flatnonzero(np.isfinite(level) & (level > 0) & np.isfinite(moved))
-    if at.size < 2 * rules.window_steps:
+    usable = np.flatnonzero(np.isfinite(level) & (level > 0) & np.isfinite(moved))
+    if usable.size < 2 * rules.window_steps:
         return None
-    nm, log = wavelength[at], np.log(level[at])
-    place = 2.0 * (nm - nm[0]) / (nm[-1] - nm[0]) - 1.0
-    rippling = log - np.polynomial.chebyshev.Chebyshev.fit(place, log, rules.degree)(place)
-    slope = CubicSpline(nm, rippling).derivative()(nm)
-    lacking = moved[at] / source[at] - CubicSpline(nm, log).derivative()(nm)
-    for values in (slope, lacking):  # a spline's slope at its ends is a guess
+    wavelength_used, log_level = wavelength[usable], np.log(level[usable])
+    position = 2.0 * (wavelength_used - wavelength_used[0]) / (wavelength_used[-1] - wavelength_used[0]) - 1.0
+    ripple = log_level - np.polynomial.chebyshev.Chebyshev.fit(position, log_level, rules.degree)(position)
+    slope = CubicSpline(wavelength_used, ripple).derivative()(wavelength_used)
+    slope_difference = moved[usable] / source[usable] - CubicSpline(wavelength_used, log_level).derivative()(
+        wavelength_used
+    )
+    for values in (slope, slope_difference):  # slopes of a spline are unreliable at its ends
         values[:2], values[-2:] = np.nan, np.nan
-    missed = (_running(lacking) / np.maximum(_running(slope), 1e-12)) ** 2
-    error = rules.spread * _running(rippling) * np.minimum(1.0, missed)
+    missed_share = (_running_rms(slope_difference) / np.maximum(_running_rms(slope), 1e-12)) ** 2
+    error = rules.spread * _running_rms(ripple) * np.minimum(1.0, missed_share)
     worst = int(error.argmax())
-    return Between(float(error[worst]), float(nm[worst]))
+    return Between(float(error[worst]), float(wavelength_used[worst]))
 
 
 def level_scatter(nodes: Floats) -> float:
     """Return the relative uncertainty of the columns' median, from differences of columns (step, column) [1].
 
-    Differences that a column has at all steps are its own; NaN marks unknown values.
+    Differences that a column has at all steps are subtracted; NaN marks unknown values.
     """
     with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of columns and steps that are all NaN
-        away = np.log(nodes)
-        away = away - np.nanmedian(away, axis=0)
-        away = away - np.nanmedian(away, axis=1, keepdims=True)
-        number = np.maximum(np.isfinite(away).sum(axis=1), 1)
-        scatter = 1.25 * 1.4826 * np.nanmedian(np.abs(away), axis=1) / np.sqrt(number)
+        deviation = np.log(nodes)
+        deviation = deviation - np.nanmedian(deviation, axis=0)
+        deviation = deviation - np.nanmedian(deviation, axis=1, keepdims=True)
+        number = np.maximum(np.isfinite(deviation).sum(axis=1), 1)
+        scatter = 1.25 * 1.4826 * np.nanmedian(np.abs(deviation), axis=1) / np.sqrt(number)
     return float(np.nan_to_num(np.nanmax(scatter, initial=0.0)))
 
 
-def _running(values: Floats) -> Floats:
-    # Root mean square over some steps; near the ends over the existing ones
-    there, window = np.isfinite(values), np.ones(FRINGES.window_steps)
-    total = np.convolve(np.where(there, values, 0.0) ** 2, window, "same")
-    return np.asarray(np.sqrt(total / np.maximum(np.convolve(there, window, "same"), 1.0)))
+def _running_rms(values: Floats) -> Floats:
+    # Return the root mean square over some steps; near the ends over fewer steps.
+    is_finite, window = np.isfinite(values), np.ones(FRINGES.window_steps)
+    total = np.convolve(np.where(is_finite, values, 0.0) ** 2, window, "same")
+    return np.asarray(np.sqrt(total / np.maximum(np.convolve(is_finite, window, "same"), 1.0)))
 
 
 #: Width of the monochromator over the camera's above which fwhm is ill-conditioned [1].
 MAX_SLIT_SHARE = 0.7
-#: Distance of an element beyond the outer step that is allowed, at least and at most [nm].
+#: Allowed distance of an element beyond the outer step, lower and upper limit [nm].
 EDGE_TOLERANCE_NM = (0.01, 0.05)
-#: Offset of the dark that is reported [count].
+#: Offset of the dark above which it is reported [count].
 MAX_DARK_OFFSET = 1.0
 #: Electrons per count of any camera.
 ELECTRONS_RANGE = (0.05, 2000.0)
@@ -524,16 +538,18 @@ class Budget:
         return float(np.sqrt(self.flux**2 + self.capture**2 + self.etendue**2))
 
 
-def line_level(lines: Lines, lab: LabSweep, surface: WavelengthMap, used: Bools | None = None) -> Floats:
+def line_level(
+    lamp_lines: LampLines, lab: LabSweep, wavelength_map: WavelengthMap, used: Bools | None = None
+) -> Floats:
     """Return the integrated response at the lamp lines (step,) [count nm J-1], median of the columns."""
-    return row_medians(_nodes(lines, lab, surface), lines.trusted if used is None else used)
+    return row_medians(_nodes(lamp_lines, lab, wavelength_map), lamp_lines.trusted if used is None else used)
 
 
-def _nodes(lines: Lines, lab: LabSweep, surface: WavelengthMap) -> Floats:
-    column = np.broadcast_to(np.arange(lines.centre.shape[1]), lines.centre.shape)
-    spacing = surface.spacing(np.nan_to_num(lines.centre), column)
+def _nodes(lamp_lines: LampLines, lab: LabSweep, wavelength_map: WavelengthMap) -> Floats:
+    column = np.broadcast_to(np.arange(lamp_lines.centre.shape[1]), lamp_lines.centre.shape)
+    spacing = wavelength_map.spacing(np.nan_to_num(lamp_lines.centre), column)
     with np.errstate(over="ignore"):  # of fits that are not trusted
-        return np.asarray(lines.area * spacing / (lab.exposure[:, None] * lab.power))
+        return np.asarray(lamp_lines.area * spacing / (lab.exposure[:, None] * lab.power))
 
 
 @dataclass(frozen=True, eq=False)
@@ -542,62 +558,62 @@ class Result:
 
     #: lab, read, lines, surface: sweep, its windows, the fits, and the wavelength map
     lab: LabSweep
-    read: Read
-    lines: Lines
-    surface: WavelengthMap
+    sweep_data: SweepData
+    lamp_lines: LampLines
+    wavelength_map: WavelengthMap
     line_slope: Floats  #: (step,): d ln responsivity / d wavelength [nm-1]
-    pull: Floats  #: (step,): shift of the lamp lines by that slope [nm]
+    slope_shift: Floats  #: (step,): shift of the lamp lines by that slope [nm]
     #: shape, misfit: line shape of the camera, and the misfit of each shape
     shape: str
     misfit: dict[str, float]
     bad: Bools  #: (band, cross_track)
-    #: budget, linearity: as given
+    #: budget, linearity: as passed
     budget: Budget
     linearity: Linearity
-    placed: Bools  #: (step, cross_track): good fits where the map says they should be
+    is_placed: Bools  #: (step, cross_track): valid fits whose centres agree with the map
     fwhm: Floats  #: (band,): width of every band [nm]
     differences: float  #: Relative standard deviation of the elements about the lines
     is_shape_free: bool  #: Whether the response may be measured from the lamp lines
 
     @cached_property
     def wavelength(self) -> Floats:
-        """Of every element (band, cross_track) [nm]."""
-        return self.surface.grid()[0]
+        """Wavelength of every element (band, cross_track) [nm]."""
+        return self.wavelength_map.grid()[0]
 
     @cached_property
     def spacing(self) -> Floats:
-        """Of the bands, element by element (band, cross_track) [nm]."""
-        return self.surface.grid()[1]
+        """Spacing of bands at every element (band, cross_track) [nm]."""
+        return self.wavelength_map.grid()[1]
 
     @cached_property
     def centre_wavelength(self) -> Floats:
-        """Of the bands at the centre column (band,) [nm]."""
+        """Wavelength of the bands at the centre column (band,) [nm]."""
         return np.asarray(self.wavelength[:, self.lab.shape[2] // 2])
 
     @cached_property
     def columns(self) -> npt.NDArray[np.int64]:
         """Column of every line (step, cross_track)."""
-        return np.broadcast_to(np.arange(self.lab.shape[2]), self.lines.centre.shape)
+        return np.broadcast_to(np.arange(self.lab.shape[2]), self.lamp_lines.centre.shape)
 
     @cached_property
     def line_wavelength(self) -> Floats:
-        """Wavelength of the lamp lines' centres in the map (step, cross_track) [nm], less the pull."""
-        return line_wavelengths(self.lines, self.surface, self.pull)
+        """Wavelength of the lamp lines in the map, minus the slope shift (step, cross_track) [nm]."""
+        return line_wavelengths(self.lamp_lines, self.wavelength_map, self.slope_shift)
 
     @cached_property
     def line_spacing(self) -> Floats:
         """Spacing of bands at the lines (step, cross_track) [nm]."""
-        return self.surface.spacing(np.nan_to_num(self.lines.centre), self.columns)
+        return self.wavelength_map.spacing(np.nan_to_num(self.lamp_lines.centre), self.columns)
 
     @cached_property
     def used(self) -> Bools:
-        """Lamp lines whose area is used: those in place, and those at the edges completed from them."""
-        return np.asarray(self.placed | self.lines.completed)
+        """Lamp lines whose area is used: placed lines, and lines completed at the edges of the array."""
+        return np.asarray(self.is_placed | self.lamp_lines.completed)
 
     @cached_property
     def fwhm_at_steps(self) -> Floats:
         """Width of the camera's line at every step (step,) [nm]."""
-        return at_steps(self.lab, self.surface, self.fwhm)
+        return at_steps(self.lab, self.wavelength_map, self.fwhm)
 
     @cached_property
     def gain(self) -> tuple[Floats, Bools]:
@@ -610,14 +626,14 @@ class Result:
         )
         factor = second_order_factor(
             lab.wavelength,
-            line_level(self.lines, lab, self.surface, used),
+            line_level(self.lamp_lines, lab, self.wavelength_map, used),
             shape_variance(self.fwhm_at_steps, self.shape, spacing),
             shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
         )
-        # without light scattered into the window of a lamp line
-        nodes = _nodes(self.lines, lab, self.surface) * (factor[:, None] / self.off_lines.counted)
+        # without light that is scattered into the window of a lamp line
+        nodes = _nodes(self.lamp_lines, lab, self.wavelength_map) * (factor[:, None] / self.off_lines.counted)
         low, high = EDGE_TOLERANCE_NM
-        tolerance = min(max(low, 3.0 * self.surface.residual), high)
+        tolerance = min(max(low, 3.0 * self.wavelength_map.residual), high)
         return element_gain(lab.wavelength, nodes, used, self.wavelength, lab.etendue, tolerance)
 
     def dataset(self, flat: Floats | None) -> xr.Dataset:
@@ -629,17 +645,17 @@ class Result:
             self._check_plausible(gain)
         for text, code in self._warnings():
             warnings.warn(PaintWarning(text, code=code), stacklevel=3)
-        # gains of raw counts: a flat field has levelled the fitted ones
+        # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
         gain[:, self._unlit] = np.nan
         responsivity = 1.0 / (gain * self.lab.etendue * self.spacing)
         gain[self.bad] = np.nan
-        good = np.isfinite(gain[:, np.isfinite(gain).any(axis=0)]).mean(axis=1) > 0.5
+        is_good = np.isfinite(gain[:, np.isfinite(gain).any(axis=0)]).mean(axis=1) > 0.5
         values: dict[str, Any] = {
             "radiance_gain": gain,
             "responsivity": responsivity,
-            "wavelength_u": np.hypot(self.surface.residual, self.budget.wavelength),
-            **self._uncertainties(gain, good),
+            "wavelength_u": np.hypot(self.wavelength_map.residual, self.budget.wavelength),
+            **self._uncertainties(gain, is_good),
             **self._dark(),
             **self._line_variables(),
         }
@@ -655,7 +671,7 @@ class Result:
             "wavelength_shift": self.wavelength - self.centre_wavelength[:, None],
             "fwhm": self.fwhm,
             "band_spacing": self.spacing[:, self.lab.shape[2] // 2],
-            "good": good,
+            "good": is_good,
             "step_wavelength": self.lab.wavelength,
         }
         if table is not None:
@@ -669,14 +685,20 @@ class Result:
         return xr.Dataset(
             variables,
             {name: _labelled(value, name) for name, value in coords.items()},
-            self._attrs(good) | ({} if table is None else {"srf_shape": "tabulated"}),
+            self._attrs(is_good) | ({} if table is None else {"srf_shape": "tabulated"}),
         )
 
     @cached_property
     def measured(self) -> MeasuredShape | None:
         """Response measured from all lamp lines together; None where they are too few."""
         return measured_shape(
-            self.lab, self.read, self.lines, self.surface, self.placed, self.fwhm_at_steps, self.shape
+            self.lab,
+            self.sweep_data,
+            self.lamp_lines,
+            self.wavelength_map,
+            self.is_placed,
+            self.fwhm_at_steps,
+            self.shape,
         )
 
     @cached_property
@@ -685,20 +707,20 @@ class Result:
         lab = self.lab
         return error_between_lines(
             lab.wavelength,
-            line_level(self.lines, lab, self.surface, self.used),
-            row_medians(self.line_wavelength - lab.wavelength[:, None], self.placed) + self.pull,
+            line_level(self.lamp_lines, lab, self.wavelength_map, self.used),
+            row_medians(self.line_wavelength - lab.wavelength[:, None], self.is_placed) + self.slope_shift,
             shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
         )
 
     @cached_property
-    def _missed(self) -> float:
-        # Error of the gain between lamp lines [1]; 0 if negligible, or explained by column differences
-        shape_is_off = self.measured is not None and self.measured.is_another and not self.is_shape_free
-        if self.between is None or shape_is_off:
+    def _error_between(self) -> float:
+        # Error of the gain between lamp lines [1]; 0 if negligible or explained by column differences.
+        is_shape_wrong = self.measured is not None and self.measured.fits_no_model and not self.is_shape_free
+        if self.between is None or is_shape_wrong:
             return 0.0
-        nodes = np.where(self.used, _nodes(self.lines, self.lab, self.surface), np.nan)
-        least = max(FRINGES.least_error, FRINGES.scatters * level_scatter(nodes))
-        return self.between.error if self.between.error > least else 0.0
+        nodes = np.where(self.used, _nodes(self.lamp_lines, self.lab, self.wavelength_map), np.nan)
+        threshold = max(FRINGES.least_error, FRINGES.scatters * level_scatter(nodes))
+        return self.between.error if self.between.error > threshold else 0.0
 
     def _warnings(self) -> Iterator[tuple[str, str]]:
         wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
@@ -713,13 +735,13 @@ class Result:
         offset = self.dark_check.get("dark_offset_count", 0.0)
         if abs(offset) > MAX_DARK_OFFSET:
             yield (
-                f"the bands off the lamp lines hold {offset:+.2g} counts whatever their light, so the dark "
-                "is off by as much: areas are corrected, but out_of_band and stray_light are not, in which "
+                f"the bands off the lamp lines hold {offset:+.2g} counts at any light, so the dark "
+                "has this error: areas are corrected, but out_of_band and stray_light are not, in which "
                 f"one count makes {self.dark_check['out_of_band_of_one_count']:.2%}; take the dark beside "
                 "the sweep",
                 "dark-offset",
             )
-        if self.between is not None and self._missed:
+        if self.between is not None and self._error_between:
             step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
             yield (
                 f"steps of {step:.3g} nm do not follow the responsivity around {self.between.wavelength:.0f} "
@@ -729,7 +751,7 @@ class Result:
                 "steps-too-coarse",
             )
         if self._unlit.any():
-            first, last = self.surface.lit
+            first, last = self.wavelength_map.lit
             yield (
                 f"{int(self._unlit.sum())} of {self._unlit.size} columns are not lit, all but {first} to "
                 f"{last}: they get no gain, and the wavelengths of the nearest lit column",
@@ -738,7 +760,7 @@ class Result:
 
     def _table(self) -> tuple[Floats, Floats] | None:
         measured = self.measured
-        if measured is None or not measured.is_another:
+        if measured is None or not measured.fits_no_model:
             return None
         if self.is_shape_free and measured.is_resolved:
             return measured.table(self.fwhm)
@@ -760,14 +782,16 @@ class Result:
             used = np.flatnonzero(self.used[:, column])
             if used.size:
                 random[:, column] = np.interp(
-                    self.wavelength[:, column], self.lab.wavelength[used], self.lines.area_u[used, column]
+                    self.wavelength[:, column],
+                    self.lab.wavelength[used],
+                    self.lamp_lines.area_u[used, column],
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
         total = np.sqrt(
             self.budget.total**2
-            + (slope * self.surface.residual) ** 2
+            + (slope * self.wavelength_map.residual) ** 2
             + self.off_lines.counted_u**2
-            + self._missed**2
+            + self._error_between**2
         )
         random = np.hypot(random, self.differences)
         return {
@@ -779,13 +803,13 @@ class Result:
         lab = self.lab
         exposure = float(np.median(lab.exposure))
         variables: dict[str, Any] = {"dark_counts": lab.dark.at(exposure), "dark_exposure_time": exposure}
-        if lab.dark.known_rate:
+        if lab.dark.has_rate:
             variables |= {"dark_bias": lab.dark.bias, "dark_rate": lab.dark.rate}
         if lab.saturation is not None:
             variables["saturation_count"] = lab.saturation
-        noise = self.read.noise
+        noise = self.sweep_data.noise
         electrons, read_noise = lab.electrons_per_count, lab.read_noise
-        if self.read.noise_source == FROM_FRAMES:
+        if self.sweep_data.noise_source == FROM_FRAMES:
             electrons = electrons or 1.0 / noise.slope
             if read_noise is None:
                 read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
@@ -796,26 +820,26 @@ class Result:
         return variables
 
     def _line_variables(self) -> dict[str, Any]:
-        lines, steps = self.lines, self.lab.shape[0]
+        lamp_lines, steps = self.lamp_lines, self.lab.shape[0]
         beam = np.full((steps, 2), np.nan)
-        for step, window in enumerate(self.read.windows):
+        for step, window in enumerate(self.sweep_data.windows):
             if window is not None:
                 beam[step] = fit_beam(window.beam)
-        used = self.placed.any(axis=1)
+        used = self.is_placed.any(axis=1)
         second = np.full(steps, np.nan)
         second[used] = self.off_lines.second_order
         return {
-            "line_band": lines.centre,
+            "line_band": lamp_lines.centre,
             "line_centre": self.line_wavelength,
-            "line_fwhm": lines.width * self.line_spacing,
-            "line_own_fwhm": lines.own_width * self.line_spacing,
-            "line_amplitude": lines.amplitude,
-            "line_area": lines.area,
-            "line_covariance": lines.covariance,
+            "line_fwhm": lamp_lines.width * self.line_spacing,
+            "line_own_fwhm": lamp_lines.camera_width * self.line_spacing,
+            "line_amplitude": lamp_lines.amplitude,
+            "line_area": lamp_lines.area,
+            "line_covariance": lamp_lines.covariance,
             "line_trusted": self.used,
             "beam_centre": beam[:, 0],
             "beam_fwhm": beam[:, 1],
-            "out_of_band": np.where(used, self.read.rows.sum(axis=1), np.nan),
+            "out_of_band": np.where(used, self.sweep_data.rows.sum(axis=1), np.nan),
             "second_order": second,
             "stray_light": self.off_lines.stray_light * self.off_lines.counted,
             "stray_light_u": self.off_lines.relative,
@@ -823,16 +847,16 @@ class Result:
 
     def _check_plausible(self, gain: Floats) -> None:
         counts = PLANCK_TIMES_LIGHT / (self.wavelength * 1e-9) / (gain * self.lab.etendue * self.spacing)
-        best = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
+        max_counts = float(np.nanmax(np.nanmedian(counts[np.isfinite(counts).any(axis=1)], axis=1)))
         electrons = self.lab.electrons_per_count
-        if electrons is None and self.read.noise_source == FROM_FRAMES:
-            electrons = 1.0 / self.read.noise.slope
+        if electrons is None and self.sweep_data.noise_source == FROM_FRAMES:
+            electrons = 1.0 / self.sweep_data.noise.slope
         low, high = (electrons, electrons) if electrons is not None else ELECTRONS_RANGE
         at = "" if electrons is None else f" at {electrons:.3g} electrons a count"
-        if best * low > 1.05:
-            share, expected, size = best * low, "below 1", "small"
-        elif best * high < 1e-3:
-            share, expected, size = best * high, "above 0.001", "large"
+        if max_counts * low > 1.05:
+            share, expected, size = max_counts * low, "below 1", "small"
+        elif max_counts * high < 1e-3:
+            share, expected, size = max_counts * high, "above 0.001", "large"
         else:
             return
         raise refused(
@@ -846,28 +870,30 @@ class Result:
 
     @cached_property
     def _unlit(self) -> Bools:
-        # Columns (cross_track,) beyond the outer lit ones, where the map is held constant
-        first, last = self.surface.lit
+        # Columns (cross_track,) beyond the outermost lit columns, where the map is constant.
+        first, last = self.wavelength_map.lit
         column = np.arange(self.lab.shape[2])
         return np.asarray((column < first) | (column > last))
 
     @cached_property
     def off_lines(self) -> OffLines:
-        """Light off the lamp lines, of the steps in place."""
-        used = self.placed.any(axis=1)
+        """Light off the lamp lines, from the steps with placed lamp lines."""
+        used = self.is_placed.any(axis=1)
         return light_off_lines(
-            self.read.rows[used],
-            row_medians(self.lines.centre, self.placed)[used],
+            self.sweep_data.rows[used],
+            row_medians(self.lamp_lines.centre, self.is_placed)[used],
             self.lab.wavelength[used],
             self.centre_wavelength,
-            row_medians(self.lines.width * self.line_spacing, self.placed)[used],
+            row_medians(self.lamp_lines.width * self.line_spacing, self.is_placed)[used],
             self.dark_check,
         )
 
     @cached_property
     def dark_check(self) -> dict[str, float]:
         """Offset of the dark, and effect of one count of it on the light off the lamp lines."""
-        return dark_off_lines(self.read.windows, self.lines.area, self.placed, self.read.rows)
+        return dark_off_lines(
+            self.sweep_data.windows, self.lamp_lines.area, self.is_placed, self.sweep_data.rows
+        )
 
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
@@ -875,7 +901,7 @@ class Result:
         electrons_source = "none"
         if lab.electrons_per_count is not None:
             electrons_source = "as stated"
-        elif self.read.noise_source == FROM_FRAMES:
+        elif self.sweep_data.noise_source == FROM_FRAMES:
             electrons_source = (
                 "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
             )
@@ -904,16 +930,16 @@ class Result:
             "monochromator_fwhm_nm": float(np.median(lab.width)),
             "monochromator_shape": "triangle" if lab.triangular else "gaussian",
             "column_light": "told per column" if lab.by_column else "taken as equal in all lit columns",
-            "wavelength_residual_nm": self.surface.residual,
+            "wavelength_residual_nm": self.wavelength_map.residual,
             "wavelength_uncertainty_nm": self.budget.wavelength,
             "element_differences": self.differences,
             "stray_light_in_lines": self.off_lines.wing,
-            "lit_columns": list(self.surface.lit),
+            "lit_columns": list(self.wavelength_map.lit),
             **self.dark_check,
-            "smile_degree": self.surface.coefficients.shape[1] - 1,
+            "smile_degree": self.wavelength_map.coefficients.shape[1] - 1,
             "linearity": linearity,
             "linearity_on": RAW if self.linearity.on_raw else DARK_SUBTRACTED,
-            "noise_source": self.read.noise_source,
+            "noise_source": self.sweep_data.noise_source,
             "electrons_per_count_source": electrons_source,
             **{f"line_misfit_{name}": value for name, value in self.misfit.items()},
             **shape_attrs,

@@ -15,9 +15,9 @@ from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
 from hyperpaint.base.units import takes_quantities
 
 _ELEMENT = (BAND, CROSS_TRACK)
-#: Relative difference of exposures that count as equal, the rounding of drivers [1].
+#: Relative difference of exposure times that are taken as equal, by rounding of drivers [1].
 SAME_EXPOSURE = 1e-3
-#: Largest extrapolation of a dark model, in shortest and longest exposures of its darks [1].
+#: Largest extrapolation of a dark model, as a factor on the shortest and longest exposure of its darks [1].
 MAX_EXTRAPOLATION = 2.0
 #: Largest uncertainty of a modelled dark [count].
 MAX_DARK_U = 1.0
@@ -31,39 +31,39 @@ class DarkModel:
     #: and the rate is NaN
     bias: Floats
     rate: Floats
-    exposures: tuple[float, ...]  #: Different exposures that it was made from [s]
+    exposures: tuple[float, ...]  #: Different exposure times of the darks [s]
     residual: float  #: Root mean square distance of the darks from the model [count]
     taken: Floats  #: (dark,): exposure of every dark [s]
 
     @property
-    def known_rate(self) -> bool:
+    def has_rate(self) -> bool:
         """Whether the rate follows from darks at two exposures or more."""
         return len(self.exposures) > 1
 
-    def reaches(self, exposure: float) -> bool:
-        """Return whether the dark at an exposure [s] is known: near those of the darks, and to one count."""
-        if not self.known_rate:
+    def is_valid_at(self, exposure: float) -> bool:
+        """Return whether the model is valid at an exposure [s]: near those of the darks, to one count."""
+        if not self.has_rate:
             return abs(exposure - self.exposures[0]) <= SAME_EXPOSURE * exposure
-        near = self.exposures[0] / MAX_EXTRAPOLATION <= exposure <= self.exposures[-1] * MAX_EXTRAPOLATION
-        return near and self.spread * np.sqrt(self.leverage(exposure)) <= MAX_DARK_U
+        is_near = self.exposures[0] / MAX_EXTRAPOLATION <= exposure <= self.exposures[-1] * MAX_EXTRAPOLATION
+        return is_near and self.spread * np.sqrt(self.leverage(exposure)) <= MAX_DARK_U
 
     @property
     def spread(self) -> float:
         """Standard deviation of one dark about the model [count]; 0 where there are too few."""
-        free = len(self.taken) - (2 if self.known_rate else 1)
-        return self.residual * float(np.sqrt(len(self.taken) / free)) if free > 0 else 0.0
+        freedom = len(self.taken) - (2 if self.has_rate else 1)
+        return self.residual * float(np.sqrt(len(self.taken) / freedom)) if freedom > 0 else 0.0
 
     def leverage(self, exposure: float) -> float:
         """Return the variance of the dark at an exposure [s] relative to the variance of one dark."""
         count = len(self.taken)
-        if not self.known_rate:
+        if not self.has_rate:
             return 1.0 / count
         offset = self.taken - self.taken.mean()
         return float(1.0 / count + (exposure - self.taken.mean()) ** 2 / (offset**2).sum())
 
     def at(self, exposure: float) -> Floats:
         """Return the dark counts at an exposure [s]; of a single exposure, the mean dark."""
-        return self.bias + exposure * self.rate if self.known_rate else self.bias
+        return self.bias + exposure * self.rate if self.has_rate else self.bias
 
 
 def fit_dark_model(dark: Floats, exposure: Floats) -> DarkModel:
@@ -96,8 +96,8 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
     -------
     xarray.Dataset
         ``dark_bias`` [count], ``dark_rate`` [count s-1] (band, cross_track); attributes ``dark_exposures_s``,
-        ``dark_residual_count`` (root mean square), and, of darks with times, ``dark_drift_count``: how far
-        the mean of the last lies from that of the first beyond what their exposures explain.
+        ``dark_residual_count`` (root mean square), and, for darks with times, ``dark_drift_count``:
+        difference of the means of the last and the first dark, beyond the effect of their exposures.
 
     Raises
     ------
@@ -131,12 +131,12 @@ def dark_model(darks: xr.Dataset | Sequence[xr.Dataset]) -> xr.Dataset:
         exposures.extend(np.broadcast_to(arrays["dark_exposure_time"].to_numpy(), len(counts)).tolist())
     shapes = sorted({frame.shape for frame in frames})
     if len(shapes) > 1:
-        problems.add(f"darks of shapes {shapes}", expected="one", code="grid-mismatch")
+        problems.add(f"darks of shapes {shapes}", expected="one shape", code="grid-mismatch")
     if not all(0 < value < np.inf for value in exposures):
         problems.add("'dark_exposure_time' is not finite and positive everywhere", code="exposure-invalid")
     problems.raise_if_any()
     model = fit_dark_model(np.stack(frames), np.array(exposures))
-    if not model.known_rate:
+    if not model.has_rate:
         raise SchemaError(
             f"all darks have an exposure of {exposures[0] * 1e3:g} ms",
             expected="darks at two exposures, for a rate",
@@ -181,10 +181,10 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     Parameters
     ----------
     frames
-        Counts (..., band, cross_track) [count] of a sphere or a diffuser; of a scene, many lines over much
-        the same ground, of which the median over all other dims is taken.
+        Counts (..., band, cross_track) [count] of a sphere or a diffuser; or many lines of a scene, over
+        similar ground. The median over all other dims is taken.
     dark
-        Dark counts (band, cross_track) [count] at the same exposure; None where they are taken off already.
+        Dark counts (band, cross_track) [count] at the same exposure; None where they are already subtracted.
 
     Returns
     -------
@@ -210,11 +210,11 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
             expected=f"{BAND} and {CROSS_TRACK}",
             code="dims-wrong",
         )
-    others = [dim for dim in frames.dims if dim not in _ELEMENT]
+    other_dims = [dim for dim in frames.dims if dim not in _ELEMENT]
     level = frames.astype(np.float64)
-    if others:
-        level = level.chunk(dict.fromkeys(others, -1)) if level.chunks is not None else level
-        level = level.median(others)
+    if other_dims:
+        level = level.chunk(dict.fromkeys(other_dims, -1)) if level.chunks is not None else level
+        level = level.median(other_dims)
     level = level.transpose(*_ELEMENT)
     if dark is not None:
         level = level - dark.transpose(*_ELEMENT).astype(np.float64)
@@ -244,7 +244,7 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
     measured
         Dark-subtracted counts.
     degree
-        Of the polynomial.
+        Degree of the polynomial.
 
     Returns
     -------
@@ -254,7 +254,7 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
     Raises
     ------
     SchemaError
-        Fewer measurements than the polynomial has unknowns, or impossible ones.
+        Fewer measurements than unknowns of the polynomial, or values that are not positive.
 
     Examples
     --------
@@ -272,20 +272,20 @@ def linearity(signal: npt.ArrayLike, measured: npt.ArrayLike, degree: int = 3) -
             expected=f"{degree} or more, positive, in pairs",
             code="signals-too-few",
         )
-    # s light = c + a2 c^2 + ...: linear in s and the a; divided by c all measurements weigh alike
+    # s light = c + a2 c^2 + ...: linear in s and the a; divided by c, all measurements have equal weight
     scale = counts.max()
     columns = [light / counts, *(-((counts / scale) ** (power - 1)) for power in range(2, degree + 1))]
-    solved = np.linalg.lstsq(np.column_stack(columns), np.ones_like(counts), rcond=None)[0]
+    solution = np.linalg.lstsq(np.column_stack(columns), np.ones_like(counts), rcond=None)[0]
     return tuple(
-        float(a / scale ** (power - 1)) for power, a in zip(range(2, degree + 1), solved[1:], strict=True)
+        float(a / scale ** (power - 1)) for power, a in zip(range(2, degree + 1), solution[1:], strict=True)
     )
 
 
 def row_medians(values: Floats, used: Bools | None = None) -> Floats:
     """Return the median of every row over used values that are not NaN; NaN without any."""
-    chosen = values if used is None else np.where(used, values, np.nan)
-    medians, rows = np.full(len(chosen), np.nan), ~np.isnan(chosen).all(axis=1)
-    medians[rows] = np.nanmedian(chosen[rows], axis=1)
+    values_used = values if used is None else np.where(used, values, np.nan)
+    medians, rows = np.full(len(values_used), np.nan), ~np.isnan(values_used).all(axis=1)
+    medians[rows] = np.nanmedian(values_used[rows], axis=1)
     return medians
 
 
@@ -293,10 +293,10 @@ def deviant_darks(dark: Floats, saturation: Floats | None) -> Bools:
     """Return whether the dark of elements (band, cross_track) is not finite, saturated or an outlier."""
     finite = np.isfinite(dark)
     levels = np.where(finite, dark, np.nan)
-    middle = np.nanmedian(levels)
-    # a limit far beyond the camera's dark pattern
-    spread = 1.4826 * np.nanmedian(np.abs(levels - middle))
-    far = np.abs(levels - middle) > max(30.0 * spread, 100.0)
+    median = np.nanmedian(levels)
+    # the limit is far above the camera's dark pattern
+    spread = 1.4826 * np.nanmedian(np.abs(levels - median))
+    is_outlier = np.abs(levels - median) > max(30.0 * spread, 100.0)
     if saturation is not None:
-        far |= levels > 0.5 * saturation
-    return np.asarray(~finite | far)
+        is_outlier |= levels > 0.5 * saturation
+    return np.asarray(~finite | is_outlier)

@@ -1,4 +1,4 @@
-"""Check a lab sweep, all faults together, and give its frames one step at a time."""
+"""Check a lab sweep, report all faults together, and read its frames one step at a time."""
 
 from __future__ import annotations
 
@@ -45,27 +45,27 @@ _POSITIVE = (
 class LabSweep:
     """A checked sweep, in the units of the table, its small variables in memory."""
 
-    #: counts, variance: lazy where the sweep was: (step, band, cross_track); ``variance`` None where it is
-    #: not known
+    #: counts, variance (step, band, cross_track): lazy if the sweep is lazy; ``variance`` is None where
+    #: unknown
     counts: xr.DataArray
     variance: xr.DataArray | None
     dark: DarkModel  #: Dark counts at the exposure of any step
-    wavelength: Floats  #: (step,): of the monochromator [nm]
-    width: Floats  #: (step,): full width at half maximum of its line [nm]
-    triangular: bool  #: Whether its line is a triangle, else a Gaussian
-    exposure: Floats  #: (step,): [s]
+    wavelength: Floats  #: (step,): wavelength of the monochromator [nm]
+    width: Floats  #: (step,): full width at half maximum of the monochromator's line [nm]
+    triangular: bool  #: Whether the monochromator's line is a triangle, otherwise a Gaussian
+    exposure: Floats  #: (step,): exposure time [s]
     frames: Floats  #: (step,): frames averaged
-    dark_frames: float | None  #: Frames averaged in a dark; None where that is not known
+    dark_frames: float | None  #: Frames averaged in a dark; None where unknown
     #: (step, cross_track): radiant flux that enters slit width x one column, all bands together [W]; ones
-    #: where only the shape of the responsivity can be had, NaN in columns of which none is given
+    #: without absolute scale, NaN in columns without flux
     power: Floats
-    etendue: Floats  #: (cross_track,): [m2 sr]
+    etendue: Floats  #: (cross_track,): etendue [m2 sr]
     saturation: Floats | None  #: Count at which the converter is full, or None; scalar or (band, cross_track)
-    #: electrons_per_count, read_noise: None where they are not known; the median of the elements
+    #: electrons_per_count, read_noise: median of the elements; None where unknown
     electrons_per_count: float | None
     read_noise: float | None
-    absolute: bool  #: Whether flux, capture fraction and etendue were all given
-    by_column: bool  #: Whether the light of every column is given, rather than that of the beam
+    absolute: bool  #: Whether the sweep has flux, capture fraction and etendue
+    by_column: bool  #: Whether the sweep has the light of every column, not only of the beam
     #: Time in which a frame is shifted by one band under the light [s]; 0 without smear
     band_shift_time: float
 
@@ -156,17 +156,17 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
     if dark is None:
-        raise refused("no dark follows from 'dark_counts'", code="dark-invalid")
+        raise refused("'dark_counts' give no dark", code="dark-invalid")
     return _assembled(arrays, values, dark, (steps, columns), shape == "triangle")
 
 
 def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[str, xr.DataArray]:
     needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
-    others = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
-    arrays, wrong = find(sweep, [*needed, *others], SWEEP_VARIABLES)
-    problems.extend(wrong)
-    kinds = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}
-    for name, array in kinds.items():
+    optional_names = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
+    arrays, faults = find(sweep, [*needed, *optional_names], SWEEP_VARIABLES)
+    problems.extend(faults)
+    wrong_types = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}
+    for name, array in wrong_types.items():
         problems.add(
             f"{name!r} has dtype {array.dtype}", expected=f"{SWEEP_VARIABLES[name].dtype}", code="type-wrong"
         )
@@ -181,13 +181,13 @@ def _check_order(values: dict[str, Floats], problems: Problems) -> None:
     if not np.isfinite(wavelength).all() or (wavelength <= 0).any():
         problems.add("'step_wavelength' is not finite and positive everywhere", code="value-out-of-range")
         return
-    wrong = np.flatnonzero(np.diff(wavelength) <= 0)
-    if wrong.size:
-        places = listed(
-            [f"{wavelength[k + 1]:g} after {wavelength[k]:g} nm (step {k + 1})" for k in wrong], "", 3
+    unordered = np.flatnonzero(np.diff(wavelength) <= 0)
+    if unordered.size:
+        listed_steps = listed(
+            [f"{wavelength[k + 1]:g} after {wavelength[k]:g} nm (step {k + 1})" for k in unordered], "", 3
         )
         problems.add(
-            f"steps are out of order: {places}",
+            f"steps are out of order: {listed_steps}",
             mend="sort with sweep.sortby('step_wavelength') and drop repeated ones",
             code="steps-unordered",
         )
@@ -201,21 +201,25 @@ def _check_positive(
     wavelength: Floats | None,
     problems: Problems,
 ) -> None:
-    wrong = ~(np.isfinite(values) & (values > 0) & (values <= high))
+    is_invalid = ~(np.isfinite(values) & (values > 0) & (values <= high))
     if dims == (STEP, CROSS_TRACK):
-        # columns that the beam does not reach have no flux; counts show whether one is lit
-        wrong &= ~(wrong & ((values == 0) | np.isnan(values))) | wrong.all(axis=1, keepdims=True)
-    if not wrong.any():
+        # unlit columns need no flux; counts show later which columns are lit
+        is_invalid &= ~(is_invalid & ((values == 0) | np.isnan(values))) | is_invalid.all(
+            axis=1, keepdims=True
+        )
+    if not is_invalid.any():
         return
     expected = "positive and finite" if high == np.inf else f"above 0 and at most {high:g}"
-    where, mend = "", ""
+    steps_text, mend = "", ""
     if STEP in dims:
-        steps = np.flatnonzero(wrong.any(axis=tuple(range(1, values.ndim))))
-        at = "" if wavelength is None else f" ({listed(wavelength[steps], 'nm')})"
-        where = f" at {steps.size} of {len(values)} steps{at}"
+        steps = np.flatnonzero(is_invalid.any(axis=tuple(range(1, values.ndim))))
+        wavelengths_text = "" if wavelength is None else f" ({listed(wavelength[steps], 'nm')})"
+        steps_text = f" at {steps.size} of {len(values)} steps{wavelengths_text}"
         mend = "measure it, or leave these steps out with sweep.isel(step=...)"
-    first = values[wrong].ravel()[0]
-    problems.add(f"{name!r} is {first:g}{where}", expected=expected, mend=mend, code="value-out-of-range")
+    first_value = values[is_invalid].ravel()[0]
+    problems.add(
+        f"{name!r} is {first_value:g}{steps_text}", expected=expected, mend=mend, code="value-out-of-range"
+    )
 
 
 def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: Problems) -> DarkModel | None:
@@ -224,30 +228,30 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
     dark = arrays["dark_counts"]
     by_step = STEP in dark.dims
     exposure = values.get("exposure_time")
-    at = values.get("dark_exposure_time", exposure)
-    if exposure is None or at is None:
+    dark_exposure = values.get("dark_exposure_time", exposure)
+    if exposure is None or dark_exposure is None:
         return None
     if by_step:
-        at = np.broadcast_to(at, dark.sizes[STEP])
-    elif at.ndim:
-        # one dark for all steps: taken at their exposure, if they have only one
-        if np.ptp(at) > 1e-6 * at.max():
-            varying = "dark_exposure_time" if "dark_exposure_time" in values else "exposure_time"
+        dark_exposure = np.broadcast_to(dark_exposure, dark.sizes[STEP])
+    elif dark_exposure.ndim:
+        # one dark for all steps: it needs a single exposure time
+        if np.ptp(dark_exposure) > 1e-6 * dark_exposure.max():
+            varying_name = "dark_exposure_time" if "dark_exposure_time" in values else "exposure_time"
             problems.add(
-                f"{varying} varies from step to step, but there is one dark_counts",
+                f"{varying_name} varies from step to step, but there is one dark_counts",
                 mend="give dark_counts per step",
                 code="dark-per-step",
             )
             return None
-        at = at[0]
+        dark_exposure = dark_exposure[0]
     array = np.asarray(dark.to_numpy(), np.float64)
     if not by_step:
-        array, at = array[None], np.atleast_1d(at)
-    model = fit_dark_model(array, np.asarray(at, np.float64))
-    apart = [e for e in np.unique(exposure) if not model.reaches(float(e))]
-    if apart:
+        array, dark_exposure = array[None], np.atleast_1d(dark_exposure)
+    model = fit_dark_model(array, np.asarray(dark_exposure, np.float64))
+    exposures_outside = [e for e in np.unique(exposure) if not model.is_valid_at(float(e))]
+    if exposures_outside:
         problems.add(
-            f"steps at {listed([e * 1e3 for e in apart], 'ms')}, dark at "
+            f"steps at {listed([e * 1e3 for e in exposures_outside], 'ms')}, dark at "
             f"{listed([e * 1e3 for e in model.exposures], 'ms')}",
             mend="take a dark at the exposure of the steps, or darks at two exposures around it",
             code="dark-exposure-differs",

@@ -1,7 +1,7 @@
-"""Fit the lamp line of one sweep step over bands: its place, lit columns, width and area.
+"""Fit the lamp line of a sweep step over bands: centre, lit columns, width and area.
 
-Two axes, two fits, never mixed: over bands the light of one wavelength shows the response of the camera, over
-columns the profile of the beam, which is no property of the camera.
+Bands and columns are fitted separately: over bands, light of one wavelength shows the response of the camera;
+over columns, it shows the profile of the beam, which is not a property of the camera.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ from hyperpaint.kernels.line_fits import (
 #: Line shapes that a sweep distinguishes, with their numbers in the kernel.
 SHAPES = {"gaussian": GAUSSIAN, "slit": SLIT}
 
-#: Share of the brightest column from which a column counts as lit.
+#: Minimum light of a lit column, relative to the brightest column.
 LIT = 0.2
 
-#: Half the window of a line in full widths at half maximum; beyond lie 2e-7 of a Gaussian's area.
+#: Half width of the window of a lamp line in full widths at half maximum; 2e-7 of a Gaussian's area lies
+#: beyond.
 REACH = 2.2
 
-_DEVIANT = 0.15  # of a line's height: an element this far from the fit is not noise
-_FEWEST_BESIDE = 12  # bands beyond a window from which its background is estimated
-_GAUSS = np.sqrt(np.pi / (4.0 * np.log(2.0)))  # area of a Gaussian of unit height and full width
+_MAX_DEVIATION_SHARE = 0.15  # of a lamp line's height; a larger deviation from the fit is not noise
+_MIN_BACKGROUND_BANDS = 12  # minimum number of bands outside a window for an estimate of its background
+_GAUSSIAN_AREA = np.sqrt(np.pi / (4.0 * np.log(2.0)))  # area of a Gaussian of unit height and full width
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class NoiseModel:
 
 @dataclass(frozen=True)
 class Light:
-    """Light of one step, for fits in units of bands: widths in bands, shape of the lamp line."""
+    """Light of a step, for fits in units of bands: widths in bands, shape of the lamp line."""
 
     width: Floats
     triangular: bool
@@ -69,16 +70,16 @@ class Window:
     first: Ints
     #: (line, sample): counts less dark and background; NaN outside the array and at bad elements
     values: Floats
-    #: background, background_variance (line,): what was taken off [count], and the variance of it in units
-    #: of that of one band
+    #: background, background_variance (line,): subtracted background [count], and its variance in units
+    #: of the variance of one band
     background: Floats
     background_variance: Floats
     saturated: Bools  #: (line,): whether a sample is at the converter's end
-    #: (cross_track,): light of every column relative to the brightest; NaN where no element is good
+    #: (cross_track,): light of every column relative to the brightest; NaN without valid elements
     beam: Floats
     #: (band,): counts of the bands outside the window relative to the area, mean of the lit columns; 0 inside
     out_of_band: Floats
-    band: int  #: Where the line peaks
+    band: int  #: Band of the peak
 
     @property
     def places(self) -> Floats:
@@ -95,13 +96,13 @@ class Window:
 class Fits:
     """Fits of one step's lines; widths and centres in bands."""
 
-    #: (line, 4): centre [band], own full width at half maximum of the camera [band], area [count], offset
+    #: (line, 4): centre [band], full width at half maximum of the camera [band], area [count], offset
     #: [count]
     parameters: Floats
     covariance: Floats  #: (line, 4, 4): of the parameters
-    width: Floats  #: (line,): full width at half maximum of the line as it is seen [band]
+    width: Floats  #: (line,): full width at half maximum of the measured lamp line [band]
     amplitude: Floats  #: (line,): height [count]
-    #: area, area_variance (line,): sum over bands [count]: as measured, with what was not seen taken from
+    #: area, area_variance (line,): sum over bands [count]: as measured, with the unseen part taken from
     #: the fit
     area: Floats
     area_variance: Floats
@@ -109,7 +110,7 @@ class Fits:
     #: chi2, degrees (line,): weighted sum of squared residuals and degrees of freedom
     chi2: Floats
     degrees: Floats
-    converged: Bools  #: (line,): whether the search has ended at finite numbers
+    converged: Bools  #: (line,): whether the fit converged to finite numbers
 
 
 def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -> Window | None:
@@ -119,59 +120,61 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     out; ``saturation`` is the count at which the converter is full, or None.
     """
     bands, columns = net.shape
-    clean = np.where(bad | ~np.isfinite(net), np.nan, net)
-    spectrum = _mean(clean, axis=1)
-    lit = np.isfinite(spectrum)
-    spectrum = np.where(lit, spectrum - np.median(spectrum[lit]), 0.0)
+    valid_net = np.where(bad | ~np.isfinite(net), np.nan, net)
+    spectrum = _mean(valid_net, axis=1)
+    is_valid = np.isfinite(spectrum)
+    spectrum = np.where(is_valid, spectrum - np.median(spectrum[is_valid]), 0.0)
     smooth = np.convolve(spectrum, np.ones(3) / 3.0, mode="same")
     peak = int(np.argmax(smooth))
-    far = np.abs(np.arange(bands) - peak) > 0.1 * bands
-    scatter = 1.4826 * float(np.median(np.abs(spectrum[far]))) if far.any() else 0.0
+    is_far = np.abs(np.arange(bands) - peak) > 0.1 * bands
+    scatter = 1.4826 * float(np.median(np.abs(spectrum[is_far]))) if is_far.any() else 0.0
     if not smooth[peak] > max(8.0 * scatter, 1e-9):
         return None
     width = _rough_width(spectrum, peak)
-    half = int(np.ceil(REACH * width + 2.0))
-    # where the line lies in each column, smile and all
+    half_width = int(np.ceil(REACH * width + 2.0))
+    # peak of the lamp line in each column, which moves by smile
     margin = int(np.ceil(width)) + 3
-    near = np.arange(max(peak - margin, 0), min(peak + margin + 1, bands))
-    strip = np.where(np.isfinite(clean[near]), clean[near], 0.0)
-    strip = strip[:-2] + strip[1:-1] + strip[2:] if len(near) > 4 else strip
-    at = near[np.argmax(strip, axis=0) + (1 if len(near) > 4 else 0)]
-    first = (at - half).astype(np.int64)
-    places = first[:, None] + np.arange(2 * half + 1)
-    inside = (places >= 0) & (places < bands)
+    near_bands = np.arange(max(peak - margin, 0), min(peak + margin + 1, bands))
+    strip = np.where(np.isfinite(valid_net[near_bands]), valid_net[near_bands], 0.0)
+    strip = strip[:-2] + strip[1:-1] + strip[2:] if len(near_bands) > 4 else strip
+    peak_bands = near_bands[np.argmax(strip, axis=0) + (1 if len(near_bands) > 4 else 0)]
+    first = (peak_bands - half_width).astype(np.int64)
+    places = first[:, None] + np.arange(2 * half_width + 1)
+    is_inside = (places >= 0) & (places < bands)
     clipped = np.clip(places, 0, bands - 1)
-    across = np.arange(columns)[:, None]
-    values = np.where(inside, clean[clipped, across], np.nan)
-    outside = clean.copy()
-    outside[clipped, across] = np.nan
+    column_index = np.arange(columns)[:, None]
+    values = np.where(is_inside, valid_net[clipped, column_index], np.nan)
+    outside = valid_net.copy()
+    outside[clipped, column_index] = np.nan
     background, variance = _background(outside)
     values = values - background[:, None]
-    full = np.zeros(columns, np.bool_)
+    is_saturated = np.zeros(columns, np.bool_)
     if saturation is not None:
         limit = np.broadcast_to(saturation, net.shape) - float(SATURATION_MARGIN_COUNTS)
-        full = ((raw >= limit)[clipped, across] & inside & np.isfinite(values)).any(axis=1)
+        is_saturated = ((raw >= limit)[clipped, column_index] & is_inside & np.isfinite(values)).any(axis=1)
     light = np.where(np.isfinite(values).sum(axis=1) >= min(6, bands), np.nansum(values, axis=1), np.nan)
     brightest = _brightest(light)
-    lit = np.flatnonzero(light > LIT * brightest)
-    if not brightest > 0 or not lit.size:
+    is_valid = np.flatnonzero(light > LIT * brightest)
+    if not brightest > 0 or not is_valid.size:
         return None
-    rest = _mean(np.where(np.isfinite(outside), outside, np.nan)[:, lit] / light[lit], axis=1)
+    out_of_band = _mean(
+        np.where(np.isfinite(outside), outside, np.nan)[:, is_valid] / light[is_valid], axis=1
+    )
     return Window(
-        columns=lit,
-        first=first[lit],
-        values=values[lit],
-        background=background[lit],
-        background_variance=variance[lit],
-        saturated=full[lit],
+        columns=is_valid,
+        first=first[is_valid],
+        values=values[is_valid],
+        background=background[is_valid],
+        background_variance=variance[is_valid],
+        saturated=is_saturated[is_valid],
         beam=light / brightest,
-        out_of_band=np.where(np.isfinite(rest), rest, 0.0),
+        out_of_band=np.where(np.isfinite(out_of_band), out_of_band, 0.0),
         band=peak,
     )
 
 
 def _mean(values: Floats, axis: int) -> Floats:
-    # Mean of finite values; NaN without any
+    # Return the mean of finite values; NaN without finite values.
     is_finite = np.isfinite(values)
     count = is_finite.sum(axis=axis)
     total = np.where(is_finite, values, 0.0).sum(axis=axis)
@@ -179,39 +182,42 @@ def _mean(values: Floats, axis: int) -> Floats:
 
 
 def _rough_width(spectrum: Floats, peak: int) -> float:
-    # Full width of a peak from area over height, at least one band [band]
-    half = 3
+    # Return the full width of a peak from area over height, at least one band [band].
+    half_width = 3
     for _ in range(6):
-        part = spectrum[max(peak - half, 0) : peak + half + 1]
-        # of a line at the edge of the array only one side is there
-        share = 1.0 + min(peak, len(spectrum) - 1 - peak, half) / half
-        width = max(2.0 * part.sum() / share / (part.max() * _GAUSS), 1.0)
-        wanted = int(np.ceil(2.0 * width + 1.0))
-        if wanted <= half:
+        samples = spectrum[max(peak - half_width, 0) : peak + half_width + 1]
+        # at the edge of the array, a lamp line has only one side
+        share = 1.0 + min(peak, len(spectrum) - 1 - peak, half_width) / half_width
+        width = max(2.0 * samples.sum() / share / (samples.max() * _GAUSSIAN_AREA), 1.0)
+        needed_half = int(np.ceil(2.0 * width + 1.0))
+        if needed_half <= half_width:
             break
-        half = min(wanted, len(spectrum))
+        half_width = min(needed_half, len(spectrum))
     return float(min(width, len(spectrum) / 4.0))
 
 
 def _background(outside: Floats) -> tuple[Floats, Floats]:
-    # Clipped mean of each column beyond its window, and its variance relative to one band's.
-    # A dark that has drifted lifts all bands alike; uncorrected, it would add to the area band by band.
+    # Return the clipped mean of each column outside its window, and its variance relative to that of a band.
+    # A drift of the dark shifts all bands equally; uncorrected, it would add to the area band by band.
     is_finite = np.isfinite(outside)
     mean, variance = np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
-    covered = np.flatnonzero(is_finite.sum(axis=0) >= _FEWEST_BESIDE)
+    covered = np.flatnonzero(is_finite.sum(axis=0) >= _MIN_BACKGROUND_BANDS)
     if not covered.size:
         return mean, variance
-    beside, is_finite = outside[:, covered], is_finite[:, covered]
-    middle = np.nanmedian(beside, axis=0)
-    spread = 1.4826 * np.nanmedian(np.abs(beside - middle), axis=0)
-    is_background = is_finite & (np.abs(beside - middle) <= 4.0 * spread)
+    outside_covered, is_finite = outside[:, covered], is_finite[:, covered]
+    median = np.nanmedian(outside_covered, axis=0)
+    spread = 1.4826 * np.nanmedian(np.abs(outside_covered - median), axis=0)
+    is_background = is_finite & (np.abs(outside_covered - median) <= 4.0 * spread)
     count = np.maximum(is_background.sum(axis=0), 1)
-    mean[covered], variance[covered] = np.where(is_background, beside, 0.0).sum(axis=0) / count, 1.0 / count
+    mean[covered], variance[covered] = (
+        np.where(is_background, outside_covered, 0.0).sum(axis=0) / count,
+        1.0 / count,
+    )
     return mean, variance
 
 
 def _brightest(light: Floats) -> float:
-    # Light of the brightest columns, insensitive to a single one
+    # Return the light of the brightest columns, insensitive to a single column.
     levels = np.where(np.isfinite(light), light, 0.0)
     if levels.size < 5:
         return float(levels.max(initial=0.0))
@@ -220,8 +226,10 @@ def _brightest(light: Floats) -> float:
 
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
     """Improve ``parameters`` (line, 4) in place, and return them with the statistics of the fits."""
-    lines = len(parameters)
-    fits = LineFits(parameters, np.empty((lines, 4, 4)), np.empty(lines), np.zeros(lines, np.bool_))
+    lamp_lines = len(parameters)
+    fits = LineFits(
+        parameters, np.empty((lamp_lines, 4, 4)), np.empty(lamp_lines), np.zeros(lamp_lines, np.bool_)
+    )
     fit_lines(samples, shape, triangular, fits)
     return fits
 
@@ -237,12 +245,14 @@ def fit_beam(beam: Floats) -> tuple[float, float]:
         return np.nan, np.nan
     centre = float((np.maximum(values, 0.0) * columns).sum() / total)
     samples = LineSamples(values[None], weights, np.zeros(1, np.int64), np.zeros(1))
-    fits = fitted(samples, GAUSSIAN, False, np.array([[centre, total / _GAUSS, total, 0.0]]))
-    middle, width, area, offset = fits.parameters[0]
-    peaked = bool(fits.converged[0]) and width < 3.0 * beam.size and -width < middle < beam.size + width
-    if not peaked or not abs(offset) < 0.5 * area / (width * _GAUSS):
+    fits = fitted(samples, GAUSSIAN, False, np.array([[centre, total / _GAUSSIAN_AREA, total, 0.0]]))
+    beam_centre, width, area, offset = fits.parameters[0]
+    has_peak = (
+        bool(fits.converged[0]) and width < 3.0 * beam.size and -width < beam_centre < beam.size + width
+    )
+    if not has_peak or not abs(offset) < 0.5 * area / (width * _GAUSSIAN_AREA):
         return np.nan, np.nan
-    return float(middle), float(width)
+    return float(beam_centre), float(width)
 
 
 def fit_window(
@@ -251,7 +261,7 @@ def fit_window(
     """Return the fits of all lamp lines of a window, weighted by ``noise`` of ``frames`` frames.
 
     ``shape`` is a value of `SHAPES`. ``light`` is the light of the step, of zero width in the first fit,
-    which is of the line without deconvolution. ``start`` are fits to begin from.
+    which is a fit without deconvolution. ``start`` are fits with start values.
     """
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
@@ -260,13 +270,15 @@ def fit_window(
     if start is not None:
         model = start.parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
     height = np.max(np.where(is_finite, values, -np.inf), axis=1, keepdims=True)
-    # weights that follow each count's own noise favour low counts: they follow a model where there is one
-    floor = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
-    variance = noise.variance(model, frames) + floor
-    fits, used = _fit_twice(window, values, variance, parameters, shape, light)
-    area, unseen = _area(window, parameters, _profiles(window, parameters, shape, light), used)
-    area_variance = np.where(used, noise.variance(np.where(used, values, 0.0), frames), 0.0).sum(axis=1)
-    area_variance += used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
+    # weights from the noise of single counts favour low counts: weights follow the model if there is one
+    min_variance = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
+    variance = noise.variance(model, frames) + min_variance
+    fits, is_used = _fit_twice(window, values, variance, parameters, shape, light)
+    area, unseen = _area(window, parameters, _profiles(window, parameters, shape, light), is_used)
+    area_variance = np.where(is_used, noise.variance(np.where(is_used, values, 0.0), frames), 0.0).sum(axis=1)
+    area_variance += (
+        is_used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
+    )
     area_variance += unseen**2 * fits.covariance[:, AREA, AREA]
     width = np.empty(len(values))
     full_widths(parameters[:, WIDTH].copy(), light.width, shape, light.triangular, width)
@@ -279,7 +291,7 @@ def fit_window(
         area_variance=area_variance,
         unseen=unseen,
         chi2=fits.chi2,
-        degrees=np.maximum(used.sum(axis=1) - 4.0, 1.0),
+        degrees=np.maximum(is_used.sum(axis=1) - 4.0, 1.0),
         converged=fits.converged & np.isfinite(area) & (parameters[:, AREA] > 0),
     )
 
@@ -287,37 +299,39 @@ def fit_window(
 def _fit_twice(
     window: Window, values: Floats, variance: Floats, parameters: Floats, shape: int, light: Light
 ) -> tuple[LineFits, Bools]:
-    # Fit in place, and again without an outlying worst sample; return the fits and the samples used
-    used = np.isfinite(window.values)
-    begin = parameters.copy()
-    for last in (False, True):
-        parameters[:] = np.where(np.isfinite(parameters), parameters, begin)
-        samples = LineSamples(values, np.where(used, 1.0 / variance, 0.0), window.first, light.width)
+    # Fit in place, and again without the worst outlier; return the fits and which samples are used.
+    is_used = np.isfinite(window.values)
+    start_values = parameters.copy()
+    for is_last in (False, True):
+        parameters[:] = np.where(np.isfinite(parameters), parameters, start_values)
+        samples = LineSamples(values, np.where(is_used, 1.0 / variance, 0.0), window.first, light.width)
         fits = fitted(samples, shape, light.triangular, parameters)
-        if last:
+        if is_last:
             break
         model = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
-        apart = np.where(used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
+        residual = np.where(is_used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
         amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))
-        worst = apart.max(axis=1, keepdims=True)
-        # one dead element pulls its neighbours' fit, so only the worst goes
-        far = (apart > np.maximum(8.0 * np.sqrt(variance), _DEVIANT * amplitude[:, None])) & (apart >= worst)
-        if not far.any():
+        worst = residual.max(axis=1, keepdims=True)
+        # a dead element distorts the fit of its neighbours, so only the worst sample is left out
+        is_outlier = (
+            residual > np.maximum(8.0 * np.sqrt(variance), _MAX_DEVIATION_SHARE * amplitude[:, None])
+        ) & (residual >= worst)
+        if not is_outlier.any():
             break
-        used &= ~far
-    return fits, used
+        is_used &= ~is_outlier
+    return fits, is_used
 
 
 def _start(window: Window, light: Light) -> Floats:
     values = np.where(np.isfinite(window.values), np.maximum(window.values, 0.0), 0.0)
     peak = np.argmax(values, axis=1)
     height = values.max(axis=1)
-    near = np.abs(np.arange(values.shape[1]) - peak[:, None]) <= values.shape[1] / 4
-    # of a line cut off by the edge of the array, its better half is doubled
+    is_near = np.abs(np.arange(values.shape[1]) - peak[:, None]) <= values.shape[1] / 4
+    # the larger half is doubled, for lamp lines cut off at the edge of the array
     side = np.arange(values.shape[1]) - peak[:, None]
-    halves = [np.where(near & (sign * side > 0), values, 0.0).sum(axis=1) for sign in (1, -1)]
+    halves = [np.where(is_near & (sign * side > 0), values, 0.0).sum(axis=1) for sign in (1, -1)]
     area = height + 2.0 * np.maximum(*halves)
-    seen = np.maximum(area / (height * _GAUSS), 1.0)
+    seen = np.maximum(area / (height * _GAUSSIAN_AREA), 1.0)
     own = np.sqrt(np.maximum(seen**2 - light.width**2, (0.3 * seen) ** 2))
     return np.column_stack([window.first + peak, own, area, np.zeros_like(area)]).astype(np.float64)
 
@@ -341,12 +355,12 @@ def _peaks(parameters: Floats, shape: int, light: Light) -> Floats:
     return out[:, 0]
 
 
-def _area(window: Window, parameters: Floats, unit: Floats, used: Bools) -> tuple[Floats, Floats]:
-    # Sum over all bands of each line, and the share of it that only the fit knows.
-    # The part of a lamp line outside the bands that were read lies beyond the edge of the array, or on bad
-    # elements. Bands far apart, more than half a line's width, sum to a little more or less than the light,
-    # depending on where between them it falls; the profile says how much.
-    measured = np.where(used, window.values, 0.0).sum(axis=1)
+def _area(window: Window, parameters: Floats, unit: Floats, is_used: Bools) -> tuple[Floats, Floats]:
+    # Return the sum over all bands of each lamp line, and the share that is taken from the fit:
+    # the part of a lamp line beyond the edge of the array or on bad
+    # elements. Where bands are more than half a lamp line's width apart, their sum is a little more or less
+    # than the light, depending on its position between them; the profile corrects this.
+    measured = np.where(is_used, window.values, 0.0).sum(axis=1)
     total = np.maximum(unit.sum(axis=1), 1e-300)
-    unseen = np.clip(1.0 - np.where(used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)
+    unseen = np.clip(1.0 - np.where(is_used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)
     return measured / total + unseen * parameters[:, AREA], unseen

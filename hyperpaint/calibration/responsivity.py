@@ -1,17 +1,18 @@
-r"""From the areas of monochromatic lines to the gain of every element.
+r"""From the areas of lamp lines to the gain of every element.
 
-With :math:`R_b(\lambda) = R_0(\lambda)\,s(\lambda - \lambda_b)`, :math:`s` of unit area, a line of unit-area
-profile :math:`m` counts in all bands together, per energy that enters,
+With :math:`R_b(\lambda) = R_0(\lambda)\,s(\lambda - \lambda_b)`, :math:`s` of unit area, a lamp line of
+unit-area profile :math:`m` counts in all bands together, per energy that enters,
 
 .. math:: \sum_b \int m\,R_b\,d\lambda = (m * R_0)(\lambda_k) / \delta
 
-whatever the width and shape of :math:`m` and :math:`s`: the line-area identity (:math:`\delta` the spacing of
-bands). A band wants :math:`\int R_b\,d\lambda = (s * R_0)(\lambda_b)`. To second order the two differ by
-:math:`\tfrac12 (\sigma_s^2 - \sigma_m^2) R_0''`, which is taken from the sweep itself.
+for any width and shape of :math:`m` and :math:`s`: the line-area identity (:math:`\delta` the spacing of
+bands). The gain of a band needs :math:`\int R_b\,d\lambda = (s * R_0)(\lambda_b)`. To second order the two
+differ by :math:`\tfrac12 (\sigma_s^2 - \sigma_m^2) R_0''`, which is taken from the sweep itself.
 
-A sloping responsivity also moves the lines (`line_pull`). Where it rises by g per nanometre, a Gaussian line
-of variance v moves by v g: a quarter of a nanometre for one 12 nm wide in the blue. A triangle becomes
-lopsided besides, and its fit moves by a little less than its centroid; the shift is therefore found by a fit.
+A sloping responsivity also shifts the lamp lines (`slope_shift_of_lines`). Where it rises by g per nanometre,
+a Gaussian line of variance v is shifted by v g: a quarter of a nanometre for a line of 12 nm in the blue. A
+triangle becomes asymmetric too, and its fit shifts by a little less than its centroid; the shift is therefore
+computed by a fit.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from hyperpaint.kernels.line_fits import CENTRE, profiles
 from .lab_sweep import LabSweep
 from .line_fits import SHAPES, NoiseModel, fitted
 
-_WIDEST_GAP = 3.0  # median steps; over more than that nothing is interpolated
+_MAX_GAP_STEPS = 3.0  # median steps; wider gaps are not interpolated
 
 
 def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> Floats:
@@ -37,34 +38,40 @@ def shape_variance(fwhm: Floats, shape: str, spacing: Floats | float = 0.0) -> F
     return np.asarray((fwhm**2 + np.square(spacing)) / 12.0)
 
 
-def second_order_factor(wavelength: Floats, line: Floats, own: Floats, source: Floats) -> Floats:
+def second_order_factor(
+    wavelength: Floats, level: Floats, camera_variance: Floats, source_variance: Floats
+) -> Floats:
     """Return the factor from the responsivity in a lamp line to that of a band at the same wavelength.
 
-    ``wavelength`` (step,) [nm]; ``line`` (step,) is the responsivity from the lines' areas at any scale,
-    median of the columns, NaN where unknown; ``own`` and ``source`` (step,) are the variances of the
-    camera's line shape and of the monochromator's [nm2].
+    ``wavelength`` (step,) [nm]; ``level`` (step,) is the responsivity from the lamp lines' areas at any
+    scale, median of the columns, NaN where unknown; ``camera_variance`` and ``source_variance`` (step,) are
+    those of the camera's line shape and of the monochromator's [nm2].
     """
-    factor = np.ones_like(line)
-    positive = np.flatnonzero(np.isfinite(line) & (line > 0))
+    factor = np.ones_like(level)
+    positive = np.flatnonzero(np.isfinite(level) & (level > 0))
     if positive.size < 5:
         return factor
-    x, y = wavelength[positive], line[positive]
-    left, right = np.diff(x)[:-1], np.diff(x)[1:]
-    bend = 2.0 * ((y[2:] - y[1:-1]) / right - (y[1:-1] - y[:-2]) / left) / (left + right)
-    relative = np.empty_like(y)
-    relative[1:-1] = bend / y[1:-1]
-    relative[0], relative[-1] = relative[1], relative[-2]
+    x, y = wavelength[positive], level[positive]
+    step_before, step_after = np.diff(x)[:-1], np.diff(x)[1:]
+    curvature = (
+        2.0 * ((y[2:] - y[1:-1]) / step_after - (y[1:-1] - y[:-2]) / step_before) / (step_before + step_after)
+    )
+    relative_curvature = np.empty_like(y)
+    relative_curvature[1:-1] = curvature / y[1:-1]
+    relative_curvature[0], relative_curvature[-1] = relative_curvature[1], relative_curvature[-2]
     # smoothed, since noise of a second difference is six times that of the values
-    smooth = np.convolve(np.pad(relative, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")
-    factor[positive] = 1.0 + 0.5 * (own - source)[positive] * smooth
+    smooth_curvature = np.convolve(
+        np.pad(relative_curvature, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid"
+    )
+    factor[positive] = 1.0 + 0.5 * (camera_variance - source_variance)[positive] * smooth_curvature
     return np.clip(factor, 0.9, 1.1)
 
 
 def monotone_slopes(x: Floats, y: Floats) -> Floats:
-    """Return slopes at nodes ``x`` (node,) that interpolate smooth ``y`` (node, column), and never ring.
+    """Return slopes at nodes ``x`` (node,) for interpolation of ``y`` (node, column) without ringing.
 
-    Those of a cubic spline, of fourth order; where the values turn from one curvature to the other, limited
-    as Fritsch and Carlson's (Hyman 1983), which keeps every piece monotone that its ends leave so.
+    Slopes of a cubic spline, of fourth order. Where curvature changes sign, they are limited
+    as by Fritsch and Carlson (Hyman 1983), which keeps monotone pieces monotone.
     """
     from scipy.interpolate import CubicSpline
 
@@ -72,15 +79,15 @@ def monotone_slopes(x: Floats, y: Floats) -> Floats:
         return np.repeat(np.diff(y, axis=0) / np.diff(x)[:, None], len(x), axis=0)
     slope = np.asarray(CubicSpline(x, y, axis=0).derivative()(x))
     secant = np.diff(y, axis=0) / np.diff(x)[:, None]
-    before, after = np.vstack([secant[:1], secant]), np.vstack([secant, secant[-1:]])
-    least = 3.0 * np.minimum(np.abs(before), np.abs(after))
-    limited = np.clip(slope, -least, least)
-    limited = np.where((before * after > 0) & (limited * before < 0), 0.0, limited)
-    bend = np.sign(np.diff(secant, axis=0))
-    # concave or convex at a node and both its neighbours: a smooth top, not the foot of a step
-    padded = np.vstack([bend[:1], bend[:1], bend, bend[-1:], bend[-1:]])
-    smooth = (padded[:-2] == padded[1:-1]) & (padded[1:-1] == padded[2:]) & (padded[1:-1] != 0)
-    return np.asarray(np.where(smooth, slope, limited))
+    secant_before, secant_after = np.vstack([secant[:1], secant]), np.vstack([secant, secant[-1:]])
+    limit = 3.0 * np.minimum(np.abs(secant_before), np.abs(secant_after))
+    limited = np.clip(slope, -limit, limit)
+    limited = np.where((secant_before * secant_after > 0) & (limited * secant_before < 0), 0.0, limited)
+    curvature = np.sign(np.diff(secant, axis=0))
+    # concave or convex at a node and both its neighbours: a smooth extremum, not the foot of a step
+    padded = np.vstack([curvature[:1], curvature[:1], curvature, curvature[-1:], curvature[-1:]])
+    is_smooth = (padded[:-2] == padded[1:-1]) & (padded[1:-1] == padded[2:]) & (padded[1:-1] != 0)
+    return np.asarray(np.where(is_smooth, slope, limited))
 
 
 def interpolate_nodes(
@@ -94,17 +101,17 @@ def interpolate_nodes(
     """
     values = np.full(at.shape, np.nan)
     patterns, member = np.unique(used, axis=1, return_inverse=True)
-    widest = _WIDEST_GAP * float(np.median(np.diff(x)))
+    max_gap = _MAX_GAP_STEPS * float(np.median(np.diff(x)))
     for index in range(patterns.shape[1]):
         nodes = np.flatnonzero(patterns[:, index])
         columns = np.flatnonzero(member.ravel() == index)
         if nodes.size < 4:
             continue
-        values[:, columns] = _hermite(x[nodes], y[np.ix_(nodes, columns)], at[:, columns], widest, tolerance)
+        values[:, columns] = _hermite(x[nodes], y[np.ix_(nodes, columns)], at[:, columns], max_gap, tolerance)
     return values, np.isfinite(values)
 
 
-def _hermite(x: Floats, y: Floats, at: Floats, widest: float, tolerance: float) -> Floats:
+def _hermite(x: Floats, y: Floats, at: Floats, max_gap: float, tolerance: float) -> Floats:
     slope = monotone_slopes(x, y)
     at = np.where((at < x[0]) & (at >= x[0] - tolerance), x[0], at)
     at = np.where((at > x[-1]) & (at <= x[-1] + tolerance), x[-1], at)
@@ -116,7 +123,7 @@ def _hermite(x: Floats, y: Floats, at: Floats, widest: float, tolerance: float) 
     m0, m1 = slope[left, column] * width, slope[left + 1, column] * width
     values = y0 * (1 + 2 * u) * (1 - u) ** 2 + m0 * u * (1 - u) ** 2
     values += y1 * u**2 * (3 - 2 * u) + m1 * u**2 * (u - 1)
-    return np.where((u >= 0) & (u <= 1) & (width <= widest), values, np.nan)
+    return np.where((u >= 0) & (u <= 1) & (width <= max_gap), values, np.nan)
 
 
 def element_gain(
@@ -139,27 +146,27 @@ def element_gain(
     return np.asarray(np.exp(-log_gain) / etendue), finite
 
 
-_PARTS = 161  # of the light's line
+_PARTS = 161  # points of the monochromator's line
 _REACH = {True: 1.0, False: 2.2}  # half support of a triangle and of a Gaussian in full widths
 
 
-def line_pull(
+def slope_shift_of_lines(
     lab: LabSweep,
     noise: NoiseModel,
     slope: Floats,
-    own: Floats,
+    camera_width: Floats,
     spacing: Floats,
     amplitude: Floats,
     shape: str,
 ) -> Floats:
     """Return the shift of the lamp lines from the wavelengths of their light (step,) [nm].
 
-    ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``own``, ``spacing`` and ``amplitude``
-    (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the height of the line
-    [count]; ``shape`` is the camera's line shape, ``noise`` weights the fits.
+    ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``camera_width``, ``spacing`` and
+    ``amplitude`` (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the
+    height of the line [count]; ``shape`` is the camera's line shape, ``noise`` weights the fits.
     """
-    bend = np.gradient(slope, lab.wavelength)
-    pulled = np.zeros(len(slope))
+    curvature = np.gradient(slope, lab.wavelength)
+    shifts = np.zeros(len(slope))
     for step, source in enumerate(lab.width):
         offset = np.linspace(-1.0, 1.0, _PARTS) * _REACH[lab.triangular] * source
         light = (
@@ -167,27 +174,28 @@ def line_pull(
             if lab.triangular
             else np.exp(-4.0 * np.log(2.0) * (offset / source) ** 2)
         )
-        light *= np.exp(slope[step] * offset + 0.5 * bend[step] * offset**2)
-        pulled[step] = spacing[step] * _fitted(
-            offset / spacing[step], light / light.sum(), own[step] / spacing[step], source / spacing[step],
-            lab, noise, frames=float(lab.frames[step]), amplitude=amplitude[step], shape=SHAPES[shape],
+        light *= np.exp(slope[step] * offset + 0.5 * curvature[step] * offset**2)
+        shifts[step] = spacing[step] * _fitted(
+            offset / spacing[step], light / light.sum(), camera_width[step] / spacing[step],
+            source / spacing[step], lab, noise,
+            frames=float(lab.frames[step]), amplitude=amplitude[step], shape=SHAPES[shape],
         )  # fmt: skip
-    return pulled
+    return shifts
 
 
 def _fitted(
-    offset: Floats, light: Floats, own: float, source: float, lab: LabSweep, noise: NoiseModel, *,
+    offset: Floats, light: Floats, width_bands: float, source: float, lab: LabSweep, noise: NoiseModel, *,
     frames: float, amplitude: float, shape: int,
 ) -> float:  # fmt: skip
-    # Fitted centre of a lamp line whose light is centred at zero [band]
-    half = int(np.ceil(2.2 * np.hypot(own, source) + 2.0))
-    place = np.arange(-half, half + 1, dtype=np.float64)
-    parts = np.empty((len(offset), place.size))
-    width, none = np.full(len(offset), own), np.zeros(len(offset))
-    profiles(place - offset[:, None], width, none, shape, False, parts)
+    # Return the fitted centre of a lamp line whose light is centred at zero [band].
+    half = int(np.ceil(2.2 * np.hypot(width_bands, source) + 2.0))
+    bands_index = np.arange(-half, half + 1, dtype=np.float64)
+    parts = np.empty((len(offset), bands_index.size))
+    width, zeros = np.full(len(offset), width_bands), np.zeros(len(offset))
+    profiles(bands_index - offset[:, None], width, zeros, shape, False, parts)
     line = light @ parts
     line *= amplitude / line.max()
     variance = noise.variance(line, frames) + (1e-4 * amplitude) ** 2
     samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([source]))
-    fits = fitted(samples, shape, lab.triangular, np.array([[0.0, own, line.sum(), 0.0]]))
+    fits = fitted(samples, shape, lab.triangular, np.array([[0.0, width_bands, line.sum(), 0.0]]))
     return float(fits.parameters[0, CENTRE]) if fits.converged[0] else 0.0

@@ -112,7 +112,7 @@ def quantum_efficiency(
     return label(efficiency.astype(np.float64), "quantum_efficiency")
 
 
-_REACH = 1.6  # full widths that are drawn to either side
+_REACH = 1.6  # full widths plotted to either side
 _POINTS = 201
 
 
@@ -120,10 +120,10 @@ _POINTS = 201
 class FittedLine:
     """One line in one column."""
 
-    wavelength: float  #: Of the monochromator [nm]
-    #: distance, counts, residual (sample,): of the bands near the line: distance from its centre [nm],
-    #: counts above dark and background, and those less the fit, relative to the line's height. Empty where
-    #: there is no sweep.
+    wavelength: float  #: Wavelength of the monochromator [nm]
+    #: distance, counts, residual (sample,) of the bands near the lamp line: distance from its centre [nm],
+    #: counts above dark and background, and counts minus fit, relative to the lamp line's height. Empty
+    #: without a sweep.
     distance: Floats
     counts: Floats
     residual: Floats
@@ -142,7 +142,7 @@ def fitted_lines(
     calibration
         Of `hyperpaint.calibrate`.
     sweep
-        The sweep it was made from, of which these steps are read; None for the fits alone.
+        The sweep of the calibration, whose steps are read; None for the fits only.
     steps
         Numbers of steps that have a fit in this column.
     column
@@ -167,46 +167,46 @@ def fitted_lines(
     (700.0, True)
     """
     names = ("step_wavelength", "wavelength", "line_band", "line_own_fwhm", "line_amplitude")
-    lines = require(calibration, names, "its fitted lines")
-    wavelength = lines["wavelength"].to_numpy()
+    variables = require(calibration, names, "its fitted lines")
+    wavelength = variables["wavelength"].to_numpy()
     spacing = np.gradient(wavelength)
     lab = None if sweep is None else check_sweep(sweep, absolute=False)
-    fitted = []
+    results = []
     for step in steps:
-        at = {STEP: step, CROSS_TRACK: column}
-        centre = float(lines["line_band"].isel(at))
-        amplitude = float(lines["line_amplitude"].isel(at))
-        own = float(lines["line_own_fwhm"].isel(at))
-        across = float(np.interp(centre, np.arange(wavelength.size), spacing))
+        index = {STEP: step, CROSS_TRACK: column}
+        centre = float(variables["line_band"].isel(index))
+        amplitude = float(variables["line_amplitude"].isel(index))
+        camera_width = float(variables["line_own_fwhm"].isel(index))
+        spacing_at = float(np.interp(centre, np.arange(wavelength.size), spacing))
         source = calibration.attrs["monochromator_fwhm_nm"] if lab is None else lab.width[step]
-        profile = _profile(calibration.attrs, own / abs(across), float(source) / abs(across))
-        reach = _REACH * float(np.hypot(own, source)) / abs(across)
-        curve_at = np.linspace(-reach, reach, _POINTS)
-        place, counts = np.empty(0), np.empty(0)
+        profile = _profile(calibration.attrs, camera_width / abs(spacing_at), float(source) / abs(spacing_at))
+        reach = _REACH * float(np.hypot(camera_width, source)) / abs(spacing_at)
+        curve_distance = np.linspace(-reach, reach, _POINTS)
+        distance, counts = np.empty(0), np.empty(0)
         if lab is not None:
-            place, counts = _samples(lab, calibration, step, column)
-            near = np.abs(place - centre) <= reach
-            place, counts = place[near] - centre, counts[near]
-        fitted.append(
+            distance, counts = _samples(lab, calibration, step, column)
+            is_near = np.abs(distance - centre) <= reach
+            distance, counts = distance[is_near] - centre, counts[is_near]
+        results.append(
             FittedLine(
-                float(lines["step_wavelength"][step]),
-                place * across,
+                float(variables["step_wavelength"][step]),
+                distance * spacing_at,
                 counts,
-                counts / amplitude - profile(place),
-                curve_at * across,
-                amplitude * profile(curve_at),
+                counts / amplitude - profile(distance),
+                curve_distance * spacing_at,
+                amplitude * profile(curve_distance),
             )
         )
-    return fitted
+    return results
 
 
-def _profile(attrs: Mapping[Any, Any], own: float, source: float) -> Callable[[Floats], Floats]:
-    # Profile of a line of unit height over the distance from its centre; all in bands
+def _profile(attrs: Mapping[Any, Any], camera_width: float, source: float) -> Callable[[Floats], Floats]:
+    # Return the profile of a lamp line of unit height over the distance from its centre, in bands.
     shape, triangular = SHAPES[str(attrs["srf_shape"])], attrs["monochromator_shape"] == "triangle"
 
     def of_unit_area(place: Floats) -> Floats:
         out: Floats = np.empty((1, place.size))
-        profiles(place[None], np.array([own]), np.array([source]), shape, triangular, out)
+        profiles(place[None], np.array([camera_width]), np.array([source]), shape, triangular, out)
         return np.asarray(out[0])
 
     peak = of_unit_area(np.zeros(1))

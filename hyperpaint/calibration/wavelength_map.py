@@ -14,7 +14,7 @@ from hyperpaint.base.errors import SchemaError
 
 BAND_DEGREE = 3
 COLUMN_DEGREES = (0, 1, 2, 3, 4)
-_TUKEY = 4.685  # standard deviations beyond which Tukey's biweight gives no weight
+_TUKEY_SD = 4.685  # standard deviations beyond which Tukey's biweight gives no weight
 _ROUNDS = 20
 _HALVINGS = 40
 
@@ -27,7 +27,7 @@ class WavelengthMap:
     #: bands, columns: sizes of the array
     bands: int
     columns: int
-    #: First and last column that the fit has seen; beyond them the surface stays as it is there
+    #: First and last column with lamp lines; beyond them the surface is constant
     lit: tuple[int, int]
     residual: float  #: Robust standard deviation of the lines about the surface [nm]
     weight: Floats  #: (line,): Tukey's weights of the lines
@@ -47,11 +47,11 @@ class WavelengthMap:
         """Return the fractional bands of a wavelength [nm] in some columns, to a little beyond the array."""
         low = np.full(column.shape, -0.05 * self.bands - 2.0)
         high = np.full(column.shape, 1.05 * self.bands + 1.0)
-        rising = self.at(self.bands - 1.0, column) > self.at(0.0, column)
+        is_rising = self.at(self.bands - 1.0, column) > self.at(0.0, column)
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            below = (self.at(middle, column) < wavelength) == rising
-            low, high = np.where(below, middle, low), np.where(below, high, middle)
+            is_below = (self.at(middle, column) < wavelength) == is_rising
+            low, high = np.where(is_below, middle, low), np.where(is_below, high, middle)
         return np.asarray(0.5 * (low + high))
 
     def grid(self) -> tuple[Floats, Floats]:
@@ -68,43 +68,43 @@ def fit_wavelength_map(
     band: Floats, column: Floats, wavelength: Floats, sizes: tuple[int, int], *,
     column_degree: int | None = None, uncertainty: Floats | None = None,
 ) -> WavelengthMap:  # fmt: skip
-    """Return the robust low-order surface through centres of lamp lines; SchemaError where they are too few.
+    """Return the robust low-order surface through centres of lamp lines; SchemaError if they are too few.
 
-    ``band`` and ``column`` (line,) are the place of each line, in fractional bands, ``wavelength`` (line,)
-    the wavelength of its light [nm], ``uncertainty`` (line,) the standard deviation of each centre [band];
-    ``sizes`` are bands and columns of the array. ``column_degree`` is the degree of the smile; None for the
-    lowest of 0 to 4 that suffices.
+    ``band`` and ``column`` (line,) are the position of each lamp line, in fractional bands, ``wavelength``
+    (line,) the wavelength of its light [nm], ``uncertainty`` (line,) the standard deviation of its centre
+    [band]; ``sizes`` are bands and columns of the array. ``column_degree`` is the degree of the smile; None
+    for the lowest of 0 to 4 that suffices.
     """
-    different = len(np.unique(np.round(wavelength, 6)))
-    across = len(np.unique(column))
-    degree = min(BAND_DEGREE, different - 2)
+    n_wavelengths = len(np.unique(np.round(wavelength, 6)))
+    n_columns = len(np.unique(column))
+    degree = min(BAND_DEGREE, n_wavelengths - 2)
     if degree < 1:
         raise SchemaError(
-            f"lamp lines of {different} wavelengths",
+            f"lamp lines of {n_wavelengths} wavelengths",
             expected="3 or more for a wavelength map",
             code="lamp-lines-few",
         )
-    degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < across]
+    degrees = [column_degree] if column_degree is not None else [d for d in COLUMN_DEGREES if d < n_columns]
     weight = np.ones_like(band)
     if uncertainty is not None:
-        # bright lines are not better than the monochromator's dial, so no line may rule the others
-        floor = max(float(np.median(uncertainty)), 1e-9)
-        weight = 1.0 / (uncertainty**2 + floor**2)
+        # the monochromator's dial limits the accuracy of bright lamp lines, so their weight is limited
+        min_uncertainty = max(float(np.median(uncertainty)), 1e-9)
+        weight = 1.0 / (uncertainty**2 + min_uncertainty**2)
         weight /= weight.mean()
 
     def criterion(surface: WavelengthMap) -> float:
-        # Bayesian information, with rounding of stored counts as a floor
+        # Bayesian information criterion, with a lower limit for rounding of counts
         fit = band.size * 2.0 * np.log(surface.residual + 1e-6)
         return float(fit + surface.coefficients.size * np.log(band.size))
 
     trials = [
-        _robust(band, column, wavelength, sizes, (degree, min(trial, max(across - 1, 0))), weight)
+        _robust_surface(band, column, wavelength, sizes, (degree, min(trial, max(n_columns - 1, 0))), weight)
         for trial in degrees
     ]
     return min(trials, key=criterion)
 
 
-def _robust(
+def _robust_surface(
     band: Floats,
     column: Floats,
     wavelength: Floats,
@@ -116,34 +116,34 @@ def _robust(
     u, v = 2.0 * band / max(bands - 1, 1) - 1.0, 2.0 * column / max(columns - 1, 1) - 1.0
     terms = np.asarray(chebyshev.chebvander2d(u, v, list(degrees)), np.float64)
     tukey = np.ones_like(band)
-    solved = np.zeros(terms.shape[1])
+    coefficients = np.zeros(terms.shape[1])
     sigma = np.inf
     for _ in range(_ROUNDS):
-        solved, last = _weighted(terms, wavelength, prior * tukey), solved
-        residual = wavelength - terms @ solved
+        coefficients, previous = _weighted_fit(terms, wavelength, prior * tukey), coefficients
+        residual = wavelength - terms @ coefficients
         sigma = 1.4826 * float(np.median(np.abs(residual)))
-        if sigma < 1e-9 or np.abs(solved - last).max() < 1e-7:
+        if sigma < 1e-9 or np.abs(coefficients - previous).max() < 1e-7:
             break
-        tukey = _biweight(residual / (_TUKEY * sigma))
-    inliers = tukey > 0
-    freedom = max(inliers.sum() - terms.shape[1], 1)
-    rms = float(np.sqrt(((wavelength - terms @ solved)[inliers] ** 2).sum() / freedom))
+        tukey = _biweight(residual / (_TUKEY_SD * sigma))
+    is_inlier = tukey > 0
+    freedom = max(is_inlier.sum() - terms.shape[1], 1)
+    rms = float(np.sqrt(((wavelength - terms @ coefficients)[is_inlier] ** 2).sum() / freedom))
     shape = (degrees[0] + 1, degrees[1] + 1)
     lit = (int(column.min()), int(column.max()))
-    return WavelengthMap(solved.reshape(shape), bands, columns, lit, rms, tukey)
+    return WavelengthMap(coefficients.reshape(shape), bands, columns, lit, rms, tukey)
 
 
 def _biweight(z: Floats) -> Floats:
     return np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
 
 
-def _weighted(terms: Floats, values: Floats, weight: Floats) -> Floats:
+def _weighted_fit(terms: Floats, values: Floats, weight: Floats) -> Floats:
     normal = np.einsum("ni,n,nj->ij", terms, weight, terms, optimize=True)
     return np.asarray(np.linalg.lstsq(normal, terms.T @ (weight * values), rcond=None)[0])
 
 
 def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:
-    """Return the width of every band [nm] by a robust fit to those of the steps; held constant beyond them.
+    """Return the width of every band [nm] by a robust fit to widths of steps, constant beyond them.
 
     ``wavelength``, ``width`` and ``uncertainty`` (step,) are of the lamp lines, medians over the columns;
     ``at`` (band,) are the wavelengths of the result; all in nm.
@@ -154,13 +154,13 @@ def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats
     terms = np.asarray(chebyshev.chebvander(2.0 * (wavelength - low) / scale - 1.0, degree), np.float64)
     prior = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
     tukey: Any = np.ones_like(width)
-    solved = np.zeros(degree + 1)
+    coefficients = np.zeros(degree + 1)
     for _ in range(_ROUNDS):
-        solved = _weighted(terms, width, prior / prior.mean() * tukey)
-        residual = width - terms @ solved
+        coefficients = _weighted_fit(terms, width, prior / prior.mean() * tukey)
+        residual = width - terms @ coefficients
         sigma = 1.4826 * float(np.median(np.abs(residual)))
         if sigma < 1e-9:
             break
-        tukey = _biweight(residual / (_TUKEY * sigma))
-    inside = np.clip(at, low, high)
-    return np.asarray(chebyshev.chebval(2.0 * (inside - low) / scale - 1.0, solved))
+        tukey = _biweight(residual / (_TUKEY_SD * sigma))
+    clipped = np.clip(at, low, high)
+    return np.asarray(chebyshev.chebval(2.0 * (clipped - low) / scale - 1.0, coefficients))

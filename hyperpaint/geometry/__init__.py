@@ -1,6 +1,6 @@
-"""From GPS and attitude to the place of every pixel, and to maps.
+"""From GPS and attitude to the ground position of every pixel, and to maps.
 
-A flight line with navigation comes in, coordinates and map cubes go out; conventions and mounting angles are
+A flight line with navigation comes in; coordinates and map cubes go out. Conventions and mounting angles are
 checked here. For regions and workflows.
 """
 

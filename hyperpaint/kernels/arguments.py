@@ -3,7 +3,7 @@
 The module does not import numba, so that callers can build and keep the groups without loading a compiler.
 
 A kernel is compiled for the types of its arguments: a member that is None removes its branch from the
-compiled code. `given` replaces empty arrays by None.
+compiled code. `without_empty_arrays` replaces empty arrays by None.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from hyperpaint.base.arrays import Array
 Group = TypeVar("Group", bound=tuple[Any, ...])
 
 
-def given(group: Group) -> Group:
+def without_empty_arrays(group: Group) -> Group:
     """Return a group of arguments with empty arrays replaced by None.
 
     Examples
     --------
-    >>> given(StrayLight(*[np.empty(0)] * 5, np.float32(0.1))).give is None
+    >>> without_empty_arrays(StrayLight(*[np.empty(0)] * 5, np.float32(0.1))).band_terms is None
     True
     """
-    empty = (isinstance(each, np.ndarray) and each.size == 0 for each in group)
+    is_empty = (isinstance(member, np.ndarray) and member.size == 0 for member in group)
     make: Callable[..., Group] = type(group)
-    return make(*(None if gone else each for each, gone in zip(group, empty, strict=True)))
+    return make(*(None if drop else member for member, drop in zip(group, is_empty, strict=True)))
 
 
 # --- counts to reflectance: `hyperpaint.kernels.radiometry`
@@ -38,12 +38,12 @@ def given(group: Group) -> Group:
 class DetectorModel(NamedTuple):
     #: (0 or 4,) float32: a2 ... a5 of linear counts c + a2 c^2 + ... + a5 c^5
     polynomial: Array
-    #: (0 or node,) float32: instead, linear counts minus counts at evenly spaced nodes
+    #: (0 or node,) float32: linear counts minus counts at evenly spaced nodes; used instead of `polynomial`
     table: Array
     #: first_node [count], nodes_per_count, float32: position of the nodes
     first_node: Any
     nodes_per_count: Any
-    #: (0 or n, 2) int64: band and column of elements that see no light; their mean counts above dark are the
+    #: (0 or n, 2) int64: band and column of elements without light; their mean counts above dark are the
     #: pedestal of a line
     masked: Array
     on_raw: Any  #: bool: the curve applies to raw counts and to the dark, not to their difference
@@ -61,37 +61,37 @@ class Calibration(NamedTuple):
 
 
 class StrayLight(NamedTuple):
-    """Light of other bands in linear counts above dark: ``smear`` of their sum, ``give @ take`` of the rest.
+    """Light of other bands in linear counts above dark: smear, and the product ``band_terms @ source_terms``.
 
-    Smear is proportional to counts as read. Scattered light is proportional to the light before the detector,
-    hence the ``level`` of each element.
+    The product applies to the counts without smear. Smear is proportional to counts as read. Scattered light
+    is proportional to the light before the detector, hence the ``level`` of each element.
     """
 
-    give: Array  #: (band, term) float32; a multiple of four terms
-    take: Array  #: (term, band) float32; bands padded with zeros to a multiple of four
+    band_terms: Array  #: (band, term) float32; a multiple of four terms
+    source_terms: Array  #: (term, band) float32; bands padded with zeros to a multiple of four
     smear: Array  #: (line,) float32: share of the sum of all bands [1]
-    #: (n, 3) int64: column and band of bad elements, and the band whose counts replace theirs; -1 for 0
-    stands_in: Array
-    #: (band, column) float32: counts of a uniform detector over those of an element [1]; NaN for bad ones
+    #: (n, 3) int64: column and band of a bad element, and the band whose counts it gets; -1 to set it to 0
+    replacements: Array
+    #: (band, column) float32: counts of a uniform detector over counts of an element [1]; NaN if bad
     level: Array
     relative: Any  #: float32: relative standard uncertainty of the subtracted light [1]
 
 
 # Factors that turn dark-subtracted counts times gain into values, by smile cell.
 class LightCells(NamedTuple):
-    #: (line, band, cell, 1 or 4) float32: one factor, or the coefficients of a cubic in ``shift`` that
-    #: divides
+    #: (line, band, cell, 1 or 4) float32: a factor, or the coefficients of a cubic in ``shift`` that is the
+    #: divisor
     coefficients: Array
     #: (1 or band, column) float32: position of a column inside its cell; None without smile
     shift: Array | None
-    #: edges (1 or band, run + 1), cells (1 or band, run) int64: first columns of runs of columns that share a
-    #: cell, and that cell; None without smile
+    #: edges (1 or band, run + 1), cells (1 or band, run) int64: a run is a range of columns of the same cell;
+    #: its first column and its cell. None without smile
     edges: Any
     cells: Any
 
 
 def light_cells(coefficients: Array, shift: Array, edges: Array, cells: Array) -> LightCells:
-    # `LightCells`; column positions are kept only where coefficients are cubics.
+    # Return `LightCells`; column positions are stored only for cubic coefficients.
     return LightCells(coefficients, *((shift, edges, cells) if coefficients.shape[3] > 1 else (None,) * 3))
 
 
@@ -103,14 +103,18 @@ class CountLimits(NamedTuple):
     saturation: Array | None  #: (band, column), dtype of the counts: by element; None where uniform
     #: (band, column) float32: noise margin below the dark [count]; NaN for an element that sets no flag
     noise_margin: Array
-    most_negative: Any  #: uint16: samples below the dark that a pixel may have
-    whole: Any  #: bool: counts are integers
+    max_negative_bands: Any  #: uint16: samples below the dark that a pixel may have
+    is_integer: Any  #: bool: counts are integers
 
 
-def count_limits(saturation: Array, noise_margin: Array, most_negative: Any, whole: Any) -> CountLimits:
+def count_limits(
+    saturation: Array, noise_margin: Array, max_negative_bands: Any, is_integer: Any
+) -> CountLimits:
     # ``saturation`` has shape (1, 1) or (band, column)
-    each = saturation if saturation.size > 1 else None
-    return CountLimits(saturation.min(), saturation.max(), each, noise_margin, most_negative, whole)
+    by_element = saturation if saturation.size > 1 else None
+    return CountLimits(
+        saturation.min(), saturation.max(), by_element, noise_margin, max_negative_bands, is_integer
+    )
 
 
 # Bit masks that round float32 values to nearest-even, as numcodecs' BitRound does.
@@ -121,7 +125,7 @@ class Rounding(NamedTuple):
 
 
 def rounding(cleared_bits: int) -> Rounding | None:
-    # Rounding that clears this number of mantissa bits; None for 0.
+    # Return the masks that clear this number of mantissa bits; None for 0.
     if not cleared_bits:
         return None
     last = 1 << int(cleared_bits)
@@ -184,7 +188,7 @@ class Bodies(NamedTuple):
 class LightParts(NamedTuple):
     """Direct and diffuse share of the irradiance, and the sky as a perfect mirror shows it (channel,) [1].
 
-    ``above`` is the sky at the zenith; ``sunward`` is the excess of the sky around the sun over ``above``, 0
+    ``above`` is the sky at the zenith; ``sunward`` is the sky around the sun minus ``above``, 0
     for a uniform sky. Both are reflectances of a perfect mirror, float64.
     """
 
@@ -228,7 +232,7 @@ class Unmixed(NamedTuple):
 # --- lamp lines: `hyperpaint.kernels.line_fits`
 
 
-# Samples of lamp lines, one row each, or of a single one.
+# Samples of lamp lines, one row per lamp line; or the samples of a single lamp line.
 class LineSamples(NamedTuple):
     values: Array  #: (line, sample) float64
     weights: Array  #: (line, sample) float64: 1 / variance; 0 excludes a sample
@@ -262,7 +266,7 @@ class LineFrames(NamedTuple):
     x: Array
     y: Array
     height: Array
-    turn: Array  #: (line,) float64: change of the direction of north with east [rad m-1]
+    convergence: Array  #: (line,) float64: change of the direction of north with east [rad m-1]
 
 
 # Side of the blocks of a raster whose highest point is stored [cell].
@@ -278,7 +282,7 @@ class Raster(NamedTuple):
     heights: Array  #: (row, col) float64: above the ellipsoid [m]; NaN in holes
     #: (ceil((row - 1) / `BLOCK`), ceil((col - 1) / `BLOCK`)) float64: highest point of every block; minus
     #: infinity where all of it is a hole
-    tops: Array
+    block_max: Array
     #: lowest, highest height [m]
     lowest: float
     highest: float
@@ -295,8 +299,8 @@ class LinePositions(NamedTuple):
     #: east_before, north_before (column,) float64: of the line before; NaN for the first line
     east_before: Array
     north_before: Array
-    #: (line, column - 1) bool: whether two pixels, with those of the line before, span no patch; empty where
-    #: all do
+    #: (line, column - 1) bool: whether two pixels and the two of the line before span no patch; empty where
+    #: all span one
     hidden: Array
 
 
@@ -316,7 +320,7 @@ class InverseTile(NamedTuple):
     place: Array
     #: (2, row, col) int32: line and column of the nearest of the patch's four pixels
     nearest: Array
-    #: (row, col) float64: rank of the patch over a cell, the least wins; infinite where none covers it
+    #: (row, col) float64: rank of the patch over a cell, lowest first; infinite without a patch
     rank: Array
     hits: Array  #: (row, col) uint16: number of patches over every cell
 
@@ -326,8 +330,8 @@ class Places(NamedTuple):
     #: lines, columns (place,) int64: line and column, rounded down
     lines: Array
     columns: Array
-    #: along, across (place,), dtype of the output: fraction towards the next line and column, 0 to 1; with 0
-    #: the next is not read
+    #: along, across (place,), dtype of the output: fraction towards the next line and column, 0 to 1; at 0
+    #: the next line or column is not read
     along: Array
     across: Array
     cells: Array  #: (place,) int64: target cell

@@ -16,8 +16,8 @@ _COLUMNS = 16
 
 
 @kernel
-def _turn(source: Array, start: int, stop: int, out: Array) -> None:
-    # From (band, column) to (column, band).
+def _transpose(source: Array, start: int, stop: int, out: Array) -> None:
+    # Copy (band, column) to (column, band).
     for block in range(start, stop, _COLUMNS):
         end = min(block + _COLUMNS, stop)
         for band in range(source.shape[0]):
@@ -27,12 +27,12 @@ def _turn(source: Array, start: int, stop: int, out: Array) -> None:
 
 @kernel
 def gather_nearest(
-    slab: Array, lines: Array, columns: Array, cells: Array, turned: Array, out: Array
+    slab: Array, lines: Array, columns: Array, cells: Array, spectra: Array, out: Array
 ) -> None:
     """Copy the spectra of pixels of a slab (line, band, column) to ``out`` (cell, band).
 
     ``lines`` and ``columns`` (pixel,) are the pixels in the order of their lines, ``cells`` (pixel,) their
-    targets; ``turned`` (column, band) is a buffer of the dtype of ``out``.
+    targets; ``spectra`` (column, band) is a buffer of the dtype of ``out``.
     """
     k = 0
     while k < lines.size:
@@ -40,22 +40,22 @@ def gather_nearest(
         while stop < lines.size and lines[stop] == lines[k]:
             low, high = min(low, columns[stop]), max(high, columns[stop])
             stop += 1
-        _turn(slab[lines[k]], low, high + 1, turned)
+        _transpose(slab[lines[k]], low, high + 1, spectra)
         for pixel in range(k, stop):
             column, cell = columns[pixel], cells[pixel]
-            for band in range(turned.shape[1]):
-                out[cell, band] = turned[column, band]
+            for band in range(spectra.shape[1]):
+                out[cell, band] = spectra[column, band]
         k = stop
 
 
 @kernel
 def gather_bilinear(
-    slab: Array, after: Array, places: Places, turned: Array, turned_next: Array, out: Array
+    slab: Array, after: Array, places: Places, spectra: Array, next_spectra: Array, out: Array
 ) -> None:
     """Write spectra (cell, band), interpolated between four pixels of a slab (line, band, column).
 
     A value is NaN where a pixel that has weight is NaN. ``after`` (band, column) is the line that follows the
-    slab; ``turned`` and ``turned_next`` (column, band) are buffers of the dtype of ``out``.
+    slab; ``spectra`` and ``next_spectra`` (column, band) are buffers of the dtype of ``out``.
     """
     lines, columns, along, across, cells = places
     last = slab.shape[2] - 1
@@ -67,20 +67,20 @@ def gather_bilinear(
             low, high = min(low, columns[stop]), max(high, columns[stop])
             stop += 1
         high = min(high + 1, last)
-        _turn(slab[line], low, high + 1, turned)
+        _transpose(slab[line], low, high + 1, spectra)
         if line + 1 < slab.shape[0]:
-            _turn(slab[line + 1], low, high + 1, turned_next)
+            _transpose(slab[line + 1], low, high + 1, next_spectra)
         else:
-            _turn(after, low, high + 1, turned_next)
+            _transpose(after, low, high + 1, next_spectra)
         for place in range(k, stop):
-            a, b = along[place], across[place]
+            along_share, across_share = along[place], across[place]
             left = columns[place]
-            right = left if b == 0 else left + 1
-            near = turned
-            far = near if a == 0 else turned_next
+            right = left if across_share == 0 else left + 1
+            lower = spectra
+            upper = lower if along_share == 0 else next_spectra
             cell = cells[place]
             for band in range(out.shape[1]):
-                first = near[left, band] + b * (near[right, band] - near[left, band])
-                second = far[left, band] + b * (far[right, band] - far[left, band])
-                out[cell, band] = first + a * (second - first)
+                before = lower[left, band] + across_share * (lower[right, band] - lower[left, band])
+                next_value = upper[left, band] + across_share * (upper[right, band] - upper[left, band])
+                out[cell, band] = before + along_share * (next_value - before)
         k = stop

@@ -18,11 +18,11 @@ from .arguments import InverseTile, LinePositions, MapCells
 # Rule that selects one of several patches over a cell: nearest to the middle column, first line, last line.
 NADIR, FIRST, LAST = 0, 1, 2
 
-# Lower edges of a patch are moved outwards and upper ones inwards by this part of it, so that a centre on a
-# common edge belongs to one patch in spite of rounding.
+# Lower edges of a patch are moved outwards and upper edges inwards by this fraction of the patch: a centre on
+# a common edge belongs to one patch in spite of rounding.
 _EDGE = 1e-9
-# Outer edges of a line are moved outwards by this part of a patch, the rounding of large map coordinates.
-_OUTER = 1e-6
+# Outer edges of a flight line are moved outwards by this fraction of a patch: rounding of map coordinates.
+_OUTER_EDGE = 1e-6
 
 
 @kernel
@@ -43,10 +43,10 @@ def _inside_patch(
     k2 = by * cx - bx * cy
     k1 = ax * by - ay * bx + px * cy - py * cx
     k0 = ay * px - ax * py
-    inside = k1 * k1 - 4.0 * k2 * k0
-    if not inside >= 0.0:
+    discriminant = k1 * k1 - 4.0 * k2 * k0
+    if not discriminant >= 0.0:
         return False, 0.0, 0.0
-    q = -0.5 * (k1 + math.copysign(math.sqrt(inside), k1))
+    q = -0.5 * (k1 + math.copysign(math.sqrt(discriminant), k1))
     for root in range(2):
         v = math.nan
         if root == 0 and q != 0.0:
@@ -68,17 +68,17 @@ def _inside_patch(
 def _nearest_corner(
     px: float, py: float, ax: float, ay: float, bx: float, by: float, fx: float, fy: float
 ) -> tuple[int, int]:
-    # The corners are at 0, a, b and b + f; the result is the line and column offset (0 or 1).
+    # Return line and column offset (0 or 1) of the nearest of the corners at 0, a, b and b + f.
     line, column = 0, 0
-    least = px * px + py * py
-    away = (px - ax) ** 2 + (py - ay) ** 2
-    if away < least:
-        least, column = away, 1
+    shortest = px * px + py * py
+    distance = (px - ax) ** 2 + (py - ay) ** 2
+    if distance < shortest:
+        shortest, column = distance, 1
     qx, qy = px - bx, py - by
-    away = qx * qx + qy * qy
-    if away < least:
-        least, line, column = away, 1, 0
-    if (qx - fx) ** 2 + (qy - fy) ** 2 < least:
+    distance = qx * qx + qy * qy
+    if distance < shortest:
+        shortest, line, column = distance, 1, 0
+    if (qx - fx) ** 2 + (qy - fy) ** 2 < shortest:
         line, column = 1, 1
     return line, column
 
@@ -87,7 +87,7 @@ def _nearest_corner(
 def _to_cells(
     east: Array, north: Array, frame: Array, x: Array, y: Array, reach: tuple[float, float, float, float]
 ) -> tuple[int, int]:
-    # Pixels of a line in cell coordinates; the result is the first and last column within reach.
+    # Write the pixels of a line in cell coordinates; return the first and last column within reach.
     # ``reach`` holds the least and largest row, then column, of a corner of any patch over the tile.
     for j in range(east.size):  # a loop without branches, which vectorises
         e, n = east[j] - frame[0], north[j] - frame[1]
@@ -105,7 +105,7 @@ def _to_cells(
 def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCells, out: InverseTile) -> None:
     """Write line and column at every cell of a tile, as far as the given lines cover it.
 
-    ``first`` is the number of the first given line, ``last`` the number of the last line of the flight. Lines
+    ``first`` is the number of the first line in ``positions``, ``last`` of the last line of the flight. Lines
     may overlap earlier ones: every patch is visited, whatever its orientation.
     """
     east, north, hidden = positions.east, positions.north, positions.hidden
@@ -114,43 +114,43 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
     last_row, last_col = first_row + hits.shape[0] - 1.0, first_col + hits.shape[1] - 1.0
     columns = east.shape[1]
     x0, y0, x1, y1 = np.empty(columns), np.empty(columns), np.empty(columns), np.empty(columns)
-    box = np.empty((5, columns))
-    # a corner is at most two longest edges away from a cell inside its patch
-    away = 2.0 * cells.longest + 1.0
-    reach = (first_row - away, last_row + away, first_col - away, last_col + away)
+    bounds = np.empty((5, columns))
+    # a corner of a patch is at most twice the longest edge away from a cell inside the patch
+    margin = 2.0 * cells.longest + 1.0
+    reach = (first_row - margin, last_row + margin, first_col - margin, last_col + margin)
     start0, stop0 = _to_cells(positions.east_before, positions.north_before, frame, x0, y0, reach)
     for i in range(east.shape[0]):
         start1, stop1 = _to_cells(east[i], north[i], frame, x1, y1, reach)
         start, stop = max(start0, start1), min(stop0, stop1)
-        start_v = -_OUTER if first + i == 1 else -_EDGE
-        end_v = 1.0 + _OUTER if first + i == last else 1.0 - _EDGE
+        start_v = -_OUTER_EDGE if first + i == 1 else -_EDGE
+        end_v = 1.0 + _OUTER_EDGE if first + i == last else 1.0 - _EDGE
         if start < stop:
             for j in range(start, stop + 1):
-                box[0, j], box[1, j] = min(x0[j], x1[j]) - _OUTER, max(x0[j], x1[j]) + _OUTER
-                box[2, j], box[3, j] = min(y0[j], y1[j]) - _OUTER, max(y0[j], y1[j]) + _OUTER
-                box[4, j] = x0[j] + y0[j] + x1[j] + y1[j]
+                bounds[0, j], bounds[1, j] = min(x0[j], x1[j]) - _OUTER_EDGE, max(x0[j], x1[j]) + _OUTER_EDGE
+                bounds[2, j], bounds[3, j] = min(y0[j], y1[j]) - _OUTER_EDGE, max(y0[j], y1[j]) + _OUTER_EDGE
+                bounds[4, j] = x0[j] + y0[j] + x1[j] + y1[j]
             for j in range(start, stop):
-                if not abs(box[4, j] + box[4, j + 1]) < math.inf:  # a corner is unknown
+                if not abs(bounds[4, j] + bounds[4, j + 1]) < math.inf:  # a corner is unknown
                     continue
                 if hidden.size and hidden[i, j]:
                     continue
-                left, right = min(box[0, j], box[0, j + 1]), max(box[1, j], box[1, j + 1])
-                upper, lower = min(box[2, j], box[2, j + 1]), max(box[3, j], box[3, j + 1])
-                top, beside = math.ceil(max(upper, first_row)), math.ceil(max(left, first_col))
-                if top > min(lower, last_row) or beside > min(right, last_col):  # no centre in between
+                left, right = min(bounds[0, j], bounds[0, j + 1]), max(bounds[1, j], bounds[1, j + 1])
+                upper, lower = min(bounds[2, j], bounds[2, j + 1]), max(bounds[3, j], bounds[3, j + 1])
+                top_row, left_col = math.ceil(max(upper, first_row)), math.ceil(max(left, first_col))
+                if top_row > min(lower, last_row) or left_col > min(right, last_col):  # no centre in between
                     continue
                 ax, ay = x0[j + 1] - x0[j], y0[j + 1] - y0[j]
                 bx, by = x1[j] - x0[j], y1[j] - y0[j]
                 fx, fy = x1[j + 1] - x1[j], y1[j + 1] - y1[j]
                 gx, gy = x1[j + 1] - x0[j + 1], y1[j + 1] - y0[j + 1]
-                near = max(ax * ax + ay * ay, bx * bx + by * by)
-                edge = max(near, max(fx * fx + fy * fy, gx * gx + gy * gy))
-                if edge > cells.longest * cells.longest:
+                longest_squared = max(ax * ax + ay * ay, bx * bx + by * by)
+                edge_squared = max(longest_squared, max(fx * fx + fy * fy, gx * gx + gy * gy))
+                if edge_squared > cells.longest * cells.longest:
                     continue
-                start_u = -_OUTER if j == 0 else -_EDGE
-                end_u = 1.0 + _OUTER if j == columns - 2 else 1.0 - _EDGE
-                for row in range(top, math.floor(min(lower, last_row)) + 1):
-                    for col in range(beside, math.floor(min(right, last_col)) + 1):
+                start_u = -_OUTER_EDGE if j == 0 else -_EDGE
+                end_u = 1.0 + _OUTER_EDGE if j == columns - 2 else 1.0 - _EDGE
+                for row in range(top_row, math.floor(min(lower, last_row)) + 1):
+                    for col in range(left_col, math.floor(min(right, last_col)) + 1):
                         px, py = col - x0[j], row - y0[j]
                         inside, u, v = _inside_patch(
                             (px, py),
@@ -166,18 +166,18 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
                         if hits[r, c] < 65535:
                             hits[r, c] += 1
                         line, sample = first + i - 1 + v, j + u
-                        worth = abs(sample - 0.5 * (columns - 1))
+                        rank_here = abs(sample - 0.5 * (columns - 1))
                         if rule == FIRST:
-                            worth = line
+                            rank_here = line
                         elif rule == LAST:
-                            worth = -line
-                        if worth < rank[r, c]:
-                            rank[r, c] = worth
+                            rank_here = -line
+                        if rank_here < rank[r, c]:
+                            rank[r, c] = rank_here
                             place[0, r, c] = line
                             place[1, r, c] = sample
-                            down, aside = _nearest_corner(px, py, ax, ay, bx, by, fx, fy)
-                            nearest[0, r, c] = first + i - 1 + down
-                            nearest[1, r, c] = j + aside
+                            line_step, column_step = _nearest_corner(px, py, ax, ay, bx, by, fx, fy)
+                            nearest[0, r, c] = first + i - 1 + line_step
+                            nearest[1, r, c] = j + column_step
         x0, x1 = x1, x0
         y0, y1 = y1, y0
         start0, stop0 = start1, stop1
@@ -207,12 +207,12 @@ def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Arr
             for k in range(4):
                 k1 = (k + 1) % 4
                 if (y[k] <= row) != (y[k1] <= row):
-                    at = x[k] + (row - y[k]) / (y[k1] - y[k]) * (x[k1] - x[k])
-                    place = count
-                    while place > 0 and crossing[place - 1] > at:
-                        crossing[place] = crossing[place - 1]
-                        place -= 1
-                    crossing[place] = at
+                    x_cross = x[k] + (row - y[k]) / (y[k1] - y[k]) * (x[k1] - x[k])
+                    slot = count
+                    while slot > 0 and crossing[slot - 1] > x_cross:
+                        crossing[slot] = crossing[slot - 1]
+                        slot -= 1
+                    crossing[slot] = x_cross
                     count += 1
             for k in range(0, count - 1, 2):
                 if crossing[k] > last_col or crossing[k + 1] < first_col:
@@ -225,7 +225,7 @@ def fill_between(ends: Array, frame: Array, corner: tuple[int, int], inside: Arr
 
 @kernel
 def look_at_lines(east: Array, north: Array, frame: Array, out: Array) -> None:
-    """Write bounding box and ends of lines, of pixels with a position; NaN stays for lines without any.
+    """Write bounding box and ends of the located pixels of lines; lines without located pixels keep NaN.
 
     ``frame`` (6,) are east and north of an anchor, then the factors that turn offsets from it into distances
     to the right and down. ``out`` (line, 8 or more): least and largest distance to the right and down [m],

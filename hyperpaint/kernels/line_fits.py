@@ -21,8 +21,8 @@ GAUSSIAN, SLIT = 0, 1
 _SIGMA = 1.0 / (2.0 * math.sqrt(2.0 * math.log(2.0)))
 _ROOT2 = math.sqrt(2.0)
 _ROOT2PI = math.sqrt(2.0 * math.pi)
-_NARROWEST = 0.05  # [sample]; narrower boxes have no effect
-_STEPS = 60
+_MIN_BOX_SAMPLES = 0.05  # [sample]; narrower boxes have no effect
+_MAX_STEPS = 60
 
 
 @kernel
@@ -52,14 +52,14 @@ def _cube(x: float) -> float:
 
 @kernel
 def _four_boxes(x: float, a: float, b: float, c: float) -> float:
-    # Boxes ``a``, ``b``, ``c`` and ``c`` wide convolved with one another, of unit area.
+    # Convolution of four boxes of unit area, ``a``, ``b``, ``c`` and ``c`` wide.
     x = -abs(x)
     total = 0.0
     for i in range(2):
         for j in range(2):
-            at = x + (0.5 - i) * a + (0.5 - j) * b
+            offset = x + (0.5 - i) * a + (0.5 - j) * b
             sign = 1.0 if i == j else -1.0
-            total += sign * (_cube(at + c) - 2.0 * _cube(at) + _cube(at - c))
+            total += sign * (_cube(offset + c) - 2.0 * _cube(offset) + _cube(offset - c))
     return max(total / (a * b * c * c), 0.0)
 
 
@@ -72,14 +72,14 @@ def line_profile(x: float, width: float, source: float, shape: int, triangular: 
     ``source`` is the full width at half maximum of the light, whose spectrum is triangular or else Gaussian.
     """
     if shape == GAUSSIAN:
-        if triangular and source > _NARROWEST:
+        if triangular and source > _MIN_BOX_SAMPLES:
             return _two_boxes(x, source, source, _SIGMA * width)
         sigma = _SIGMA * width
         if not triangular:
             sigma = _SIGMA * math.sqrt(width * width + source * source)
         z = x / sigma
         return float(math.exp(-0.5 * z * z) / (_ROOT2PI * sigma))
-    if triangular and source > _NARROWEST:
+    if triangular and source > _MIN_BOX_SAMPLES:
         return _four_boxes(x, width, 1.0, source)
     return _two_boxes(x, width, 1.0, 0.0 if triangular else _SIGMA * source)
 
@@ -116,7 +116,7 @@ def _solve4(matrix: Array, right: Array, out: Array) -> bool:
 def _normal_equations(
     line: LineSamples, p: Array, shape: int, triangular: bool, matrix: Array, right: Array
 ) -> float:
-    # At parameters ``p``; the result is the weighted sum of squared residuals.
+    # Write the normal equations at parameters ``p``; return the weighted sum of squared residuals.
     values, weights, first, source = line
     step = 1e-5 * max(p[WIDTH], 0.1)
     matrix[:] = 0.0
@@ -129,10 +129,10 @@ def _normal_equations(
             continue
         x = first + i - p[CENTRE]
         height = line_profile(x, p[WIDTH], source, shape, triangular)
-        right_of = line_profile(x + step, p[WIDTH], source, shape, triangular)
-        left_of = line_profile(x - step, p[WIDTH], source, shape, triangular)
+        shifted_right = line_profile(x + step, p[WIDTH], source, shape, triangular)
+        shifted_left = line_profile(x - step, p[WIDTH], source, shape, triangular)
         wider = line_profile(x, p[WIDTH] + step, source, shape, triangular)
-        row[CENTRE] = -p[AREA] * (right_of - left_of) / (2.0 * step)
+        row[CENTRE] = -p[AREA] * (shifted_right - shifted_left) / (2.0 * step)
         row[WIDTH] = p[AREA] * (wider - height) / step
         row[AREA] = height
         row[OFFSET] = 1.0
@@ -164,13 +164,13 @@ def _chi2(line: LineSamples, p: Array, shape: int, triangular: bool) -> float:
 def _fit_line(
     line: LineSamples, p: Array, shape: int, triangular: bool, covariance: Array
 ) -> tuple[float, bool]:
-    # Parameters improve in place; the result is chi2, and whether the search converged.
+    # Improve the parameters in place; return chi2, and whether the search converged.
     matrix, right, damped = np.empty((4, 4)), np.empty(4), np.empty((4, 4))
     change, trial = np.empty(4), np.empty(4)
     damping = 1e-3
     chi2 = _normal_equations(line, p, shape, triangular, matrix, right)
-    ended = False
-    for _ in range(_STEPS):
+    converged = False
+    for _ in range(_MAX_STEPS):
         damped[:] = matrix
         for j in range(4):
             damped[j, j] *= 1.0 + damping
@@ -178,21 +178,21 @@ def _fit_line(
             break
         for j in range(4):
             trial[j] = p[j] + change[j]
-        trial[WIDTH] = min(max(trial[WIDTH], 0.5 * p[WIDTH], _NARROWEST), 2.0 * p[WIDTH])
+        trial[WIDTH] = min(max(trial[WIDTH], 0.5 * p[WIDTH], _MIN_BOX_SAMPLES), 2.0 * p[WIDTH])
         trial_chi2 = _chi2(line, trial, shape, triangular)
         if trial_chi2 <= chi2:
-            moved = abs(trial[CENTRE] - p[CENTRE]) + abs(trial[WIDTH] - p[WIDTH])
+            change_size = abs(trial[CENTRE] - p[CENTRE]) + abs(trial[WIDTH] - p[WIDTH])
             p[:] = trial
-            gained = chi2 - trial_chi2
+            decrease = chi2 - trial_chi2
             chi2 = _normal_equations(line, p, shape, triangular, matrix, right)
             damping = max(damping * 0.1, 1e-12)
-            if moved < 1e-9 * p[WIDTH] or gained <= 1e-13 * chi2:
-                ended = True
+            if change_size < 1e-9 * p[WIDTH] or decrease <= 1e-13 * chi2:
+                converged = True
                 break
         else:
             damping *= 10.0
             if damping > 1e8:
-                ended = True  # only rounding is left to improve
+                converged = True  # improvements are below rounding
                 break
     unit = np.zeros(4)
     for j in range(4):
@@ -202,7 +202,7 @@ def _fit_line(
             covariance[:] = np.nan
             return chi2, False
         covariance[j] = change
-    return chi2, ended
+    return chi2, converged
 
 
 @kernel
@@ -219,10 +219,10 @@ def fit_lines(samples: LineSamples, shape: int, triangular: bool, fits: LineFits
             chi2[line] = np.nan
             converged[line] = False
             continue
-        one = LineSamples(
+        line_samples = LineSamples(
             samples.values[line], samples.weights[line], samples.first[line], samples.source[line]
         )
-        chi2[line], ended = _fit_line(one, parameters[line], shape, triangular, covariance[line])
+        chi2[line], ended = _fit_line(line_samples, parameters[line], shape, triangular, covariance[line])
         converged[line] = ended and np.isfinite(chi2[line])
 
 

@@ -21,7 +21,7 @@ class LinearMemory(NamedTuple):
     #: (band, column) float32: dark of the line, linearised where the detector's curve is of raw counts
     dark: Array
     signal: Array  #: (column,) float32: linear counts above dark of the current band
-    #: node (column,) int32, part (column,) float32: whole and fractional position of counts in a table
+    #: node (column,) int32, part (column,) float32: integer and fraction of the position of counts in a table
     node: Array
     part: Array
 
@@ -30,7 +30,7 @@ class LinearMemory(NamedTuple):
 def linear_memory(
     polynomial: Array | None, table: Array | None, bands: int, columns: int
 ) -> LinearMemory | None:
-    # Buffers for a detector with a linearity curve; None for one without.
+    # Return buffers for a linearity curve; None without a curve.
     if polynomial is None and table is None:
         return None
     return LinearMemory(
@@ -62,21 +62,21 @@ def polynomial_row(polynomial: Array | None, counts: Array) -> None:
 def table_row(detector: DetectorModel, table: Array | None, memory: LinearMemory, counts: Array) -> None:
     """Linearise counts (column,) in place by a table of corrections.
 
-    The table is linear between nodes, and extrapolated from the outer two. Node numbers are computed in a
-    loop of their own, because look-ups do not vectorise.
+    The table is linear between nodes, and extrapolated from the two outermost nodes. Node numbers are
+    computed in a separate loop, because look-ups do not vectorise.
     """
     if table is not None:
         node, part = memory.node, memory.part
         last = np.float32(table.size - 2)
         for x in range(counts.size):
-            place = (counts[x] - detector.first_node) * detector.nodes_per_count
+            position = (counts[x] - detector.first_node) * detector.nodes_per_count
             # false for NaN, whose conversion to an integer is undefined
-            inside = min(place, last) if place > _NOTHING else _NOTHING
-            node[x] = np.int32(inside)
-            part[x] = place - np.float32(node[x])
+            clipped = min(position, last) if position > _NOTHING else _NOTHING
+            node[x] = np.int32(clipped)
+            part[x] = position - np.float32(node[x])
         for x in range(counts.size):
-            low = table[np.uint32(node[x])]
-            part[x] = low + part[x] * (table[np.uint32(node[x]) + _ONE] - low)
+            correction = table[np.uint32(node[x])]
+            part[x] = correction + part[x] * (table[np.uint32(node[x]) + _ONE] - correction)
         for x in range(counts.size):
             counts[x] = counts[x] + part[x]
 
@@ -119,7 +119,7 @@ def slope_row(
     table: Array | None,
     slope: Array,
 ) -> None:
-    # Write the derivative of linear counts by counts (column,), which scales the noise.
+    # Write the derivative of linear counts with respect to counts (column,), which scales the noise.
     if polynomial is not None:
         a2, a3 = np.float32(2.0) * polynomial[0], np.float32(3.0) * polynomial[1]
         a4, a5 = np.float32(4.0) * polynomial[2], np.float32(5.0) * polynomial[3]
@@ -130,6 +130,6 @@ def slope_row(
         last, per_count = np.float32(table.size - 2), detector.nodes_per_count
         for x in range(slope.size):
             count = np.float32(counts[x]) - (_NOTHING if detector.on_raw else dark[x])
-            place = (count - detector.first_node) * per_count
-            node = np.uint32(np.int32(min(place, last) if place > _NOTHING else _NOTHING))
+            position = (count - detector.first_node) * per_count
+            node = np.uint32(np.int32(min(position, last) if position > _NOTHING else _NOTHING))
             slope[x] = _ONE_F32 + (table[node + _ONE] - table[node]) * per_count

@@ -20,20 +20,20 @@ def pedestal_of(counts: Array, dark: Array, masked: Array) -> Any:
     Computed twice; the second time without elements over `_FAR_SD` standard deviations from the first mean. 0
     where no count is finite.
     """
-    mean, far = 0.0, np.inf
+    mean, limit = 0.0, np.inf
     for _ in range(2):
-        number, total, square = 0, 0.0, 0.0
+        count, total, squares = 0, 0.0, 0.0
         for k in range(masked.shape[0]):
-            beyond = float(counts[masked[k, 0], masked[k, 1]]) - float(dark[masked[k, 0], masked[k, 1]])
-            if abs(beyond - mean) <= far:
-                number += 1
-                total += beyond - mean
-                square += (beyond - mean) ** 2
-        if number == 0:
+            excess = float(counts[masked[k, 0], masked[k, 1]]) - float(dark[masked[k, 0], masked[k, 1]])
+            if abs(excess - mean) <= limit:
+                count += 1
+                total += excess - mean
+                squares += (excess - mean) ** 2
+        if count == 0:
             return np.float32(mean)
-        shift = total / number
+        shift = total / count
         mean += shift
-        far = _FAR_SD * np.sqrt(max(square / number - shift * shift, 0.0)) + 1e-9
+        limit = _FAR_SD * np.sqrt(max(squares / count - shift * shift, 0.0)) + 1e-9
     return np.float32(mean)
 
 

@@ -14,8 +14,8 @@ from .arguments import CountLimits, FixedFlags
 _ZERO = np.float32(0.0)
 _SATURATED = np.uint16(1)
 _BELOW_DARK = np.uint16(2)
-# Above one doubtful column in this number, visiting all columns row by row is faster.
-_DOUBTFUL_SHARE = 20
+# With more doubtful columns than one in this number, visiting all columns row by row is faster.
+_COLUMNS_PER_DOUBTFUL = 20
 
 
 # Per-column statistics of a line.
@@ -30,22 +30,22 @@ class Tally(NamedTuple):
 
 
 @borrowing_kernel
-def count_levels(dark: Array, margin: Array, whole: Any, level: Array, floor: Array) -> None:
+def count_levels(dark: Array, margin: Array, is_integer: Any, level: Array, floor: Array) -> None:
     """Write the dark level, and the dark less its noise margin, as counts (band, column).
 
     A sample is below a level exactly when its integer count is below the level rounded up. Levels of an
     element without a margin are set so that no count is below them.
     """
-    nothing = np.float32(0.0 if whole else -np.inf)
+    lowest = np.float32(0.0 if is_integer else -np.inf)
     for band in range(dark.shape[0]):
         for x in range(dark.shape[1]):
             high, low = dark[band, x], dark[band, x] - margin[band, x]
-            if whole:
+            if is_integer:
                 high, low = np.ceil(high), np.ceil(low)
                 high, low = high if high > _ZERO else _ZERO, low if low > _ZERO else _ZERO
             has_margin = margin[band, x] == margin[band, x]
-            level[band, x] = high if has_margin else nothing
-            floor[band, x] = low if has_margin else nothing
+            level[band, x] = high if has_margin else lowest
+            floor[band, x] = low if has_margin else lowest
 
 
 @inlined_kernel
@@ -65,7 +65,7 @@ def limit_of(saturation: Array | None, limits: CountLimits, band: Any, x: Any) -
 
 
 @inlined_kernel
-def look_at(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band: Any, x: Any) -> None:
+def check_element(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band: Any, x: Any) -> None:
     # Mark a column whose element is saturated (if it has a margin), or is below its floor.
     raw, margin = counts[band, x], limits.noise_margin[band, x]
     reached = raw >= limit_of(limits.saturation, limits, band, x)
@@ -99,19 +99,19 @@ def flag_line(
         tally.saturated[x] = 0
         tally.below[x] = 0
         doubtful += (tally.peak[x] >= limits.lowest) | (tally.negative[x] > 0)
-    if doubtful > columns // _DOUBTFUL_SHARE:
+    if doubtful > columns // _COLUMNS_PER_DOUBTFUL:
         for band in range(bands):
             for x in range(columns):
-                look_at(counts, limits, floor, tally, band, x)
+                check_element(counts, limits, floor, tally, band, x)
     elif doubtful > 0:
         for x in range(columns):
             if tally.peak[x] >= limits.lowest or tally.negative[x] > 0:
                 for band in range(bands):
-                    look_at(counts, limits, floor, tally, band, x)
+                    check_element(counts, limits, floor, tally, band, x)
     for x in range(columns):
         bits = line_flags | flags.columns[x]
         if tally.saturated[x] != 0:
             bits |= _SATURATED
-        if tally.below[x] != 0 or tally.negative[x] > limits.most_negative:
+        if tally.below[x] != 0 or tally.negative[x] > limits.max_negative_bands:
             bits |= _BELOW_DARK
         quality[x] = bits

@@ -52,19 +52,19 @@ def dark_of_line(
     weight: Array | None,
     masked: Array | None,
     line: Any,
-    mixed: Array,
+    blended: Array,
 ) -> Array:
-    """Return the dark of a line of counts (band, column), computed in ``mixed`` where it is not stored.
+    """Return the dark of a line of counts (band, column), computed in ``blended`` where it is not stored.
 
     The other arguments are members of `Calibration` and its `DetectorModel`.
     """
     line_dark: Array = dark[0]
     if index is not None and weight is not None:
-        blend(dark[index[line]], dark[index[line] + 1], weight[line], mixed)
-        line_dark = mixed
+        blend(dark[index[line]], dark[index[line] + 1], weight[line], blended)
+        line_dark = blended
     if masked is not None:
-        raise_dark(pedestal_of(counts, line_dark, masked), line_dark, mixed)
-        line_dark = mixed
+        raise_dark(pedestal_of(counts, line_dark, masked), line_dark, blended)
+        line_dark = blended
     return line_dark
 
 
@@ -82,7 +82,7 @@ def value_row(
 ) -> None:
     """Write the values of a ``place`` (line, band) from counts, or from the linear ``signal`` above dark.
 
-    ``signal`` is (column,), ``shift`` that of ``light``. Arrays are indexed by line and band: four row views
+    ``signal`` is (column,); ``shift`` is ``light.shift``. Arrays are indexed by line and band: four row views
     would cost a quarter of the loop's time.
     """
     line, band = place
@@ -136,7 +136,7 @@ def divide_run(
 
 @inlined_kernel
 def limit_row(counts: Array, saturation: Array | None, place: tuple[Any, Any], out: Array) -> None:
-    # Write NaN where counts reach the saturation of their own elements (band, column), if given.
+    # Write NaN where counts reach the saturation count of their element (band, column); None does nothing.
     if saturation is not None:
         line, band = place
         for x in range(counts.shape[2]):
@@ -161,13 +161,12 @@ def calibrate_slab(
     """Calibrate whole lines of counts (line, band, column), uint16 or float32, with flags and uncertainties.
 
     The cube is always written; the quality only with ``flags``, the uncertainties only with ``terms``. Absent
-    members of detector and terms are None (`hyperpaint.kernels.arguments.given`), so that their branches are
-    not compiled.
+    members of detector and terms are None (`without_empty_arrays`), so that their branches are not compiled.
     """
     n_line, n_band, n_column = counts.shape
     detector = calibration.detector
-    own_dark = calibration.dark_index is not None or detector.masked is not None  # of every line
-    mixed_dark = np.empty((n_band, n_column) if own_dark else (0, 0), np.float32)
+    is_dark_by_line = calibration.dark_index is not None or detector.masked is not None
+    line_dark = np.empty((n_band, n_column) if is_dark_by_line else (0, 0), np.float32)
     linear = linear_memory(detector.polynomial, detector.table, n_band, n_column)
     signal = signal_of(linear)
     if flags is not None:
@@ -194,12 +193,12 @@ def calibrate_slab(
             calibration.dark_weight,
             detector.masked,
             line,
-            mixed_dark,
+            line_dark,
         )
-        if line == 0 or own_dark:
+        if line == 0 or is_dark_by_line:
             straighten_dark(detector, dark, linear)
             if flags is not None:
-                count_levels(dark, limits.noise_margin, limits.whole, level, floor)
+                count_levels(dark, limits.noise_margin, limits.is_integer, level, floor)
         if flags is not None:
             for x in range(n_column):
                 tally.peak[x] = 0

@@ -29,14 +29,14 @@ _UPRIGHT = 1e-9
 _SURFACE = 1e-9
 # Rays are followed this far above the highest and below the lowest point of a raster [m].
 _MARGIN = 1e-3
-# Part of a cell by which a ray is moved across the border of the next.
-_NUDGE = 1e-7
-# Cells per metre below which a ray stays in its cell.
-_STEEP = 1e-30
+# Distance by which a ray is moved across the border of a cell [cell].
+_BORDER_STEP = 1e-7
+# Speed below which a ray does not leave its cell [cell m-1].
+_MIN_SPEED = 1e-30
 
 
 @borrowing_kernel
-def _at(c: Array, e: float, n: float, u: float) -> float:
+def _value_at(c: Array, e: float, n: float, u: float) -> float:
     value: float = (
         c[0]
         + e * (c[1] + c[4] * e + c[7] * n + c[8] * u)
@@ -56,12 +56,14 @@ def _gradient(c: Array, e: float, n: float, u: float) -> Vector:
 
 
 @borrowing_kernel
-def _along(c: Array, e: float, n: float, u: float, direction: Vector) -> Parabola:
-    # The parabola in s of a polynomial along a ray from (e, n, u).
+def _along_ray(c: Array, e: float, n: float, u: float, direction: Vector) -> Parabola:
+    # Return a polynomial along a ray from (e, n, u) as a parabola in s.
     de, dn, du = direction
     ge, gn, gu = _gradient(c, e, n, u)
-    bent = c[4] * de * de + c[5] * dn * dn + c[6] * du * du + c[7] * de * dn + c[8] * de * du + c[9] * dn * du
-    return _at(c, e, n, u), ge * de + gn * dn + gu * du, bent
+    curvature = (
+        c[4] * de * de + c[5] * dn * dn + c[6] * du * du + c[7] * de * dn + c[8] * de * du + c[9] * dn * du
+    )
+    return _value_at(c, e, n, u), ge * de + gn * dn + gu * du, curvature
 
 
 @borrowing_kernel
@@ -69,26 +71,26 @@ def _first_zero(a: float, b: float, c: float) -> float:
     # Smallest s > 0 with a + b s + c s s = 0, for a > 0 and b < 0; NaN without a solution.
     if not (a > 0.0 and b < 0.0):
         return math.nan
-    inside = b * b - 4.0 * a * c
-    if not inside >= 0.0:
+    discriminant = b * b - 4.0 * a * c
+    if not discriminant >= 0.0:
         return math.nan
-    return 2.0 * a / (-b + math.sqrt(inside))
+    return 2.0 * a / (-b + math.sqrt(discriminant))
 
 
 @borrowing_kernel
-def _describe(
+def _write_pixel(
     frames: LineFrames, place: Vector, direction: Vector, out: Array, line: int, column: int
 ) -> None:
-    # Map position, height and camera angles of a pixel seen at (e, n, u) in direction (de, dn, du).
+    # Write map position, height and camera angles of a pixel at (e, n, u), seen in direction (de, dn, du).
     e, n, u = place
     de, dn, du = direction
-    out[0, line, column] = _at(frames.x[line], e, n, u)
-    out[1, line, column] = _at(frames.y[line], e, n, u)
-    out[2, line, column] = _at(frames.height[line], e, n, u)
+    out[0, line, column] = _value_at(frames.x[line], e, n, u)
+    out[1, line, column] = _value_at(frames.y[line], e, n, u)
+    out[2, line, column] = _value_at(frames.height[line], e, n, u)
     # vertical at the ground, not at the camera
     ve, vn, vu = _gradient(frames.height[line], e, n, u)
     upwards = -(ve * de + vn * dn + vu * du)
-    # by the sine: the arc cosine loses half the digits near the zenith
+    # from sine and cosine: an arc cosine loses half the digits near the zenith
     ce, cn, cu = vn * du - vu * dn, vu * de - ve * du, ve * dn - vn * de
     out[3, line, column] = math.degrees(math.atan2(math.sqrt(ce * ce + cn * cn + cu * cu), upwards))
     length = ve * ve + vn * vn + vu * vu
@@ -98,13 +100,13 @@ def _describe(
         out[4, line, column] = 0.0
         return
     # meridians converge: north at the ground is rotated against north at the camera
-    azimuth = math.degrees(math.atan2(level_e, level_n) + frames.turn[line] * e)
+    azimuth = math.degrees(math.atan2(level_e, level_n) + frames.convergence[line] * e)
     out[4, line, column] = azimuth % 360.0
 
 
 @borrowing_kernel
 def _direction(rays: LineRays, line: int, column: int) -> Vector:
-    # In the frame of the scan line.
+    # Return the direction of a column in the frame of the line.
     a, b, c = rays.look[column, 0], rays.look[column, 1], rays.look[column, 2]
     m = rays.rotation[line]
     return (
@@ -124,89 +126,92 @@ def level_places(rays: LineRays, frames: LineFrames, ground: float, out: Array) 
         e, n, u = rays.origin[line, 0], rays.origin[line, 1], rays.origin[line, 2]
         for column in range(rays.look.shape[0]):
             direction = _direction(rays, line, column)
-            h0, h1, h2 = _along(frames.height[line], e, n, u, direction)
+            h0, h1, h2 = _along_ray(frames.height[line], e, n, u, direction)
             s = _first_zero(h0 - ground, h1, h2)
             if not s > 0.0:
-                for part in range(PLACES):
-                    out[part, line, column] = np.nan
+                for k in range(PLACES):
+                    out[k, line, column] = np.nan
                 continue
             de, dn, du = direction
-            _describe(frames, (e + s * de, n + s * dn, u + s * du), direction, out, line, column)
+            _write_pixel(frames, (e + s * de, n + s * dn, u + s * du), direction, out, line, column)
 
 
 @borrowing_kernel
-def _bend(parabola: Parabola, s: float) -> float:
+def _parabola_at(parabola: Parabola, s: float) -> float:
     return parabola[0] + s * (parabola[1] + s * parabola[2])
 
 
 @borrowing_kernel
-def _above(heights: Array, i: int, j: int, ray: tuple[Parabola, Parabola, Parabola], s: float) -> float:
+def _height_above(
+    heights: Array, i: int, j: int, ray: tuple[Parabola, Parabola, Parabola], s: float
+) -> float:
     # Height of a ray above the bilinear patch of cell (i, j) [m]; NaN over a hole.
     row, col, h = ray
-    v, w = _bend(row, s) - i, _bend(col, s) - j
-    near = heights[i, j] + w * (heights[i, j + 1] - heights[i, j])
-    far = heights[i + 1, j] + w * (heights[i + 1, j + 1] - heights[i + 1, j])
-    surface: float = near + v * (far - near)
-    return _bend(h, s) - surface
+    v, w = _parabola_at(row, s) - i, _parabola_at(col, s) - j
+    lower = heights[i, j] + w * (heights[i, j + 1] - heights[i, j])
+    upper = heights[i + 1, j] + w * (heights[i + 1, j + 1] - heights[i + 1, j])
+    surface: float = lower + v * (upper - lower)
+    return _parabola_at(h, s) - surface
 
 
 @borrowing_kernel
-def _arrival(
+def _intersection(
     heights: Array,
     i: int,
     j: int,
     ray: tuple[Parabola, Parabola, Parabola],
-    s: float,
-    f: float,
-    end: float,
-    f_end: float,
+    low: float,
+    height_low: float,
+    high: float,
+    height_high: float,
 ) -> float:
-    # Illinois method between s (above the patch) and ``end`` (not above).
+    # Find the intersection by the Illinois method between ``low`` (above the patch) and ``high`` (not above).
     side = 0
     for _ in range(60):
-        if f_end == f:
+        if height_high == height_low:
             break
-        at = (s * f_end - end * f) / (f_end - f)
-        above = _above(heights, i, j, ray, at)
-        if abs(above) < _SURFACE:
-            return at
-        if above > 0.0:
-            s, f = at, above
+        middle = (low * height_high - high * height_low) / (height_high - height_low)
+        height = _height_above(heights, i, j, ray, middle)
+        if abs(height) < _SURFACE:
+            return middle
+        if height > 0.0:
+            low, height_low = middle, height
             if side == 1:
-                f_end *= 0.5
+                height_high *= 0.5
             side = 1
         else:
-            end, f_end = at, above
+            high, height_high = middle, height
             if side == -1:
-                f *= 0.5
+                height_low *= 0.5
             side = -1
-    return 0.5 * (s + end)
+    return 0.5 * (low + high)
 
 
 @borrowing_kernel
 def _to_border(place: float, speed: float, low: float, high: float) -> float:
-    if speed > _STEEP:
+    if speed > _MIN_SPEED:
         return (high - place) / speed
-    if speed < -_STEEP:
+    if speed < -_MIN_SPEED:
         return (low - place) / speed
     return math.inf
 
 
 @borrowing_kernel
 def _to_raster(place: float, speed: float, last: float) -> float:
-    # 0 inside, infinite where the ray never gets between 0 and ``last``.
+    # Return the distance to the interval from 0 to ``last``: 0 inside, infinite where the ray never enters
+    # it.
     if 0.0 <= place <= last:
         return 0.0
-    way = -place if place < 0.0 else last - place
-    if way * speed <= 0.0 or abs(speed) < _STEEP:
+    gap = -place if place < 0.0 else last - place
+    if gap * speed <= 0.0 or abs(speed) < _MIN_SPEED:
         return math.inf
-    return way / speed
+    return gap / speed
 
 
 @borrowing_kernel
 def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> float:
-    # Distance s at which a ray (row, column, height) first meets the raster; NaN where unknown.
-    heights, tops, lowest, highest = raster.heights, raster.tops, raster.lowest, raster.highest
+    # Return the distance s at which a ray (row, column, height) first meets the raster; NaN where unknown.
+    heights, block_max, lowest, highest = raster.heights, raster.block_max, raster.lowest, raster.highest
     row, col, h = ray
     last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
     end = _first_zero(h[0] - (lowest - _MARGIN), h[1], h[2])
@@ -215,17 +220,17 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
     s = 0.0
     if h[0] > highest + _MARGIN:
         s = _first_zero(h[0] - (highest + _MARGIN), h[1], h[2])
-    unknown = True  # whether the ray is above the surface here
+    is_unknown = True  # whether the ray may already be below the surface
     for _ in range(8 * (last_row + last_col + 8)):
         if not s < end:
             return math.nan
-        y, x = _bend(row, s), _bend(col, s)
+        y, x = _parabola_at(row, s), _parabola_at(col, s)
         vy, vx = row[1] + 2.0 * s * row[2], col[1] + 2.0 * s * col[2]
-        nudge = _NUDGE / max(abs(vy), abs(vx), _STEEP)
-        entry = max(_to_raster(y, vy, last_row), _to_raster(x, vx, last_col))
-        if entry > 0.0:
-            s += entry + nudge
-            unknown = True
+        nudge = _BORDER_STEP / max(abs(vy), abs(vx), _MIN_SPEED)
+        to_raster = max(_to_raster(y, vy, last_row), _to_raster(x, vx, last_col))
+        if to_raster > 0.0:
+            s += to_raster + nudge
+            is_unknown = True
             continue
         i, j = min(int(y), last_row - 1), min(int(x), last_col - 1)
         # skip a block if the ray leaves it above its highest point
@@ -238,31 +243,34 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
                 _to_border(x, vx, bj * BLOCK, min((bj + 1) * BLOCK, last_col)),
             )
         )
-        if leave < end and _bend(h, leave) > tops[bi, bj]:
-            unknown = tops[bi, bj] == -math.inf
+        if leave < end and _parabola_at(h, leave) > block_max[bi, bj]:
+            is_unknown = block_max[bi, bj] == -math.inf
             s = leave
             continue
         leave = s + nudge + min(_to_border(y, vy, i, i + 1), _to_border(x, vx, j, j + 1))
         leave = min(leave, end)
-        f = _above(heights, i, j, ray, s)
-        f_leave = _above(heights, i, j, ray, leave)
-        if math.isnan(f) or math.isnan(f_leave):
-            unknown = True
+        height = _height_above(heights, i, j, ray, s)
+        height_leave = _height_above(heights, i, j, ray, leave)
+        if math.isnan(height) or math.isnan(height_leave):
+            is_unknown = True
             s = leave
             continue
-        if f <= 0.0:
-            return math.nan if unknown and f < -_SURFACE else s
-        unknown = False
-        if f_leave <= 0.0:
-            return _arrival(heights, i, j, ray, s, f, leave, f_leave)
-        # over a patch the distance is a parabola, which may have a root pair in between
-        middle = _above(heights, i, j, ray, 0.5 * (s + leave))
-        bent, slope = 2.0 * (f + f_leave - 2.0 * middle), 4.0 * middle - 3.0 * f - f_leave
-        if bent > 0.0 and 0.0 < -slope < 2.0 * bent:
-            dip = s - slope / (2.0 * bent) * (leave - s)
-            f_dip = _above(heights, i, j, ray, dip)
-            if f_dip <= 0.0:
-                return _arrival(heights, i, j, ray, s, f, dip, f_dip)
+        if height <= 0.0:
+            return math.nan if is_unknown and height < -_SURFACE else s
+        is_unknown = False
+        if height_leave <= 0.0:
+            return _intersection(heights, i, j, ray, s, height, leave, height_leave)
+        # above a patch the height is a parabola, which may have two roots between s and ``leave``
+        halfway = _height_above(heights, i, j, ray, 0.5 * (s + leave))
+        curvature, slope = (
+            2.0 * (height + height_leave - 2.0 * halfway),
+            4.0 * halfway - 3.0 * height - height_leave,
+        )
+        if curvature > 0.0 and 0.0 < -slope < 2.0 * curvature:
+            summit = s - slope / (2.0 * curvature) * (leave - s)
+            height_summit = _height_above(heights, i, j, ray, summit)
+            if height_summit <= 0.0:
+                return _intersection(heights, i, j, ray, s, height, summit, height_summit)
         s = leave
     return math.nan
 
@@ -271,22 +279,22 @@ def _first_hit(raster: Raster, ray: tuple[Parabola, Parabola, Parabola]) -> floa
 def raster_places(rays: LineRays, frames: LineFrames, raster: Raster, out: Array) -> None:
     """Intersect the rays of lines with the bilinear surface through a raster; see `level_places`.
 
-    The first intersection counts. A ray that leaves a hole, or enters over the edge, below the surface has
-    met the ground at an unknown position, and gets NaN.
+    The first intersection counts. A ray that is below the surface where it leaves a hole or enters the raster
+    has met the ground at an unknown position: its results are NaN.
     """
     for line in range(rays.origin.shape[0]):
         e, n, u = rays.origin[line, 0], rays.origin[line, 1], rays.origin[line, 2]
         for column in range(rays.look.shape[0]):
             direction = _direction(rays, line, column)
             ray = (
-                _along(raster.row[line], e, n, u, direction),
-                _along(raster.col[line], e, n, u, direction),
-                _along(frames.height[line], e, n, u, direction),
+                _along_ray(raster.row[line], e, n, u, direction),
+                _along_ray(raster.col[line], e, n, u, direction),
+                _along_ray(frames.height[line], e, n, u, direction),
             )
             s = _first_hit(raster, ray)
             if not s > 0.0:
-                for part in range(PLACES):
-                    out[part, line, column] = np.nan
+                for k in range(PLACES):
+                    out[k, line, column] = np.nan
                 continue
             de, dn, du = direction
-            _describe(frames, (e + s * de, n + s * dn, u + s * du), direction, out, line, column)
+            _write_pixel(frames, (e + s * de, n + s * dn, u + s * du), direction, out, line, column)

@@ -43,7 +43,7 @@ def light_row(
 ) -> None:
     """Write the irradiance E of a ``place`` (line, band), and 1 / E (column,).
 
-    Values are gain x (counts - dark) / E. ``shift`` is that of ``light``.
+    Values are gain x (counts - dark) / E. ``shift`` is ``light.shift``.
     """
     line, band = place
     if shift is None:
@@ -113,8 +113,8 @@ def systematic_row(
 ) -> None:
     """Write the systematic uncertainty (column,) of a band from the values of its line (band, column).
 
-    The root of the sum of squares of three terms: relative, dark offset, and wavelength. ``slope`` and
-    ``offset`` are those of ``terms``.
+    It is the root of the sum of squares of three terms: relative, dark offset, and wavelength. ``slope`` and
+    ``offset`` are members of ``terms``.
     """
     relative = terms.relative[band if terms.relative.shape[0] > 1 else 0]
     rounding = memory.rounding
@@ -122,30 +122,35 @@ def systematic_row(
         for x in range(u_systematic.size):
             u_systematic[x] = rounded(abs(values[band, x]) * relative[x], rounding)
     elif slope is None:
-        own_offset, inverse = offset[band if offset.shape[0] > 1 else 0], memory.inverse[band % 3]
+        dark_offset, inverse = offset[band if offset.shape[0] > 1 else 0], memory.inverse[band % 3]
         for x in range(u_systematic.size):
-            scale, dark = values[band, x] * relative[x], gain[band, x] * inverse[x] * own_offset[x]
+            scale, dark = values[band, x] * relative[x], gain[band, x] * inverse[x] * dark_offset[x]
             u_systematic[x] = rounded(np.sqrt(scale * scale + dark * dark), rounding)
     else:
         low, high = max(band - 1, 0), min(band + 1, values.shape[0] - 1)
         row, row_low, row_high = band % 3, low % 3, high % 3
-        own_offset = offset[band if offset.shape[0] > 1 else 0]
+        dark_offset = offset[band if offset.shape[0] > 1 else 0]
         irradiance, inverse = memory.irradiance, memory.inverse
-        up, up_alone, down, down_alone = slope[band, 0], slope[band, 1], slope[band, 2], slope[band, 3]
+        rise_factor, rise_factor_alone, fall_factor, fall_factor_alone = (
+            slope[band, 0],
+            slope[band, 1],
+            slope[band, 2],
+            slope[band, 3],
+        )
         # indexed by band: row views would exceed the compiler's limit of alias checks
         for x in range(u_systematic.size):
-            here, per_light = values[band, x], inverse[row, x]
+            value, per_light = values[band, x], inverse[row, x]
             # radiance of the neighbours, in units of this band's light
             below = values[low, x] * (irradiance[row_low, x] * per_light)
             above = values[high, x] * (irradiance[row_high, x] * per_light)
-            rise = above - here if above == above else _NOTHING
-            fall = here - below if below == below else _NOTHING
-            # at a missing neighbour the other alone gives the slope
-            to_above = up if below == below else up_alone
-            to_below = down if above == above else down_alone
+            rise = above - value if above == above else _NOTHING
+            fall = value - below if below == below else _NOTHING
+            # where a neighbour is missing, the other alone gives the slope
+            to_above = rise_factor if below == below else rise_factor_alone
+            to_below = fall_factor if above == above else fall_factor_alone
             wavelength = rise * to_above + fall * to_below
-            dark = gain[band, x] * per_light * own_offset[x]
-            scale = here * relative[x]
+            dark = gain[band, x] * per_light * dark_offset[x]
+            scale = value * relative[x]
             total = np.sqrt(scale * scale + (wavelength * wavelength + dark * dark))
             u_systematic[x] = rounded(total, rounding)
 

@@ -1,4 +1,4 @@
-"""Segmentation of a cube: relative steps between neighbouring spectra, joined from the smallest on."""
+"""Segmentation of a cube: neighbouring pixels are joined, smallest relative steps between spectra first."""
 
 from __future__ import annotations
 
@@ -14,31 +14,33 @@ from hyperpaint.base.jit import kernel
 def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None:
     """Write the relative step from every pixel to the next one across and along the track (line, column).
 
-    The root mean square over ``channels`` (line, column, channel), reflectances [1], of differences over
-    their mean plus ``floor`` [1]; infinite where there is no next pixel, or half the channels lack data. The
-    outputs may have fewer lines than ``channels``.
+    A step is the root mean square over ``channels`` (line, column, channel), reflectances [1], of differences
+    over their mean plus ``floor`` [1]; infinite where there is no next pixel, or half the channels lack data.
+    The outputs may have fewer lines than ``channels``.
     """
     lines, columns, count = channels.shape
     for line in range(across.shape[0]):
         for x in range(columns):
-            for way in range(2):
-                other_line, other_x = (line, x + 1) if way == 0 else (line + 1, x)
+            for axis in range(2):
+                other_line, other_x = (line, x + 1) if axis == 0 else (line + 1, x)
                 size = np.inf
                 if other_line < lines and other_x < columns:
                     total = 0.0
                     valid = 0
                     for k in range(count):
-                        one, other = (
+                        value, other_value = (
                             np.float64(channels[line, x, k]),
                             np.float64(channels[other_line, other_x, k]),
                         )
-                        if one == one and other == other:
-                            step = (one - other) / (0.5 * (max(one, 0.0) + max(other, 0.0)) + floor)
+                        if value == value and other_value == other_value:
+                            step = (value - other_value) / (
+                                0.5 * (max(value, 0.0) + max(other_value, 0.0)) + floor
+                            )
                             total += step * step
                             valid += 1
                     if 2 * valid > count:
                         size = np.sqrt(total / valid)
-                if way == 0:
+                if axis == 0:
                     across[line, x] = size
                 else:
                     along[line, x] = size
@@ -46,27 +48,33 @@ def step_sizes(channels: Array, floor: Any, across: Array, along: Array) -> None
 
 @kernel
 def count_steps(steps: Array, bits: Array, counts: Array) -> None:
-    """Count finite ``steps``, float32 from 0 on, in piles (32768,) by the upper 16 of their ``bits``.
+    """Count finite ``steps``, float32 >= 0, in buckets (32768,) by the upper 16 of their ``bits``.
 
-    ``bits`` are the steps viewed as uint32, which ascend as the steps do.
+    ``bits`` are the steps viewed as uint32, whose order is that of the steps.
     """
-    for place in range(steps.size):
-        if steps[place] < np.inf:
-            counts[bits[place] >> 16] += 1
+    for k in range(steps.size):
+        if steps[k] < np.inf:
+            counts[bits[k] >> 16] += 1
 
 
 @kernel
 def pick_steps(
-    bits: Array, first_place: Any, first_pile: Any, end_pile: Any, places: Array, values: Array, start: Any
+    bits: Array,
+    first_place: Any,
+    first_bucket: Any,
+    end_bucket: Any,
+    places: Array,
+    values: Array,
+    start: Any,
 ) -> Any:
-    """Write places and bits of the steps in a range of piles; return the number written so far.
+    """Write places and bits of the steps in a range of buckets; return the number written so far.
 
     ``first_place`` is the place of the first given step, ``start`` the number written before.
     """
     count = start
     for k in range(bits.size):
-        pile = bits[k] >> 16
-        if first_pile <= pile < end_pile:
+        bucket = bits[k] >> 16
+        if first_bucket <= bucket < end_bucket:
             places[count], values[count] = first_place + k, bits[k]
             count += 1
     return count
@@ -76,24 +84,24 @@ def pick_steps(
 def sort_steps(places: Array, values: Array, other_places: Array, other_values: Array) -> None:
     """Sort places by their values (uint32), keeping the order of equal ones: a radix sort in three passes.
 
-    Each pass deals to 2048 piles by 11 bits, the lowest first. The result is in ``other_places`` and
+    Each pass sorts into 2048 buckets by 11 bits, lowest bits first. The result is in ``other_places`` and
     ``other_values``.
     """
     starts = np.empty(2049, np.int64)
-    for turn in range(3):
-        if turn % 2 == 0:
-            source, target, value, moved = places, other_places, values, other_values
+    for digit in range(3):
+        if digit % 2 == 0:
+            source, target, value, moved_values = places, other_places, values, other_values
         else:
-            source, target, value, moved = other_places, places, other_values, values
+            source, target, value, moved_values = other_places, places, other_values, values
         starts[:] = 0
         for k in range(source.size):
-            starts[((value[k] >> (11 * turn)) & 2047) + 1] += 1
-        for pile in range(2048):
-            starts[pile + 1] += starts[pile]
+            starts[((value[k] >> (11 * digit)) & 2047) + 1] += 1
+        for bucket in range(2048):
+            starts[bucket + 1] += starts[bucket]
         for k in range(source.size):
-            pile = (value[k] >> (11 * turn)) & 2047
-            target[starts[pile]], moved[starts[pile]] = source[k], value[k]
-            starts[pile] += 1
+            bucket = (value[k] >> (11 * digit)) & 2047
+            target[starts[bucket]], moved_values[starts[bucket]] = source[k], value[k]
+            starts[bucket] += 1
 
 
 @kernel
@@ -111,23 +119,26 @@ def join_segments(
 ) -> None:
     """Join pixels over the steps between them, smallest first (Felzenszwalb & Huttenlocher 2004).
 
-    Two segments are joined where the step between them is at most, for each of them, the largest step inside
-    it plus ``scale`` over its size.
+    Two segments are joined where the step between them is at most the largest step inside
+    the segment plus ``scale`` over its size, for both segments.
 
     ``order`` (step,) are the places of ``steps`` (step,), both by ascending steps: 2 x pixel for the step
-    across, 2 x pixel + 1 for that along; ``columns``: pixels of a line. Written are the tree of every pixel,
-    ``parent`` (pixel,), and at its root the ``size`` of the segment [pixel] and ``within``, the largest step
-    inside it. Larger steps may follow in another call.
+    across, 2 x pixel + 1 for the step along; ``columns``: pixels of a line. Outputs are the tree of every
+    pixel, ``parent`` (pixel,), and at its root the ``size`` of the segment [pixel] and ``within``, the
+    largest step inside it. A later call may continue with larger steps.
     """
     for k in range(order.size):
-        place, step = order[k], steps[k]
-        one = place // 2
-        other = one + 1 if place % 2 == 0 else one + columns
-        one, other = root_of(parent, one), root_of(parent, other)
-        if one == other:
+        edge, step = order[k], steps[k]
+        root = edge // 2
+        other_root = root + 1 if edge % 2 == 0 else root + columns
+        root, other_root = root_of(parent, root), root_of(parent, other_root)
+        if root == other_root:
             continue
-        if step <= within[one] + scale / size[one] and step <= within[other] + scale / size[other]:
-            low, high = min(one, other), max(one, other)
+        if (
+            step <= within[root] + scale / size[root]
+            and step <= within[other_root] + scale / size[other_root]
+        ):
+            low, high = min(root, other_root), max(root, other_root)
             parent[high] = low
             size[low] += size[high]
             within[low] = step
@@ -151,27 +162,27 @@ def count_cores(parent: Array, columns: Any, core: Array) -> None:
 
 
 @kernel
-def mark_large(parent: Array, size: Array, columns: Any, least: Any, least_core: Any, large: Array) -> None:
+def mark_large(parent: Array, size: Array, columns: Any, min_size: Any, min_core: Any, large: Array) -> None:
     # Write, at the root of every segment, whether it has enough pixels and core pixels, see `absorb`.
     core = np.zeros(parent.size, np.int32)
     count_cores(parent, columns, core)
     for pixel in range(parent.size):
-        large[pixel] = parent[pixel] == pixel and size[pixel] >= least and core[pixel] >= least_core
+        large[pixel] = parent[pixel] == pixel and size[pixel] >= min_size and core[pixel] >= min_core
 
 
 @kernel
 def absorb(order: Array, columns: Any, large: Array, parent: Array, size: Array) -> None:
-    """Join segments that are not ``large`` (pixel,), at their roots, to a neighbour, by ascending steps.
+    """Join every segment that is not ``large`` (pixel,), at its root, to a neighbour, by ascending steps.
 
-    Larger steps may follow in another call.
+    A later call may continue with larger steps.
     """
-    for place in order:
-        one = place // 2
-        other = one + 1 if place % 2 == 0 else one + columns
-        one, other = root_of(parent, one), root_of(parent, other)
-        if one == other or (large[one] and large[other]):
+    for edge in order:
+        root = edge // 2
+        other_root = root + 1 if edge % 2 == 0 else root + columns
+        root, other_root = root_of(parent, root), root_of(parent, other_root)
+        if root == other_root or (large[root] and large[other_root]):
             continue
-        low, high = min(one, other), max(one, other)
+        low, high = min(root, other_root), max(root, other_root)
         parent[high] = low
         size[low] += size[high]
         large[low] = large[low] or large[high]
@@ -184,22 +195,22 @@ def number_segments(parent: Array, valid: Array, number: Array) -> Any:
     Pixels that are not ``valid`` get -1.
     """
     count = 0
-    names = np.full(parent.size, -1, np.int32)
+    numbers = np.full(parent.size, -1, np.int32)
     for pixel in range(parent.size):
         root = root_of(parent, pixel)
         if not valid[pixel]:
             number[pixel] = -1
             continue
-        if names[root] < 0:
-            names[root] = count
+        if numbers[root] < 0:
+            numbers[root] = count
             count += 1
-        number[pixel] = names[root]
+        number[pixel] = numbers[root]
     return count
 
 
 @kernel
 def count_pixels(number: Array, chosen: Array, counts: Array) -> None:
-    # Count the pixels of every segment (2, segment): those not chosen, and those chosen.
+    # Count the pixels of every segment (2, segment): row 0 those not chosen, row 1 the chosen ones.
     for line in range(number.shape[0]):
         for x in range(number.shape[1]):
             if number[line, x] >= 0:
@@ -208,57 +219,57 @@ def count_pixels(number: Array, chosen: Array, counts: Array) -> None:
 
 @kernel
 def sample_places(
-    number: Array, chosen: Array, wanted: Array, step: Array, start: Array, seen: Array, out: Array
+    number: Array, chosen: Array, wanted: Array, step: Array, start: Array, counts: Array, out: Array
 ) -> None:
     """Write the places (line by line) of every ``step``-th pixel of each segment.
 
-    Only pixels whose ``chosen`` equals the segment's ``wanted`` count. ``start`` (segment,) is the place in
-    ``out`` of a segment's first sample; ``seen`` (segment,) starts at 0.
+    Only pixels whose ``chosen`` equals the segment's ``wanted`` are sampled. ``start`` (segment,) is the
+    place in ``out`` of a segment's first sample; ``counts`` (segment,) starts at 0.
     """
     columns = number.shape[1]
     for line in range(number.shape[0]):
         for x in range(columns):
             segment = number[line, x]
             if segment >= 0 and chosen[line, x] == wanted[segment]:
-                if seen[segment] % step[segment] == 0:
-                    out[start[segment] + seen[segment] // step[segment]] = line * columns + x
-                seen[segment] += 1
+                if counts[segment] % step[segment] == 0:
+                    out[start[segment] + counts[segment] // step[segment]] = line * columns + x
+                counts[segment] += 1
 
 
 @kernel
-def to_pixels(parent: Array, of_roots: Array, of_pixels: Array) -> None:
+def to_pixels(parent: Array, root_values: Array, pixel_values: Array) -> None:
     # Write to every pixel the value at the root of its segment.
     for pixel in range(parent.size):
-        of_pixels[pixel] = of_roots[root_of(parent, pixel)]
+        pixel_values[pixel] = root_values[root_of(parent, pixel)]
 
 
 @kernel
-def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> None:
-    """Write the distance of every pixel (in steps to eight neighbours) from a mixed pixel or an unknown one.
+def boundary_distance(body: Array, reliable: Array, max_distance: Any, distance: Array) -> None:
+    """Write the distance of every pixel (in steps to eight neighbours) from a mixed or unknown pixel.
 
     ``body`` (line, column) is the body a pixel shows, -1 where unknown. The ``distance`` is 0 in a mixed
-    pixel, 1 beside another body, and so on up to ``most``, at most 255. A pixel that is not ``sure``, because
-    its body was taken from its neighbours, has 0 where another body is within 2 pixels.
+    pixel, 1 beside another body, and so on up to ``max_distance`` (<= 255). A pixel that is not ``reliable``,
+    because its body was taken from its neighbours, has 0 where another body is within 2 pixels.
     """
     lines, columns = body.shape
     for line in range(lines):
         for x in range(columns):
-            nearest = most
-            around = 1 if sure[line, x] else 2
-            for dy in range(-around, around + 1):
-                for dx in range(-around, around + 1):
+            nearest = max_distance
+            radius = 1 if reliable[line, x] else 2
+            for dy in range(-radius, radius + 1):
+                for dx in range(-radius, radius + 1):
                     y, z = line + dy, x + dx
                     if 0 <= y < lines and 0 <= z < columns and body[y, z] != body[line, x]:
-                        nearest = 1 if sure[line, x] else 0
+                        nearest = 1 if reliable[line, x] else 0
             distance[line, x] = 0 if body[line, x] < 0 else nearest
     for sweep in range(2):
         for i in range(lines):
             line = i if sweep == 0 else lines - 1 - i
             for j in range(columns):
                 x = j if sweep == 0 else columns - 1 - j
-                ahead = -1 if sweep == 0 else 1
+                step = -1 if sweep == 0 else 1
                 best = np.int64(distance[line, x])
-                for dy, dx in ((ahead, -1), (ahead, 0), (ahead, 1), (0, ahead)):
+                for dy, dx in ((step, -1), (step, 0), (step, 1), (0, step)):
                     y, z = line + dy, x + dx
                     if 0 <= y < lines and 0 <= z < columns:
                         best = min(best, np.int64(distance[y, z]) + 1)
@@ -267,21 +278,21 @@ def boundary_distance(body: Array, sure: Array, most: Any, distance: Array) -> N
 
 @kernel
 def offer(label: Any, squared: Any, labels: Array, distances: Array) -> None:
-    # Insert a source into a short list of the nearest, in which every label stands once.
+    # Insert a source into a short list of the nearest sources, which holds every label at most once.
     count = labels.size
-    for place in range(count):
-        if labels[place] == label:
-            if squared >= distances[place]:
+    for slot in range(count):
+        if labels[slot] == label:
+            if squared >= distances[slot]:
                 return
-            for later in range(place, count - 1):
-                labels[later], distances[later] = labels[later + 1], distances[later + 1]
+            for k in range(slot, count - 1):
+                labels[k], distances[k] = labels[k + 1], distances[k + 1]
             labels[count - 1], distances[count - 1] = -1, np.inf
             break
-    for place in range(count):
-        if squared < distances[place]:
-            for later in range(count - 1, place, -1):
-                labels[later], distances[later] = labels[later - 1], distances[later - 1]
-            labels[place], distances[place] = label, squared
+    for slot in range(count):
+        if squared < distances[slot]:
+            for k in range(count - 1, slot, -1):
+                labels[k], distances[k] = labels[k - 1], distances[k - 1]
+            labels[slot], distances[slot] = label, squared
             return
 
 
@@ -293,19 +304,19 @@ def nearest_sources(labels: Array, distances: Array, reach: Any) -> None:
     nearest labels; ``distances`` hold 0 at a label, else infinity, and receive their distances [cell]; labels
     spread no farther than ``reach`` [cell].
     """
-    lines, columns, places = labels.shape
+    lines, columns, slots = labels.shape
     for _ in range(2):
         for sweep in range(2):
-            ahead = -1 if sweep == 0 else 1
+            step_back = -1 if sweep == 0 else 1
             for i in range(lines):
                 line = i if sweep == 0 else lines - 1 - i
                 for j in range(columns):
                     x = j if sweep == 0 else columns - 1 - j
-                    for dy, dx in ((ahead, -1), (ahead, 0), (ahead, 1), (0, ahead)):
+                    for dy, dx in ((step_back, -1), (step_back, 0), (step_back, 1), (0, step_back)):
                         y, z = line + dy, x + dx
                         if 0 <= y < lines and 0 <= z < columns:
                             step = np.sqrt(float(dy * dy + dx * dx))
-                            for place in range(places):
-                                far = distances[y, z, place] + step
-                                if labels[y, z, place] >= 0 and far <= reach:
-                                    offer(labels[y, z, place], far, labels[line, x], distances[line, x])
+                            for slot in range(slots):
+                                distance = distances[y, z, slot] + step
+                                if labels[y, z, slot] >= 0 and distance <= reach:
+                                    offer(labels[y, z, slot], distance, labels[line, x], distances[line, x])

@@ -16,7 +16,7 @@ _NAN = np.float32(np.nan)
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 # Bands weighted in one loop: few enough for the registers of any processor.
-_AT_ONCE = 6
+_BANDS_PER_LOOP = 6
 
 
 # --- running means
@@ -51,7 +51,7 @@ def average_slab(values: Array, width: int, out: Array) -> None:
 
 @borrowing_kernel
 def has_gap(values: Array) -> Any:
-    # Whether any of values (band, column) is NaN.
+    # Return whether any value (band, column) is NaN.
     for band in range(values.shape[0]):
         gap = False
         for x in range(values.shape[1]):
@@ -74,25 +74,25 @@ def average_line(values: Array, width: int, ends: Array, beginning: Array, out: 
         for x in range(columns):
             ends[width, x] = _ZERO
             beginning[x] = _ZERO
-        for place in range(width - 1, -1, -1):
-            band, sums, before = first + place - half, ends[place], ends[place + 1]
+        for offset in range(width - 1, -1, -1):
+            band, sums, previous = first + offset - half, ends[offset], ends[offset + 1]
             if 0 <= band < bands:
                 row = values[band]
                 for x in range(columns):
-                    sums[x] = before[x] + row[x]
+                    sums[x] = previous[x] + row[x]
             else:
                 for x in range(columns):
-                    sums[x] = before[x]
+                    sums[x] = previous[x]
         for band in range(first, min(first + width, bands)):
-            share, end, mean = share_of_window(band, half, bands), ends[band - first], out[band]
+            share, to_end, mean = share_of_window(band, half, bands), ends[band - first], out[band]
             if band > first and band + half < bands:
                 row = values[band + half]
                 for x in range(columns):
                     beginning[x] = beginning[x] + row[x]
-                    mean[x] = (end[x] + beginning[x]) * share
+                    mean[x] = (to_end[x] + beginning[x]) * share
             else:
                 for x in range(columns):
-                    mean[x] = (end[x] + beginning[x]) * share
+                    mean[x] = (to_end[x] + beginning[x]) * share
 
 
 @inlined_kernel
@@ -117,11 +117,11 @@ def fill_gaps(values: Array, filled: Array, counts: Array) -> None:
 def correct_means(values: Array, shares: Array, half: int, out: Array) -> None:
     # Divide means over whole windows (band, column) by the ``shares`` of their bands that are valid.
     bands = values.shape[0]
-    whole = _ONE - np.float32(0.5) / np.float32(2 * half + 1)
+    full_window = _ONE - np.float32(0.5) / np.float32(2 * half + 1)
     for band in range(bands):
         for x in range(values.shape[1]):
             share, missing = shares[band, x], values[band, x] != values[band, x]
-            out[band, x] = _NAN if missing else out[band, x] if share > whole else out[band, x] / share
+            out[band, x] = _NAN if missing else out[band, x] if share > full_window else out[band, x] / share
 
 
 # --- weighted sums
@@ -141,7 +141,7 @@ def filter_slab(values: Array, weights: Array, first: Array, fallback: Array, ou
     width = weights.shape[1]
     for line in range(values.shape[0]):
         for band in range(values.shape[1]):
-            for k in range(0, width, _AT_ONCE):
+            for k in range(0, width, _BANDS_PER_LOOP):
                 weigh_rows(values[line], weights[band], first[band], k, out[line, band])
             gap = False
             for x in range(values.shape[2]):
@@ -155,9 +155,9 @@ def filter_slab(values: Array, weights: Array, first: Array, fallback: Array, ou
 
 @inlined_kernel
 def weigh_rows(values: Array, weights: Array, first: Any, k: Any, out: Array) -> None:
-    """Add the weighted values (band, column) of `_AT_ONCE` bands of a window, from its ``k``-th on.
+    """Add the weighted values (band, column) of `_BANDS_PER_LOOP` bands of a window, from its ``k``-th on.
 
-    Beyond the window its first band is read with weight 0; if that is NaN, the sum is NaN already.
+    Beyond the window, its first band is read with weight 0; where that is NaN, the sum is NaN already.
     """
     w0, r0 = weight_and_row(values, weights, first, k)
     w1, r1 = weight_and_row(values, weights, first, k + 1)
@@ -177,22 +177,22 @@ def weigh_rows(values: Array, weights: Array, first: Any, k: Any, out: Array) ->
 
 @kernel
 def weight_and_row(values: Array, weights: Array, first: Any, k: Any) -> tuple[Any, Array]:
-    # Weight and the values of the ``k``-th band of a window.
+    # Return weight and values of the ``k``-th band of a window.
     inside = k < weights.size
     return (weights[k] if inside else _ZERO), values[first + (k if inside else 0)]
 
 
 @borrowing_kernel
 def without_missing(values: Array, fallback: Array, line: Any, band: Any, x: Any, first: Any) -> Any:
-    # Filtered value of a window with one NaN; the unfiltered value with more.
-    missing, gap, width = 0, 0, fallback.shape[1]
+    # Return the filtered value of a window with one NaN, the unfiltered value with more.
+    gaps, gap, width = 0, 0, fallback.shape[1]
     for k in range(width):
         value = values[line, first + k, x]
         if value != value:
-            missing += 1
+            gaps += 1
             gap = k
-    if missing != 1:
-        return values[line, band, x] if missing > 1 else _NAN
+    if gaps != 1:
+        return values[line, band, x] if gaps > 1 else _NAN
     total = _ZERO
     for k in range(width):
         if k != gap:

@@ -1,6 +1,6 @@
 """Stray light and smear subtracted from calibrated lines.
 
-Both are sums over all bands of a column, so every line is linearised once more before the sums.
+Both are sums over all bands of a column. Every line is therefore linearised again before the sums.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .radiometry import dark_of_line
 from .sample_errors import light_row
 
 # Columns summed together, so that they stay in the first-level cache.
-_BLOCK = 128
+_BLOCK_COLUMNS = 128
 _NOTHING = np.float32(0.0)
 _NO_LIMIT = np.float32(np.inf)
 
@@ -27,8 +27,9 @@ _NO_LIMIT = np.float32(np.inf)
 # Buffers of `sum_line`.
 class StrayWork(NamedTuple):
     total: Array  #: (column,) float32: smear of a line [count]
-    #: block (band, column), sums (term, column) float32: counts of `_BLOCK` columns, and their sums over the
-    #: bands; contiguous, because rows a power of two apart evict one another from the cache
+    #: block (band, column), sums (term, column) float32: counts of `_BLOCK_COLUMNS` columns, and their sums
+    #: over the bands; contiguous, because rows at a distance of a power of two evict one another from the
+    #: cache
     block: Array
     sums: Array
 
@@ -55,20 +56,20 @@ def net_line(
 
 
 @borrowing_kernel
-def replace_bad(net: Array, stands_in: Array) -> None:
+def replace_bad(net: Array, replacements: Array) -> None:
     # Replace bad elements (n, 3) of a line: column, band, and the band whose counts are copied; -1 for 0.
-    for k in range(stands_in.shape[0]):
-        x, band, other = stands_in[k, 0], stands_in[k, 1], stands_in[k, 2]
-        net[band, x] = net[other, x] if other >= 0 else _NOTHING
+    for k in range(replacements.shape[0]):
+        x, band, source = replacements[k, 0], replacements[k, 1], replacements[k, 2]
+        net[band, x] = net[source, x] if source >= 0 else _NOTHING
 
 
 @borrowing_kernel
 def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Array) -> None:
     """Write the counts of a line (band, column) that come from other bands [count].
 
-    First the smear, a share of the sum over the bands; then, of the rest, the product of two narrow matrices.
-    Terms are summed four at a time in the order of the bands, so the bits do not depend on the number of
-    columns.
+    First the smear, a share of the sum over the bands; then, from the counts without smear, the product of
+    two narrow matrices. Terms are summed four at a time in the order of the bands, so the bits do not depend
+    on the number of columns.
     """
     bands, columns = out.shape
     total, block, sums = work.total, work.block, work.sums
@@ -79,17 +80,17 @@ def sum_line(net: Array, stray: StrayLight, smear: Any, work: StrayWork, out: Ar
                 total[x] += net[band, x]
         for x in range(columns):
             total[x] *= smear
-    for first in range(0, columns, _BLOCK):
-        width = min(_BLOCK, columns - first)
+    for first in range(0, columns, _BLOCK_COLUMNS):
+        width = min(_BLOCK_COLUMNS, columns - first)
         for band in range(bands):
             for x in range(width):
-                at = first + x
-                block[band, x] = (net[band, at] - total[at]) * stray.level[band, at]
-        for term in range(stray.take.shape[0]):
-            sum_rows(block, stray.take[term], sums[term])
+                column = first + x
+                block[band, x] = (net[band, column] - total[column]) * stray.level[band, column]
+        for term in range(stray.source_terms.shape[0]):
+            sum_rows(block, stray.source_terms[term], sums[term])
         for band in range(bands):
             row = block[band]
-            sum_rows(sums, stray.give[band], row)
+            sum_rows(sums, stray.band_terms[band], row)
             for x in range(width):
                 out[band, first + x] = row[x] / stray.level[band, first + x] + total[first + x]
 
@@ -107,7 +108,7 @@ def sum_rows(rows: Array, weights: Array, out: Array) -> None:
 
 
 @borrowing_kernel
-def take_off(
+def subtract_row(
     stray: Array, gain: Array, inverse: Array, relative: Any, out: SlabOutputs, place: tuple[int, int]
 ) -> None:
     # Subtract stray counts (column,) of a ``place`` (line, band); add their uncertainty in quadrature.
@@ -131,21 +132,21 @@ def subtract_stray_light(
     rounding: Rounding | None,
     out: SlabOutputs,
 ) -> None:
-    """Subtract stray light from whole lines calibrated from counts (line, band, column), not yet rounded.
+    """Subtract stray light from calibrated lines, not yet rounded, of counts (line, band, column).
 
-    Outputs that are not empty are rounded.
+    Then round the outputs that are not empty.
     """
     n_line, n_band, n_column = counts.shape
     detector = calibration.detector
-    mixed_dark = np.empty((n_band, n_column), np.float32)
+    blended_dark = np.empty((n_band, n_column), np.float32)
     linear = linear_memory(detector.polynomial, detector.table, n_band, n_column)
     net = np.empty((n_band, n_column), np.float32)
-    other = np.empty((n_band, n_column), np.float32)
+    stray_counts = np.empty((n_band, n_column), np.float32)
     # rows of zeros pad the bands to a multiple of four
     memory = StrayWork(
         np.empty(n_column, np.float32),
-        np.zeros((max(stray.take.shape[1], n_band), _BLOCK), np.float32),
-        np.zeros((stray.take.shape[0], _BLOCK), np.float32),
+        np.zeros((max(stray.source_terms.shape[1], n_band), _BLOCK_COLUMNS), np.float32),
+        np.zeros((stray.source_terms.shape[0], _BLOCK_COLUMNS), np.float32),
     )
     irradiance, inverse = np.empty(n_column, np.float32), np.empty(n_column, np.float32)
     for line in range(n_line):
@@ -156,15 +157,17 @@ def subtract_stray_light(
             calibration.dark_weight,
             detector.masked,
             line,
-            mixed_dark,
+            blended_dark,
         )
         straighten_dark(detector, dark, linear)
         net_line(counts, line, dark, detector, linear, net)
-        replace_bad(net, stray.stands_in)
-        sum_line(net, stray, stray.smear[line], memory, other)
+        replace_bad(net, stray.replacements)
+        sum_line(net, stray, stray.smear[line], memory, stray_counts)
         for band in range(n_band):
             light_row(light, light.shift, (line, band), irradiance, inverse)
-            take_off(other[band], calibration.gain[band], inverse, stray.relative, out, (line, band))
+            subtract_row(
+                stray_counts[band], calibration.gain[band], inverse, stray.relative, out, (line, band)
+            )
             round_row(out.cube[line, band], rounding)
             if out.u_random.shape[0] > 0:
                 round_row(out.u_random[line, band], rounding)

@@ -14,16 +14,16 @@ from .arguments import AmountPrior, Bodies, ChannelErrors, Glinting, LightParts,
 # Direct, diffuse, mirror images of the sun, of the zenith sky and of the sky around the sun, and of each of
 # two neighbours: light reflected twice, mirror image.
 PARTS = 9
-# The first parts need no neighbour.
-_OWN = 5
+# Number of first parts, which need no neighbour.
+_OWN_PARTS = 5
 # Parts of the mirror images of the sun, and of the sky around it.
 _GLINT, _SUNWARD = 2, 4
-# Smallest gradient, for a curvature of 1, at which a part is freed: rounding.
-_SLOPE = 1e-9
-# Least amount of direct light on a surface that mirrors the sun, since it faces halfway to the sun.
-_SUNLIT = 0.7
+# Smallest gradient, for a curvature of 1, at which a part is freed: above rounding.
+_MIN_GRADIENT = 1e-9
+# Minimum amount of direct light on a surface that mirrors the sun, since it faces halfway to the sun.
+_MIN_SUNLIT_DIRECT = 0.7
 # Share of the channels with independent errors: model errors are smooth over several channels.
-_INDEPENDENT = 0.25
+_INDEPENDENT_SHARE = 0.25
 
 
 @kernel
@@ -38,7 +38,7 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
     for band in range(bands):
         if channel[band] >= 0:
             members[channel[band]] += 1
-    # columns last: they are done side by side
+    # columns are the last axis: the loop over them vectorises
     total = np.empty((groups, columns), np.float64)
     valid = np.empty((groups, columns), np.float64)
     for line in range(lines):
@@ -55,13 +55,13 @@ def average_bands(cube: Array, channel: Array, out: Array) -> None:
                 valid[group, x] += 1.0 if is_finite else 0.0
         for x in range(columns):
             for group in range(groups):
-                enough = 2 * valid[group, x] > members[group]
-                out[line, x, group] = total[group, x] / valid[group, x] if enough else np.nan
+                is_valid = 2 * valid[group, x] > members[group]
+                out[line, x, group] = total[group, x] / valid[group, x] if is_valid else np.nan
 
 
 @kernel
 def _fill_parts(body: Array, light: LightParts, first: Array, second: Array, parts: Array) -> None:
-    # Spectra (part, channel) whose weighted sum is the reflectance of a pixel.
+    # Write the spectra (part, channel) whose weighted sum is the reflectance of a pixel.
     for k in range(body.size):
         parts[0, k] = body[k] * light.direct[k]
         parts[1, k] = body[k] * light.diffuse[k]
@@ -76,16 +76,16 @@ def _fill_parts(body: Array, light: LightParts, first: Array, second: Array, par
 
 @kernel
 def _solve_free(gram: Array, right: Array, free: Array, amount: Array, factor: Array, goal: Array) -> None:
-    # Minimum over the free parts, the others fixed, by Cholesky's method.
+    # Write the minimum over the free parts, with all other parts fixed, by Cholesky's method.
     count = right.size
     for i in range(count):
         goal[i] = amount[i]
         if not free[i]:
             continue
-        rest, pivot = right[i], gram[i, i]
+        residual, pivot = right[i], gram[i, i]
         for j in range(count):
             if not free[j]:
-                rest -= gram[i, j] * amount[j]
+                residual -= gram[i, j] * amount[j]
         for j in range(i):
             if not free[j]:
                 continue
@@ -94,10 +94,10 @@ def _solve_free(gram: Array, right: Array, free: Array, amount: Array, factor: A
                 if free[k]:
                     value -= factor[i, k] * factor[j, k]
             factor[i, j] = value / factor[j, j]
-            rest -= factor[i, j] * goal[j]
+            residual -= factor[i, j] * goal[j]
             pivot -= factor[i, j] * factor[i, j]
         factor[i, i] = np.sqrt(max(pivot, 1e-14 * gram[i, i]))
-        goal[i] = rest / factor[i, i]
+        goal[i] = residual / factor[i, i]
     for i in range(count - 1, -1, -1):
         if free[i]:
             for j in range(i + 1, count):
@@ -107,41 +107,41 @@ def _solve_free(gram: Array, right: Array, free: Array, amount: Array, factor: A
 
 
 @kernel
-def minimise(gram: Array, right: Array, most: Array, held: Array, amount: Array) -> Any:
+def minimise(gram: Array, right: Array, most: Array, fixed: Array, amount: Array) -> Any:
     """Write the minimum of x' gram x / 2 - right' x over 0 <= x <= most, by an active-set method.
 
-    Exact but for rounding: the parts inside their bounds are solved for together (Cholesky); a part that
+    Exact except for rounding: the parts inside their bounds are solved for together (Cholesky); a part that
     would pass a bound is fixed there, and the part whose gradient points inside most steeply is freed. Each
     iteration lowers the value, so no set of free parts recurs.
 
-    ``gram`` (part, part) is positive definite; ``most`` (part,) are upper bounds; parts that are ``held``
+    ``gram`` (part, part) is positive definite; ``most`` (part,) are upper bounds; parts that are ``fixed``
     stay unchanged; ``amount`` (part,) is the start, within the bounds, and receives the minimum. Return
     whether it was found; False, with the best so far, after more iterations than there are sets.
     """
     count = right.size
     free = np.empty(count, np.bool_)
     for i in range(count):
-        free[i] = (not held[i]) and 0.0 < amount[i] < most[i]
+        free[i] = (not fixed[i]) and 0.0 < amount[i] < most[i]
     factor, goal = np.empty((count, count)), np.empty(count)
     for _ in range(4 * count * count):
         _solve_free(gram, right, free, amount, factor, goal)
-        stopped, step = -1, 1.0
+        blocked, step = -1, 1.0
         for i in range(count):
             if free[i] and not 0.0 <= goal[i] <= most[i]:
                 limit = 0.0 if goal[i] < 0.0 else most[i]
-                reach = (limit - amount[i]) / (goal[i] - amount[i])
-                if stopped < 0 or reach < step:
-                    stopped, step = i, reach
+                fraction = (limit - amount[i]) / (goal[i] - amount[i])
+                if blocked < 0 or fraction < step:
+                    blocked, step = i, fraction
         for i in range(count):
             if free[i]:
                 amount[i] += step * (goal[i] - amount[i])
-        if stopped >= 0:
-            amount[stopped] = 0.0 if goal[stopped] < 0.0 else most[stopped]
-            free[stopped] = False
+        if blocked >= 0:
+            amount[blocked] = 0.0 if goal[blocked] < 0.0 else most[blocked]
+            free[blocked] = False
             continue
-        steepest, release = _SLOPE, -1
+        steepest, release = _MIN_GRADIENT, -1
         for i in range(count):
-            if free[i] or held[i]:
+            if free[i] or fixed[i]:
                 continue
             slope = right[i]
             for j in range(count):
@@ -157,7 +157,7 @@ def minimise(gram: Array, right: Array, most: Array, held: Array, amount: Array)
 
 @kernel
 def _cost(gram: Array, right: Array, amount: Array) -> Any:
-    # amount' gram amount - 2 right' amount: the sum of squares, up to a constant.
+    # Return amount' gram amount - 2 right' amount: the sum of squares, up to a constant.
     total = 0.0
     for i in range(right.size):
         if amount[i] != 0.0:
@@ -173,19 +173,19 @@ class Equations(NamedTuple):
     gram: Array
     right: Array
     valid: Any  #: Number of valid channels
-    used: Any  #: Number of parts of the pixel: its own, and of the neighbours that light it
+    used: Any  #: Number of parts: of the body of the pixel, and of the neighbours that light it
 
 
 @kernel
 def _normal_equations(
-    seen: Array, parts: Array, used: Any, errors: ChannelErrors, gram: Array, right: Array
+    spectrum: Array, parts: Array, used: Any, errors: ChannelErrors, gram: Array, right: Array
 ) -> Any:
-    # The result is the number of valid channels, and the cost of zero amounts.
+    # Write the equations; return the number of valid channels, and the cost of zero amounts.
     gram[:] = 0.0
     right[:] = 0.0
     valid, zero_cost = 0, 0.0
-    for k in range(seen.size):
-        value = np.float64(seen[k])
+    for k in range(spectrum.size):
+        value = np.float64(spectrum[k])
         if not np.isfinite(value):
             continue
         valid += 1
@@ -205,32 +205,32 @@ def _normal_equations(
 
 @kernel
 def _neighbour_lowers_residual(gram: Array, right: Array, used: Any, amount: Array) -> Any:
-    for i in range(_OWN, used):
+    for i in range(_OWN_PARTS, used):
         slope = right[i]
-        for j in range(_OWN):
+        for j in range(_OWN_PARTS):
             slope -= gram[i, j] * amount[j]
-        if slope > _SLOPE * np.sqrt(gram[i, i]):
+        if slope > _MIN_GRADIENT * np.sqrt(gram[i, i]):
             return True
     return False
 
 
 @kernel
 def _minimise_with_neighbours(
-    equations: Equations, zero_cost: Any, most: Array, evidence: Any, held: Array, amount: Array
+    equations: Equations, zero_cost: Any, most: Array, evidence: Any, fixed: Array, amount: Array
 ) -> Any:
-    # Neighbours are used only where they gain enough; the result is the cost.
+    # Minimise, with neighbours only where they lower the cost by ``evidence``; return the cost.
     gram, right, used = equations.gram, equations.right, equations.used
-    held[_OWN:] = True
-    minimise(gram, right, most, held, amount)
+    fixed[_OWN_PARTS:] = True
+    minimise(gram, right, most, fixed, amount)
     cost = zero_cost + _cost(gram, right, amount)
-    if used > _OWN and cost > evidence and _neighbour_lowers_residual(gram, right, used, amount):
-        held[_OWN:used] = False
+    if used > _OWN_PARTS and cost > evidence and _neighbour_lowers_residual(gram, right, used, amount):
+        fixed[_OWN_PARTS:used] = False
         trial = amount.copy()
-        minimise(gram, right, most, held, trial)
-        less = zero_cost + _cost(gram, right, trial)
-        if cost - less > evidence * max(1.0, less / (_INDEPENDENT * equations.valid)):
+        minimise(gram, right, most, fixed, trial)
+        trial_cost = zero_cost + _cost(gram, right, trial)
+        if cost - trial_cost > evidence * max(1.0, trial_cost / (_INDEPENDENT_SHARE * equations.valid)):
             amount[:] = trial
-            cost = less
+            cost = trial_cost
     return cost
 
 
@@ -240,42 +240,42 @@ def _solve(
     zero_cost: Any,
     prior: AmountPrior,
     evidence: Any,
-    more: Glinting,
-    tie: Any,
+    additions: Glinting,
+    direct_weight: Any,
     amount: Array,
 ) -> None:
     """Write the amounts, starting from the prior.
 
-    ``equations`` and ``zero_cost`` (the cost of zero amounts) include the prior; ``tie`` is the prior weight
-    of the direct light. Neighbours and glint are kept only where omitting them raises the cost by
-    ``evidence``, in units of the reduced residual where that exceeds noise. With glint, ``more`` is added to
-    the prior mean, and the direct light must be at least `_SUNLIT`.
+    ``equations`` and ``zero_cost`` (the cost of zero amounts) include the prior; ``direct_weight`` is the
+    prior weight of the direct light. Neighbours and glint are kept only where omitting them raises the cost
+    by ``evidence``, in units of the reduced residual where that exceeds noise. With glint, ``additions`` are
+    added to the prior mean, and the direct light must be at least `_MIN_SUNLIT_DIRECT`.
     """
     right, most = equations.right, prior.most
-    held = np.zeros(PARTS, np.bool_)
+    fixed = np.zeros(PARTS, np.bool_)
     start = amount.copy()
-    around = 1.0 / prior.spread[_SUNWARD] ** 2
-    right[0] += tie * more.direct
-    right[_SUNWARD] += around * more.sunward
-    glinting = zero_cost + tie * more.direct * (2.0 * prior.expected[0] + more.direct)
-    glinting += around * more.sunward * (2.0 * prior.expected[_SUNWARD] + more.sunward)
-    cost = _minimise_with_neighbours(equations, glinting, most, evidence, held, amount)
-    right[0] -= tie * more.direct
-    right[_SUNWARD] -= around * more.sunward
+    sunward_weight = 1.0 / prior.spread[_SUNWARD] ** 2
+    right[0] += direct_weight * additions.direct
+    right[_SUNWARD] += sunward_weight * additions.sunward
+    glint_cost = zero_cost + direct_weight * additions.direct * (2.0 * prior.expected[0] + additions.direct)
+    glint_cost += sunward_weight * additions.sunward * (2.0 * prior.expected[_SUNWARD] + additions.sunward)
+    cost = _minimise_with_neighbours(equations, glint_cost, most, evidence, fixed, amount)
+    right[0] -= direct_weight * additions.direct
+    right[_SUNWARD] -= sunward_weight * additions.sunward
     if evidence <= 0.0:
         return
     trial = start
     trial[_GLINT] = 0.0
-    held[_GLINT] = True
-    plain = _minimise_with_neighbours(equations, zero_cost, most, evidence, held, trial)
-    weak = plain - cost <= evidence * max(1.0, cost / (_INDEPENDENT * equations.valid))
-    if weak or amount[_GLINT] <= 0.0 or amount[0] < _SUNLIT:
+    fixed[_GLINT] = True
+    cost_without_glint = _minimise_with_neighbours(equations, zero_cost, most, evidence, fixed, trial)
+    is_weak = cost_without_glint - cost <= evidence * max(1.0, cost / (_INDEPENDENT_SHARE * equations.valid))
+    if is_weak or amount[_GLINT] <= 0.0 or amount[0] < _MIN_SUNLIT_DIRECT:
         amount[:] = trial
 
 
 @kernel
 def unmix_lines(
-    seen: Array,
+    spectrum: Array,
     bodies: Bodies,
     light: LightParts,
     errors: ChannelErrors,
@@ -286,15 +286,15 @@ def unmix_lines(
 ) -> None:
     """Unmix every pixel of a block of lines.
 
-    Minimises sum(((seen - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2) with sigma =
-    noise x seen + floor and amounts from 0 to the upper bound. NaN where fewer than half the channels are
+    Minimises sum(((spectrum - parts amount) / sigma)^2) + sum(((amount - expected) / spread)^2) with sigma =
+    noise x spectrum + floor and amounts from 0 to the upper bound. NaN where fewer than half the channels are
     valid.
 
-    ``seen`` (line, column, channel) is reflectance [1]. ``evidence`` is the increase of the sum by which an
-    omission of glint or neighbours is rejected, 9 for three standard deviations; with 0 all are kept.
+    ``spectrum`` (line, column, channel) is reflectance [1]. ``evidence`` is the increase of the sum by which
+    an omission of glint or neighbours is rejected, 9 for three standard deviations; with 0 all are kept.
     ``glinting`` is added to the prior mean where there is glint, direct light by at most the body's tilt.
     """
-    lines, columns, channels = seen.shape
+    lines, columns, channels = spectrum.shape
     parts, nothing = np.empty((PARTS, channels)), np.zeros(channels)
     gram, right, amount = np.empty((PARTS, PARTS)), np.empty(PARTS), np.empty(PARTS)
     reflectance, expected, spread, tilt = bodies.reflectance, prior.expected, prior.spread, prior.tilt
@@ -304,11 +304,11 @@ def unmix_lines(
             valid, used = 0, 0
             if number >= 0:
                 first, second = bodies.neighbours[line, x, 0], bodies.neighbours[line, x, 1]
-                used = _OWN if first < 0 else (_OWN + 2 if second < 0 else _OWN + 4)
-                one = nothing if first < 0 else reflectance[first]
-                other = nothing if second < 0 else reflectance[second]
-                _fill_parts(reflectance[number], light, one, other, parts)
-                valid, zero_cost = _normal_equations(seen[line, x], parts, used, errors, gram, right)
+                used = _OWN_PARTS if first < 0 else (_OWN_PARTS + 2 if second < 0 else _OWN_PARTS + 4)
+                first_spectrum = nothing if first < 0 else reflectance[first]
+                second_spectrum = nothing if second < 0 else reflectance[second]
+                _fill_parts(reflectance[number], light, first_spectrum, second_spectrum, parts)
+                valid, zero_cost = _normal_equations(spectrum[line, x], parts, used, errors, gram, right)
             if 2 * valid < channels or number < 0:
                 out.amount[line, x] = np.nan
                 out.added[line, x] = np.nan
@@ -316,39 +316,39 @@ def unmix_lines(
                 out.misfit[line, x] = np.nan
                 continue
             for part in range(PARTS):
-                tie = 1.0 / spread[part] ** 2 if part else 1.0 / tilt[number] ** 2
-                gram[part, part] += tie
-                right[part] += tie * expected[part]
-                zero_cost += tie * expected[part] ** 2
+                weight = 1.0 / spread[part] ** 2 if part else 1.0 / tilt[number] ** 2
+                gram[part, part] += weight
+                right[part] += weight * expected[part]
+                zero_cost += weight * expected[part] ** 2
                 amount[part] = expected[part] if part < used else 0.0
             equations = Equations(gram, right, valid, used)
-            tie = 1.0 / tilt[number] ** 2
-            more = Glinting(min(glinting.direct, tilt[number]), glinting.sunward)
-            _solve(equations, zero_cost, prior, evidence, more, tie, amount)
+            weight = 1.0 / tilt[number] ** 2
+            additions = Glinting(min(glinting.direct, tilt[number]), glinting.sunward)
+            _solve(equations, zero_cost, prior, evidence, additions, weight, amount)
             out.amount[line, x] = amount
-            out.misfit[line, x] = _misfit(seen[line, x], parts, amount, errors)
-            most_first, most_second, most_both = 0.0, 0.0, 0.0
+            out.misfit[line, x] = _misfit(spectrum[line, x], parts, amount, errors)
+            max_first, max_second, max_both = 0.0, 0.0, 0.0
             for k in range(channels):
-                of_first = amount[5] * parts[5, k] + amount[6] * parts[6, k]
-                of_second = amount[7] * parts[7, k] + amount[8] * parts[8, k]
-                most_first = max(most_first, of_first)
-                most_second = max(most_second, of_second)
-                most_both = max(most_both, of_first + of_second)
-            out.added[line, x, 0], out.added[line, x, 1] = most_first, most_second
-            out.together[line, x] = most_both
+                from_first = amount[5] * parts[5, k] + amount[6] * parts[6, k]
+                from_second = amount[7] * parts[7, k] + amount[8] * parts[8, k]
+                max_first = max(max_first, from_first)
+                max_second = max(max_second, from_second)
+                max_both = max(max_both, from_first + from_second)
+            out.added[line, x, 0], out.added[line, x, 1] = max_first, max_second
+            out.together[line, x] = max_both
 
 
 @kernel
-def _misfit(seen: Array, parts: Array, amount: Array, errors: ChannelErrors) -> Any:
-    # Root mean square residual, in standard deviations.
+def _misfit(spectrum: Array, parts: Array, amount: Array, errors: ChannelErrors) -> Any:
+    # Return the root mean square residual, in standard deviations.
     total, valid = 0.0, 0
-    for k in range(seen.size):
-        value = np.float64(seen[k])
+    for k in range(spectrum.size):
+        value = np.float64(spectrum[k])
         if not np.isfinite(value):
             continue
         valid += 1
-        rest = value
+        residual = value
         for i in range(PARTS):
-            rest -= amount[i] * parts[i, k]
-        total += (rest / (errors.noise[k] * abs(value) + errors.floor)) ** 2
+            residual -= amount[i] * parts[i, k]
+        total += (residual / (errors.noise[k] * abs(value) + errors.floor)) ** 2
     return np.sqrt(total / max(valid, 1))

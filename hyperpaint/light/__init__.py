@@ -1,6 +1,6 @@
 """Light on the scene: spectral responses, the sun, and the irradiance of every scan line.
 
-An irradiance record and the bands of a camera come in, the irradiance that each band of each line saw goes
+An irradiance record and the bands of a camera come in, the irradiance of each band of each line goes
 out. For radiometry and all above it.
 """
 

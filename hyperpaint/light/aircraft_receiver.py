@@ -27,21 +27,21 @@ from .sun import diffuse_fraction, solar_position
 from .synchrony import check_irradiance_times
 
 _ANGLES = ("roll", "pitch", "heading")
-_PLACE = ("latitude", "longitude")
-_TIMES = ("time", "navigation_time", IRRADIANCE_TIME)
-#: Wavelengths of the split into direct and diffuse light [nm]; it is smooth between.
+_POSITION = ("latitude", "longitude")
+_TIME_NAMES = ("time", "navigation_time", IRRADIANCE_TIME)
+#: Wavelengths of the split into direct and diffuse light [nm], which is smooth between them.
 _NODES_NM = np.array([350.0, 400, 450, 500, 550, 600, 700, 800, 900, 1000, 1300, 1700, 2500])
 _CLEAR, _HAZY, _OVERCAST, _CONTRADICTORY = (
     SKY_STATES.index(word) for word in ("clear", "hazy", "overcast", "contradictory")
 )
-#: Zenith angle of the sun above which nothing is corrected: a degree of attitude changes direct light by a
-#: tenth.
+#: Zenith angle of the sun above which nothing is corrected: there, a degree of attitude changes direct light
+#: by a tenth.
 MAX_ZENITH_DEG = 80.0
 #: Tilt above which a sample is left out [degree]: survey aircraft do not bank so far.
 MAX_TILT_DEG = 30.0
-#: Longest interval over which the attitude is interpolated [s]; beyond its ends it holds for a quarter of it.
+#: Longest interval over which attitude is interpolated [s]; it is held constant for a quarter of that time.
 MAX_GAP_S = 1.0
-#: Time for which one split holds [s]: air and sun change little.
+#: Duration for which one split is used [s]: air and sun change little.
 SAME_SKY_S = 600.0
 #: Width of the intervals in which the dependence on attitude is fitted to the record [nm].
 FIT_INTERVAL_NM = 50.0
@@ -58,15 +58,15 @@ class _Sensor(NamedTuple):
     zenith: Floats  # (sample,) of the sun [degree]
     azimuth: Floats
     place: tuple[float, float]  # Latitude and longitude [degree]
-    response: tuple[Floats, Floats]  # Incidence [degree], and over the cosine law [1]
-    ground: float  # Reflectance [1]
+    response: tuple[Floats, Floats]  # Incidence [degree], and response relative to the cosine law [1]
+    ground: float  # Reflectance of the ground [1]
 
     @property
     def tilt(self) -> Floats:
         # Angle of the normal from the zenith (sample,) [degree]
         return np.asarray(np.degrees(np.arccos(np.clip(self.normal[:, 2], -1.0, 1.0))))
 
-    def of_sky(self) -> float:
+    def sky_response(self) -> float:
         # Sensor's mean response to an isotropic sky, relative to the cosine law [1]
         incidence = np.linspace(0.0, 90.0, 181)
         weight = np.sin(np.radians(2.0 * incidence))
@@ -75,15 +75,15 @@ class _Sensor(NamedTuple):
     @property
     def lean(self) -> Floats:
         # Part of the normal towards the sun, times the tangent of the sun's zenith angle (sample,) [1]
-        turn = np.radians(self.azimuth)
-        sunward = self.normal[:, 0] * np.sin(turn) + self.normal[:, 1] * np.cos(turn)
+        azimuth = np.radians(self.azimuth)
+        sunward = self.normal[:, 0] * np.sin(azimuth) + self.normal[:, 1] * np.cos(azimuth)
         return np.asarray(sunward * np.tan(np.radians(self.zenith)))
 
-    def bright_side(self, channels: Floats) -> Floats:
+    def sunward_gain(self, channels: Floats) -> Floats:
         # Relative gain of clear-sky diffuse light per unit of `lean` (sample, channel) [1]
-        # one gain for suns within half a degree
-        rounded, which = np.unique(np.round(2.0 * self.zenith) / 2.0, return_inverse=True)
-        return np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in rounded])[which]
+        # one gain for sun zenith angles within half a degree
+        suns, sun_of_sample = np.unique(np.round(2.0 * self.zenith) / 2.0, return_inverse=True)
+        return np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in suns])[sun_of_sample]
 
     def factor(self, diffuse: Floats, by_lean: Floats) -> Floats:
         """Return the reading relative to a level sensor that follows the cosine law (sample, channel) [1].
@@ -95,12 +95,12 @@ class _Sensor(NamedTuple):
         by_lean : (sample, channel)
             Gain of diffuse light per unit of `lean`, relative to the level irradiance [1].
         """
-        height = np.cos(np.radians(self.zenith))
-        beam = np.clip(self.normal[:, 2] + self.lean, 0.0, 1.0 / height)
-        beam *= np.interp(np.degrees(np.arccos(np.clip(beam * height, 0.0, 1.0))), *self.response)
+        sun_cosine = np.cos(np.radians(self.zenith))
+        beam = np.clip(self.normal[:, 2] + self.lean, 0.0, 1.0 / sun_cosine)
+        beam *= np.interp(np.degrees(np.arccos(np.clip(beam * sun_cosine, 0.0, 1.0))), *self.response)
         view = 0.5 * (1.0 + self.normal[:, 2])[:, None]
         sky = diffuse * view + by_lean * self.lean[:, None] + (1.0 - view) * self.ground
-        return np.asarray((1.0 - diffuse) * beam[:, None] + self.of_sky() * sky)
+        return np.asarray((1.0 - diffuse) * beam[:, None] + self.sky_response() * sky)
 
 
 #: Start of the attribute ``irradiance_mount`` of a levelled record.
@@ -241,13 +241,13 @@ def level_irradiance(
 def _factor(
     spectra: Floats, stamps: Array, channels: Floats, sensor: _Sensor, usable: Array
 ) -> tuple[Floats, str]:
-    # Factor of all samples (sample, channel), from `usable` ones, and the sky's name
-    sampled = usable[:: max(1, -(-usable.size // MAX_SKY_SAMPLES))]
-    _, state = _split(spectra[sampled], stamps[sampled], channels, sensor.place)
+    # Return the factor of all samples (sample, channel), from the `usable` samples, and the name of the sky.
+    sky_samples = usable[:: max(1, -(-usable.size // MAX_SKY_SAMPLES))]
+    _, state = _split(spectra[sky_samples], stamps[sky_samples], channels, sensor.place)
     if np.mean(state == _OVERCAST) > 0.5:
-        return np.full(spectra.shape, sensor.of_sky()), "overcast, its attitude without effect"
+        return np.full(spectra.shape, sensor.sky_response()), "overcast, its attitude without effect"
     clear = np.stack([diffuse_fraction(channels, min(float(zenith), 89.0)) for zenith in sensor.zenith])
-    gain = sensor.bright_side(channels)
+    gain = sensor.sunward_gain(channels)
     factor = sensor.factor(clear, clear * gain)
     # periods of SAME_SKY_S, each with one split
     seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
@@ -255,20 +255,22 @@ def _factor(
     period = np.minimum((seconds / (np.ptp(seconds) + 1.0) * periods).astype(np.int64), periods - 1)
     # the first pass corrects under a modelled clear sky, the second under the sky that the first one finds
     for _ in range(2):
-        fraction, state = _split((spectra / factor)[sampled], stamps[sampled], channels, sensor.place)
-        fits = (state != _CONTRADICTORY) & np.isfinite(fraction).all(axis=1)
+        fraction, state = _split((spectra / factor)[sky_samples], stamps[sky_samples], channels, sensor.place)
+        is_explained = (state != _CONTRADICTORY) & np.isfinite(fraction).all(axis=1)
         diffuse, by_lean = clear.copy(), clear * gain
         for number in range(periods):
-            inside, fitting = period == number, fits & (period[sampled] == number)
-            if fitting.any():
-                diffuse[inside] = np.median(fraction[fitting], axis=0)
-                is_bright = np.isin(state[fitting], (_CLEAR, _HAZY)).mean() > 0.5
+            inside, is_fitted = period == number, is_explained & (period[sky_samples] == number)
+            if is_fitted.any():
+                diffuse[inside] = np.median(fraction[is_fitted], axis=0)
+                is_bright = np.isin(state[is_fitted], (_CLEAR, _HAZY)).mean() > 0.5
                 by_lean[inside] = diffuse[inside] * gain[inside] if is_bright else 0.0
-            # the dependence on lean that remains in the record itself
+            # add the dependence on lean that remains in the corrected record
             rows = usable[period[usable] == number]
             factors = sensor.factor(diffuse, by_lean)[rows]
-            first, second = _left_by_lean(spectra[rows], factors, sensor.lean[rows], seconds[rows], channels)
-            by_lean[inside] += first + second * sensor.lean[inside][:, None]
+            linear, quadratic = _residual_by_lean(
+                spectra[rows], factors, sensor.lean[rows], seconds[rows], channels
+            )
+            by_lean[inside] += linear + quadratic * sensor.lean[inside][:, None]
         factor = sensor.factor(diffuse, by_lean)
     if (state == _CONTRADICTORY).mean() > 0.5:
         text = "the light sensor's record fits no sky; its attitude is corrected as under a clear one"
@@ -276,46 +278,46 @@ def _factor(
     return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
 
 
-def _left_by_lean(
+def _residual_by_lean(
     spectra: Floats, factor: Floats, lean: Floats, seconds: Floats, channels: Floats
 ) -> tuple[Floats, Floats]:
-    # Change of `factor` per unit of lean, and per unit of its square, each (channel,).
-    # A robust fit of the changes from sample to sample, in which the light itself changes little: logarithm
+    # Return the change of `factor` per unit of lean, and per unit of lean squared, both (channel,).
+    # It is a robust fit of changes from sample to sample, during which the light changes little: logarithm
     # of spectra over factors against lean, with a prior of zero. Intervals of wavelength without light get
     # zero.
     change = np.diff(seconds)
-    near = change <= 5.0 * np.median(change) if change.size else np.zeros(0, bool)
+    is_near = change <= 5.0 * np.median(change) if change.size else np.zeros(0, bool)
     powers = np.stack([lean, lean**2], axis=1)
     nodes = np.arange(channels.min(), channels.max() + FIT_INTERVAL_NM, FIT_INTERVAL_NM)
     slopes = np.zeros((nodes.size, 2))
     for row, node in enumerate(nodes):
         inside = np.abs(channels - node) <= FIT_INTERVAL_NM / 2.0
         light = np.nan_to_num(spectra[:, inside]).sum(axis=1)
-        if near.sum() < MIN_FIT_STEPS or not inside.any() or not (light > 0.0).all():
+        if is_near.sum() < MIN_FIT_STEPS or not inside.any() or not (light > 0.0).all():
             continue
-        mean = factor[:, inside].mean(axis=1)
-        rise, steps = np.diff(np.log(light / mean)), np.diff(powers / mean[:, None], axis=0)
+        mean_factor = factor[:, inside].mean(axis=1)
+        rise, steps = np.diff(np.log(light / mean_factor)), np.diff(powers / mean_factor[:, None], axis=0)
         fit = slopes[row]
         for _ in range(10):
             residual = rise - steps @ fit
-            spread = max(1.4826 * float(np.median(np.abs(residual[near]))), 1e-5)
+            spread = max(1.4826 * float(np.median(np.abs(residual[is_near]))), 1e-5)
             # steps changed by clouds are outliers
-            used = near & (np.abs(residual) <= 3.0 * spread)
-            x, y = steps[used] / spread, rise[used] / spread
+            is_inlier = is_near & (np.abs(residual) <= 3.0 * spread)
+            x, y = steps[is_inlier] / spread, rise[is_inlier] / spread
             fit = np.linalg.solve(x.T @ x + np.eye(2) / FIT_PRIOR_SD**2, x.T @ y)
         slopes[row] = fit
-    first, second = (np.interp(channels, nodes, column) for column in slopes.T)
-    return first, second
+    linear, quadratic = (np.interp(channels, nodes, column) for column in slopes.T)
+    return linear, quadratic
 
 
 def _split(
     spectra: Floats, stamps: Array, channels: Floats, place: tuple[float, float]
 ) -> tuple[Floats, Array]:
-    # Diffuse fraction (sample, channel) and the number of the state (sample,)
-    nm = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
+    # Return the diffuse fraction (sample, channel) and the number of the sky state (sample,).
+    wavelength = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
     record = xr.DataArray(
         spectra,
-        {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: nm},
+        {IRRADIANCE_TIME: stamps, IRRADIANCE_WAVELENGTH: wavelength},
         (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH),
     )
     dataset = schema.label(record, "irradiance").to_dataset()
@@ -332,11 +334,11 @@ def _sensor(
     ground: float,
 ) -> _Sensor:
     problems = Problems("the light sensor cannot be levelled", SchemaError)
-    missing = [name for name in (*_ANGLES, *_PLACE) if name not in attitude.variables]
-    clock = next((name for name in _TIMES if name in attitude.variables), None)
-    if missing or clock is None:
+    missing = [name for name in (*_ANGLES, *_POSITION) if name not in attitude.variables]
+    time_name = next((name for name in _TIME_NAMES if name in attitude.variables), None)
+    if missing or time_name is None:
         problems.add(
-            f"the attitude has no {', '.join([*missing, *([] if clock else ['time'])])}",
+            f"the attitude has no {', '.join([*missing, *([] if time_name else ['time'])])}",
             code="variable-missing",
         )
     if np.shape(mounting) != (3,) or not np.isfinite(mounting).all():
@@ -354,29 +356,31 @@ def _sensor(
         angles = [convert(angle, "degree") for angle in angles]
         convention = convention.replace(angle_unit="degree")
     roll, pitch, heading = convention.canonical(*(np.asarray(angle.values, np.float64) for angle in angles))
-    time = attitude[clock].values.astype("datetime64[ns]")
-    timed = ~np.isnat(time) & np.isfinite(roll)
+    time = attitude[time_name].values.astype("datetime64[ns]")
+    has_pose = ~np.isnat(time) & np.isfinite(roll)
     normal = np.full((stamps.size, 3), np.nan)
-    places = [np.asarray(attitude[name].values, np.float64) for name in _PLACE]
-    located = np.isfinite(places[0]) & np.isfinite(places[1])
-    if timed.any() and located.any():
-        order = np.flatnonzero(timed)[np.argsort(time[timed], kind="stable")]
-        turns = np.stack([heading, pitch, roll], axis=-1)[order]
-        # normals of the sensor: in the body, then to the north, the east and down
+    places = [np.asarray(attitude[name].values, np.float64) for name in _POSITION]
+    is_located = np.isfinite(places[0]) & np.isfinite(places[1])
+    if has_pose.any() and is_located.any():
+        order = np.flatnonzero(has_pose)[np.argsort(time[has_pose], kind="stable")]
+        angles_by_time = np.stack([heading, pitch, roll], axis=-1)[order]
+        # normals of the sensor: in the frame of the aircraft, then in north, east, down
         axis = Rotation.from_euler("ZYX", mounting[::-1], degrees=True).apply([0.0, 0.0, -1.0])
-        body = Rotation.from_euler("ZYX", turns, degrees=True).apply(axis)
-        # interpolate them to the samples, not over gaps of the attitude
-        at = (stamps - time[order[0]]) / np.timedelta64(1, "s")
-        rows = (time[order] - time[order[0]]) / np.timedelta64(1, "s")
-        after = np.clip(np.searchsorted(rows, at), 1, max(rows.size - 1, 1))
-        low, high = rows[after - 1], rows[np.minimum(after, rows.size - 1)]
-        away = np.minimum(np.abs(at - low), np.abs(at - high))
-        is_known = ((at >= low) & (at <= high) & (high - low <= MAX_GAP_S)) | (away <= MAX_GAP_S / 4.0)
-        normal = np.stack([np.interp(at, rows, body[:, axis]) for axis in (1, 0, 2)], axis=-1)
+        body = Rotation.from_euler("ZYX", angles_by_time, degrees=True).apply(axis)
+        # interpolate the normals to the samples, except over gaps of the attitude
+        seconds = (stamps - time[order[0]]) / np.timedelta64(1, "s")
+        pose_seconds = (time[order] - time[order[0]]) / np.timedelta64(1, "s")
+        upper = np.clip(np.searchsorted(pose_seconds, seconds), 1, max(pose_seconds.size - 1, 1))
+        low, high = pose_seconds[upper - 1], pose_seconds[np.minimum(upper, pose_seconds.size - 1)]
+        distance = np.minimum(np.abs(seconds - low), np.abs(seconds - high))
+        is_known = ((seconds >= low) & (seconds <= high) & (high - low <= MAX_GAP_S)) | (
+            distance <= MAX_GAP_S / 4.0
+        )
+        normal = np.stack([np.interp(seconds, pose_seconds, body[:, axis]) for axis in (1, 0, 2)], axis=-1)
         normal *= np.array([1.0, 1.0, -1.0]) / np.linalg.norm(normal, axis=-1, keepdims=True)
         normal = np.where(is_known[:, None], normal, np.nan)
-    # to a kilometre, so that a crop of the line means the same sky
-    latitude, longitude = (round(float(p[located].mean()), 2) if located.any() else 0.0 for p in places)
+    # rounded to a kilometre, so that a crop of the line gets the same sky
+    latitude, longitude = (round(float(p[is_located].mean()), 2) if is_located.any() else 0.0 for p in places)
     zenith, azimuth = solar_position(stamps, latitude, longitude)
     return _Sensor(normal, zenith, azimuth, (latitude, longitude), response, ground)
 

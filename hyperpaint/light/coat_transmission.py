@@ -41,14 +41,14 @@ def interface_reflectance(angle: npt.ArrayLike, index: float = COAT_INDEX) -> Fl
 
 
 def _reflectance(cosine: Floats, index: float) -> Floats:
-    inside = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
-    crossed = ((cosine - index * inside) / (cosine + index * inside)) ** 2
-    along = ((inside - index * cosine) / (inside + index * cosine)) ** 2
-    return np.asarray(0.5 * (crossed + along))
+    cosine_inside = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
+    perpendicular = ((cosine - index * cosine_inside) / (cosine + index * cosine_inside)) ** 2
+    parallel = ((cosine_inside - index * cosine) / (cosine_inside + index * cosine)) ** 2
+    return np.asarray(0.5 * (perpendicular + parallel))
 
 
 @functools.lru_cache(maxsize=64)
-def _of_functions(sun_zenith: float, index: float) -> tuple[Floats, float]:
+def _mean_reflectances(sun_zenith: float, index: float) -> tuple[Floats, float]:
     # mean reflectance for the functions of a clear sky (3,), and for CIE's overcast sky
     sky = dome()
     reflected = sky.level * _reflectance(sky.cosine, index)
@@ -80,11 +80,13 @@ def sky_reflectance(
     >>> print(sky_reflectance([550.0], None).round(3), sky_reflectance([550.0], 60.0).round(3))
     [0.092] [0.134]
     """
-    nm = np.asarray(wavelength, np.float64)
-    functions, overcast = _of_functions(45.0 if sun_zenith is None else float(sun_zenith), float(index))
+    wavelengths = np.asarray(wavelength, np.float64)
+    functions, overcast = _mean_reflectances(45.0 if sun_zenith is None else float(sun_zenith), float(index))
     if sun_zenith is None:
-        return np.full(nm.shape, functions[0])
-    return np.asarray((1.0 - cloud) * (functions @ clear_sky_shares(nm, sun_zenith)) + cloud * overcast)
+        return np.full(wavelengths.shape, functions[0])
+    return np.asarray(
+        (1.0 - cloud) * (functions @ clear_sky_shares(wavelengths, sun_zenith)) + cloud * overcast
+    )
 
 
 def transmitted_share(
@@ -109,5 +111,5 @@ def transmitted_share(
     >>> print(transmitted_share(np.array([0.12, 1.0]), 0.0918, 60.0).round(3))
     [0.948 0.946]
     """
-    normal, sun, leaving = 1.0 - interface_reflectance([0.0, incidence, view], index)
-    return ((1.0 - fraction) * sun + fraction * (1.0 - sky)) / normal * leaving / normal
+    at_normal, entering, leaving = 1.0 - interface_reflectance([0.0, incidence, view], index)
+    return ((1.0 - fraction) * entering + fraction * (1.0 - sky)) / at_normal * leaving / at_normal

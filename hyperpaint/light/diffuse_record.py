@@ -125,11 +125,11 @@ def diffuse_from_record(
             f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
             code="irradiance-coverage",
         )
-    at = np.atleast_1d(np.asarray(wavelength, np.float64))
+    wavelengths = np.atleast_1d(np.asarray(wavelength, np.float64))
     time = variables[IRRADIANCE_TIME].values
-    place = float(latitude), float(longitude), float(calibration_uncertainty), float(pressure)
+    receiver = float(latitude), float(longitude), float(calibration_uncertainty), float(pressure)
     fraction, u, probability, cloud = _split(
-        record.values, time, channels.values.astype(np.float64), at, place
+        record.values, time, channels.values.astype(np.float64), wavelengths, receiver
     )
     split = xr.Dataset(
         {
@@ -141,7 +141,7 @@ def diffuse_from_record(
         },
         {
             IRRADIANCE_TIME: record[IRRADIANCE_TIME].variable,
-            "wavelength": (BAND, at, schema.VARIABLES["wavelength"].attrs),
+            "wavelength": (BAND, wavelengths, schema.VARIABLES["wavelength"].attrs),
             "state": list(SKY_STATES),
         },
     )
@@ -167,9 +167,9 @@ def states_of(probability: Floats) -> npt.NDArray[np.int8]:
 
 def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
     problems = Problems("the split of irradiance is not known", SchemaError)
-    is_place = np.isfinite(latitude) and np.isfinite(longitude)
+    is_finite = np.isfinite(latitude) and np.isfinite(longitude)
     for is_valid, found, expected in (
-        (is_place, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
+        (is_finite, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
         (0.0 < calibration <= 1.0, f"calibration_uncertainty={calibration!r}", "above 0, at most 1"),
         (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
     ):
@@ -186,24 +186,24 @@ def _split(
     place: tuple[float, float, float, float],
     sun_zenith: float | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    # Fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
-    # `place`: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
+    # Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
+    # `receiver`: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
     # `sun_zenith` replaces the zenith angle from clock and place [degree].
     latitude, longitude, level_u, pressure = place
     spectra = np.asarray(spectra, np.float64)
-    # leave out channels that most samples lack: a sample is used only where all its intervals are known
+    # leave out channels that most samples lack: a sample needs finite values in all intervals
     finite = np.isfinite(spectra)
-    kept = 2 * finite.sum(axis=0) > finite.any(axis=1).sum()
-    spectra, channels = spectra[:, kept], channels[kept]
+    is_frequent = 2 * finite.sum(axis=0) > finite.any(axis=1).sum()
+    spectra, channels = spectra[:, is_frequent], channels[is_frequent]
     # means over the compared intervals, at one astronomical unit
     windows = windows_in(channels)
-    used = windows.operator.any(axis=0)
-    means = spectra[:, used] @ windows.operator[:, used].T
+    is_used = windows.operator.any(axis=0)
+    means = spectra[:, is_used] @ windows.operator[:, is_used].T
     means /= sun_distance_factor(time)[:, None]
     zenith, _ = solar_position(time, latitude, longitude)
     if sun_zenith is not None:
         zenith = np.full(zenith.shape, sun_zenith)
-    # without any interval, as in a record without values, every sample is unknown
+    # without any interval, as in a record without values, no sample is usable
     usable = (
         bool(windows.centre.size) & ((means > 0.0) & np.isfinite(means)).all(axis=1) & np.isfinite(zenith)
     )
@@ -241,22 +241,22 @@ def split_of_lines(
     variables = schema.require(line, [*wanted, IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     latitude, longitude = (variables[name].values for name in ("latitude", "longitude"))
-    located = np.isfinite(latitude) & np.isfinite(longitude)
-    if not located.any() or IRRADIANCE_WAVELENGTH not in record.coords:
+    is_located = np.isfinite(latitude) & np.isfinite(longitude)
+    if not is_located.any() or IRRADIANCE_WAVELENGTH not in record.coords:
         return None
     channels = convert(record[IRRADIANCE_WAVELENGTH], "nm").values.astype(np.float64)
     if not windows_in(channels).centre.size:
         return None
-    # to a kilometre, so that a crop of the line means the same sky
-    place = round(float(latitude[located].mean()), 2), round(float(longitude[located].mean()), 2)
+    # rounded to a kilometre, so that a crop of the line gets the same sky
+    place = round(float(latitude[is_located].mean()), 2), round(float(longitude[is_located].mean()), 2)
     wavelength = variables["wavelength"].values.astype(np.float64)
     samples = variables[IRRADIANCE_TIME].values
     check_irradiance_times(samples.astype("datetime64[ns]"))
-    numbers = (*place, calibration_uncertainty, 101_325.0)
-    whole = dask.delayed(_split)(record.data, samples, channels, wavelength, numbers, sun_zenith)
+    receiver = (*place, calibration_uncertainty, 101_325.0)
+    split_of_record = dask.delayed(_split)(record.data, samples, channels, wavelength, receiver, sun_zenith)
     parts: list[list[Any]] = [[], [], []]
     for rows in np.split(variables["time"].values, _block_starts(line)):
-        block = dask.delayed(_at_lines, nout=3)(whole, samples, rows)
+        block = dask.delayed(_at_lines, nout=3)(split_of_record, samples, rows)
         shapes = ((rows.size, wavelength.size), (rows.size, wavelength.size), (rows.size,))
         for out, array, shape, dtype in zip(parts, block, shapes, ("f4", "f4", "i1"), strict=True):
             out.append(da.from_delayed(array, shape, dtype))
@@ -266,7 +266,7 @@ def split_of_lines(
 
 
 def _block_starts(line: xr.Dataset) -> list[int]:
-    # Where blocks of lines begin, except the first: the chunks of the cube
+    # Return the first line of every block but the first; blocks are the chunks of the cube.
     for name in ("reflectance", "radiance", "counts"):
         if name in line.variables and line[name].chunks is not None:
             sizes = line[name].variable.chunksizes.get(ALONG_TRACK, ())
@@ -277,24 +277,32 @@ def _block_starts(line: xr.Dataset) -> list[int]:
 def _at_lines(
     split: tuple[Floats, Floats, Floats, Floats], samples: Array, time: Array
 ) -> tuple[Array, Array, Array]:
-    # Fraction, uncertainty (line, band) and state (line,) between the samples around every line
+    # Interpolate fraction, uncertainty (line, band) and state (line,) from the samples around every line.
     fraction, u, probability, _ = split
     usable = np.flatnonzero(np.isfinite(fraction).any(axis=1))
     shape = (time.size, fraction.shape[1])
     state = np.full(time.size, len(SKY_STATES) - 1, np.int8)
     if not usable.size:
         return np.full(shape, np.nan, np.float32), np.full(shape, np.nan, np.float32), state
-    stamps, known = samples[usable].astype("datetime64[ns]"), ~np.isnat(time)
+    stamps, has_time = samples[usable].astype("datetime64[ns]"), ~np.isnat(time)
     # as nanoseconds after the first sample, so that no bit depends on the distance to 1970
-    at = np.where(known, time.astype("datetime64[ns]") - stamps[0], np.timedelta64(0, "ns")).astype(np.int64)
-    place = (stamps - stamps[0]).astype(np.int64)
-    after = np.clip(np.searchsorted(place, at), 0, usable.size - 1)
-    before = np.maximum(after - (at < place[after]), 0)
-    part = np.clip((at - place[before]) / np.maximum(place[after] - place[before], 1), 0.0, 1.0)[:, None]
+    line_ns = np.where(has_time, time.astype("datetime64[ns]") - stamps[0], np.timedelta64(0, "ns")).astype(
+        np.int64
+    )
+    sample_ns = (stamps - stamps[0]).astype(np.int64)
+    after = np.clip(np.searchsorted(sample_ns, line_ns), 0, usable.size - 1)
+    before = np.maximum(after - (line_ns < sample_ns[after]), 0)
+    weight = np.clip(
+        (line_ns - sample_ns[before]) / np.maximum(sample_ns[after] - sample_ns[before], 1), 0.0, 1.0
+    )[:, None]
     rows = [
-        np.where(known[:, None], (1.0 - part) * values[usable[before]] + part * values[usable[after]], np.nan)
+        np.where(
+            has_time[:, None],
+            (1.0 - weight) * values[usable[before]] + weight * values[usable[after]],
+            np.nan,
+        )
         for values in (fraction, u)
     ]
-    nearer = usable[np.where(part[:, 0] > 0.5, after, before)]
-    state = np.where(known, states_of(probability)[nearer], state).astype(np.int8)
+    nearer = usable[np.where(weight[:, 0] > 0.5, after, before)]
+    state = np.where(has_time, states_of(probability)[nearer], state).astype(np.int8)
     return rows[0].astype(np.float32), rows[1].astype(np.float32), state

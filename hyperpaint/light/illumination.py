@@ -116,9 +116,9 @@ class Tilt:
         incidence = np.cos(slope) * np.cos(zenith) + np.sin(slope) * np.sin(zenith) * np.cos(
             sun_azimuth - np.radians(self.azimuth)
         )
-        height = np.cos(zenith)
+        sun_cosine = np.cos(zenith)
         # direct light relative to level ground; 1 where the sun is at the horizon
-        beam = np.where(height > 1e-3, np.clip(incidence, 0.0, None) / np.maximum(height, 1e-3), 1.0)
+        beam = np.where(sun_cosine > 1e-3, np.clip(incidence, 0.0, None) / np.maximum(sun_cosine, 1e-3), 1.0)
         view = (1.0 + np.cos(slope)) / 2.0 if self.sky_view_factor is None else self.sky_view_factor
         diffuse = (
             np.stack([diffuse_fraction(wavelength, float(np.degrees(z))) for z in zenith])
@@ -129,9 +129,9 @@ class Tilt:
         )
         gain = np.zeros(diffuse.shape)
         if self.sky == "clear" and self.angle > 0.0:
-            turns = np.degrees(np.radians(self.azimuth) - sun_azimuth)
+            from_sun = np.degrees(np.radians(self.azimuth) - sun_azimuth)
             suns = np.minimum(np.degrees(zenith), MAX_SUN_ZENITH_DEG)
-            for row, sun, turn in zip(gain, suns, turns, strict=True):
+            for row, sun, turn in zip(gain, suns, from_sun, strict=True):
                 row[:] = facing_gain(wavelength, float(sun), self.angle, float(turn)) - 1.0
         return np.asarray(
             1.0
@@ -146,27 +146,27 @@ class Smile:
     """Wavelength shifts of the columns for the kernels: a cubic in every cell between two shifts."""
 
     nodes: Floats  #: (node,): wavelength shifts [nm]; a single 0 where there is no smile
-    shift: Array  #: (1 or band, column) float32: place of a column in its cell, 0 to 1
+    shift: Array  #: (1 or band, column) float32: position of a column in its cell, 0 to 1
     #: edges (1 or band, run + 1), cells (1 or band, run): runs of neighbouring columns that share a cell
     edges: Array
     cells: Array
 
     def cubics(self, series: Floats) -> Floats:
-        """Return cubics (..., band, cell, 4) through values (..., node, band).
+        """Return the coefficients (..., band, cell, 4) of cubics through values (..., node, band).
 
-        One node gives (..., band, 1, 1), the values themselves. Elsewhere it is Lagrange's polynomial
-        through the four nodes around a cell, in powers of the place in it.
+        One node gives (..., band, 1, 1), the values themselves. With several nodes it is Lagrange's
+        polynomial through the four nodes around a cell, in powers of the position in the cell.
         """
         if self.nodes.size == 1:
             return np.swapaxes(series, -1, -2)[..., None]
-        before, low, high, after = (series[..., k : self.nodes.size - 3 + k, :] for k in range(4))
-        powers = (
-            low,
-            -before / 3 - low / 2 + high - after / 6,
-            before / 2 - low + high / 2,
-            -before / 6 + low / 2 - high / 2 + after / 6,
+        c_before, c_low, c_high, c_after = (series[..., k : self.nodes.size - 3 + k, :] for k in range(4))
+        coefficients = (
+            c_low,
+            -c_before / 3 - c_low / 2 + c_high - c_after / 6,
+            c_before / 2 - c_low + c_high / 2,
+            -c_before / 6 + c_low / 2 - c_high / 2 + c_after / 6,
         )
-        return np.moveaxis(np.stack(powers, axis=-1), -3, -2)
+        return np.moveaxis(np.stack(coefficients, axis=-1), -3, -2)
 
 
 def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
@@ -191,14 +191,14 @@ def smile_cells(wavelength_shift: npt.ArrayLike | None, columns: int) -> Smile:
             code="wavelength-shift-range",
         )
     if not shift.any():
-        whole = np.array([[0, columns]])
-        return Smile(np.zeros(1), np.zeros((1, columns), np.float32), whole, np.zeros((1, 1), np.int64))
+        full_run = np.array([[0, columns]])
+        return Smile(np.zeros(1), np.zeros((1, columns), np.float32), full_run, np.zeros((1, 1), np.int64))
     first = int(np.floor(shift.min() / NODE_SPACING))
     last = max(int(np.ceil(shift.max() / NODE_SPACING)), first + 1)
     cell = np.clip(np.floor(shift / NODE_SPACING).astype(np.int64) - first, 0, last - first - 1)
     starts = [np.concatenate(([0], np.flatnonzero(np.diff(row)) + 1)) for row in cell]
     runs = max(start.size for start in starts)
-    # rows with fewer runs are filled with empty ones
+    # pad rows that have fewer runs with empty runs
     edges = np.stack([np.pad(start, (0, runs + 1 - start.size), constant_values=columns) for start in starts])
     cells = np.take_along_axis(cell, np.minimum(edges[:, :-1], columns - 1), axis=1)
     nodes = np.arange(first - 1, last + 2, dtype=np.float64) * NODE_SPACING
@@ -354,7 +354,7 @@ def _warn_of_bands(matching: Matching, channels: Floats, imager: Mapping[str, An
             ),
             stacklevel=3,
         )
-    # a row of weights is NaN as a whole
+    # all weights of a band outside the record are NaN
     outside = np.flatnonzero(np.isnan(matching.weights[..., 0]).any(axis=0))
     if outside.size:
         warnings.warn(
@@ -369,17 +369,19 @@ def _warn_of_bands(matching: Matching, channels: Floats, imager: Mapping[str, An
 
 
 def _apply(matching: Matching, spectra: Array, order: Array | None = None) -> Floats:
-    # Spectra (..., channel) as (..., node, band); NaN where a missing channel has a weight.
-    # `order`: channels of the spectra in the order of the weights; None for the same.
+    # Return spectra (..., channel) as (..., node, band); NaN where a missing channel has a weight.
+    # `order`: indices of the spectra's channels in the order of the weights; None for the same order.
     # most channels of the spectrometer lie outside the camera's range and have no weight
-    used = matching.used
-    spectra = np.asarray(spectra[..., used if order is None else order[used]], np.float64)
-    weights, missing = matching.weights[..., used], np.isnan(spectra)
-    gaps = missing.any()
-    matched = np.tensordot(np.where(missing, 0.0, spectra) if gaps else spectra, weights, axes=([-1], [-1]))
-    if gaps:
-        touched = np.tensordot(missing.astype(np.float64), np.abs(weights) > 1e-6, axes=([-1], [-1])) > 0
-        matched = np.where(touched, np.nan, matched)
+    channels = matching.used
+    spectra = np.asarray(spectra[..., channels if order is None else order[channels]], np.float64)
+    weights, missing = matching.weights[..., channels], np.isnan(spectra)
+    has_gaps = missing.any()
+    matched = np.tensordot(
+        np.where(missing, 0.0, spectra) if has_gaps else spectra, weights, axes=([-1], [-1])
+    )
+    if has_gaps:
+        is_missing = np.tensordot(missing.astype(np.float64), np.abs(weights) > 1e-6, axes=([-1], [-1])) > 0
+        matched = np.where(is_missing, np.nan, matched)
     return np.asarray(matched)
 
 
@@ -387,7 +389,7 @@ class RecordDeparture(NamedTuple):
     """Difference of an irradiance record from its declaration, measured by a comparison with the camera."""
 
     shift_nm: float  #: Wavelength of the camera minus wavelength of the record, at `ALIGNED_AT_NM` [nm]
-    slope_nm: float  #: Its change over `ALIGNED_PER_NM` [nm]
+    slope_nm: float  #: Change of the shift over `ALIGNED_PER_NM` [nm]
     width: float  #: Width of the record over the declared one [1]
 
     def shift_at(self, wavelength: Floats) -> Floats:
@@ -421,7 +423,7 @@ def matched_series(
     """Return a series (time, channel) as float64 (time, node, band), and the misfit (node, band) [1].
 
     The array side of `match_irradiance`. ``departure``: difference of the record from its declaration that a
-    comparison in flight measured and nobody corrected (`departure_of_record`); it enters the misfit.
+    comparison in flight measured and that was not corrected (`departure_of_record`); it enters the misfit.
     """
     order = np.argsort(channels, kind="stable")
     width = np.broadcast_to(np.asarray(irradiance_fwhm, np.float64), channels.shape)[order]
@@ -441,7 +443,7 @@ def matched_series(
 def departure_of_record(attrs: Mapping[Any, Any]) -> RecordDeparture | None:
     """Return the measured departure of a flight line's record that was not corrected; None without one.
 
-    From the attributes that `hyperpaint.alignment.align` leaves.
+    `hyperpaint.alignment.align` stores it in attributes.
     """
     names = ("alignment_shift", "alignment_shift_slope", "alignment_width")
     if attrs.get("alignment_state") != "not applied" or not set(names) <= set(attrs):

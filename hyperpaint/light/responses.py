@@ -28,7 +28,7 @@ _REACH = 2.2
 #: Steps of the grid of responses per width of the narrowest channel.
 STEPS_PER_FWHM = 40.0
 
-#: Most steps of the grid of one band, alone and times the channels near it; widths differ by some thousand.
+#: Maximum grid steps of one band, and of grid steps times nearby channels; widths may differ a thousandfold.
 MAX_GRID_STEPS, MAX_GRID_SAMPLES = 200_000, 100_000_000
 
 #: Ridge of the least squares, in units of the mean squared norm of a spectrometer response.
@@ -44,8 +44,8 @@ class Responses:
 
     wavelength: Floats  #: (band,): centres [nm]
     fwhm: Floats  #: (band,): full widths at half maximum [nm]
-    #: ``"gaussian"``; ``"slit"``: the slit image, a box ``fwhm`` wide, seen by a pixel one band spacing wide,
-    #: which makes a trapezoid; ``"tabulated"``: `table` on `offset`
+    #: ``"gaussian"``; ``"slit"``: the slit image, a box ``fwhm`` wide, convolved with a pixel one band
+    #: spacing wide: a trapezoid; ``"tabulated"``: `table` on `offset`
     shape: str = "gaussian"
     spacing: Floats | None = None  #: (band,): band spacing [nm]; only the slit shape uses it
     slope: Floats | None = None  #: (band,): relative slope of the responsivity, d ln R / d wavelength [nm-1]
@@ -108,7 +108,7 @@ class Responses:
         distance = grid - self.wavelength[bands, None]
         width = self.fwhm[bands, None]
         if self.shape == "gaussian":
-            # cut off, since products of far tails are denormal numbers, a hundred times slower
+            # tails are cut off: their products are denormal numbers, which are a hundred times slower
             tail = np.abs(distance) > _REACH * width
             response = np.where(tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
         elif self.shape == "slit":
@@ -117,7 +117,7 @@ class Responses:
         else:
             offset, table = np.asarray(self.offset), np.asarray(self.table)
             rows = zip(distance, table[bands], strict=True)
-            response = np.stack([np.interp(away, offset, row, 0.0, 0.0) for away, row in rows])
+            response = np.stack([np.interp(distances, offset, row, 0.0, 0.0) for distances, row in rows])
         if self.slope is not None:
             response = response * np.exp(self.slope[bands, None] * distance)
         total = response.sum(axis=1, keepdims=True)
@@ -192,8 +192,8 @@ def mean_responsivity(gain: npt.ArrayLike) -> Floats:
 def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats:
     """Return d ln R / d wavelength at every band [nm-1].
 
-    The slope of a parabola through the neighbours of a band: at the ends of the array, where they lie to one
-    side, a straight line would take the curvature for slope.
+    It is the slope of a parabola through the neighbours of a band. At the ends of the array, where they lie
+    on one side, the slope of a straight line would include curvature.
 
     ``responsivity`` (band,) is of any scale; values that are not positive and finite are left out. ``width``
     (band,) is the half width of the window of the fit [nm].
@@ -201,16 +201,20 @@ def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats
     usable = np.isfinite(responsivity) & (responsivity > 0)
     log = np.log(np.where(usable, responsivity, 1.0))
     distance = (wavelength - wavelength[:, None]) / width[:, None]
-    near = usable & (np.abs(distance) <= 1.0)
-    terms = [np.zeros(near.shape) for _ in range(5)]
+    is_near = usable & (np.abs(distance) <= 1.0)
+    terms = [np.zeros(is_near.shape) for _ in range(5)]
     for power, term in enumerate(terms):
-        term[near] = distance[near] ** power  # near bands only: powers of all take longer than the matching
+        term[is_near] = (
+            distance[is_near] ** power
+        )  # near bands only: powers of all take longer than the matching
     sums = [term.sum(axis=1) for term in terms]
-    normal = np.stack([np.stack(sums[row : row + 3], axis=-1) for row in range(3)], axis=-2)
+    matrix = np.stack([np.stack(sums[row : row + 3], axis=-1) for row in range(3)], axis=-2)
     right = np.stack([term @ log for term in terms[:3]], axis=-1)
-    enough = np.linalg.det(normal) > 1e-9  # three different places at least, as a parabola needs
+    is_determined = np.linalg.det(matrix) > 1e-9  # a parabola needs three different positions
     slopes = np.zeros(wavelength.shape)
-    slopes[enough] = np.linalg.solve(normal[enough], right[enough, :, None])[:, 1, 0] / width[enough]
+    slopes[is_determined] = (
+        np.linalg.solve(matrix[is_determined], right[is_determined, :, None])[:, 1, 0] / width[is_determined]
+    )
     return slopes
 
 
@@ -266,14 +270,14 @@ def matching_operator(
     channels are missing over more than two widths inside it: nothing is extrapolated.
     """
     shifts = tuple(np.atleast_1d(np.asarray(nodes, np.float64)).tolist())
-    return _remembered_operator(spectrometer, imager, shifts, ridge)
+    return _cached_operator(spectrometer, imager, shifts, ridge)
 
 
 @functools.lru_cache(maxsize=8)
-def _remembered_operator(
+def _cached_operator(
     spectrometer: Responses, imager: Responses, nodes: tuple[float, ...], ridge: float
 ) -> Matching:
-    # computed once for all flight lines of a camera
+    # cached: all flight lines of a camera share an operator
     shifts = np.array(nodes)
     order = np.argsort(spectrometer.wavelength, kind="stable")
     centres, reach = spectrometer.wavelength[order], spectrometer.reach()[order]
@@ -281,36 +285,38 @@ def _remembered_operator(
     shape = (shifts.size, imager.wavelength.size)
     weights = np.zeros((*shape, centres.size))
     misfit, noise_gain, coverage = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
-    moved = [imager.shifted(float(shift)) for shift in shifts]
+    shifted_imagers = [imager.shifted(float(shift)) for shift in shifts]
     # one grid and one set of channels for all shifts of a band
-    half = imager.reach() + np.ptp(shifts) / 2
+    half_support = imager.reach() + np.ptp(shifts) / 2
     for band, centre in enumerate(imager.wavelength + (shifts.min() + shifts.max()) / 2):
-        near = np.flatnonzero(np.abs(centres - centre) <= half[band] + 0.5 * reach)
-        # detectors of a spectrometer differ in width: use the channels around the band
-        widest = reach[near].max() if near.size else reach.max()
-        steps = (2.0 * half[band] + 4.0 * widest) / step
-        if steps > MAX_GRID_STEPS or steps * near.size > MAX_GRID_SAMPLES:
+        nearby = np.flatnonzero(np.abs(centres - centre) <= half_support[band] + 0.5 * reach)
+        # detectors of a spectrometer differ in width: use the widths of the channels around the band
+        widest = reach[nearby].max() if nearby.size else reach.max()
+        steps = (2.0 * half_support[band] + 4.0 * widest) / step
+        if steps > MAX_GRID_STEPS or steps * nearby.size > MAX_GRID_SAMPLES:
             fwhm = np.concatenate([spectrometer.fwhm, imager.fwhm])
             raise SchemaError(
                 f"'fwhm' reaches from {fwhm.min():g} to {fwhm.max():g} nm, which cannot be matched",
                 mend="check the widths and their units",
                 code="fwhm-range",
             )
-        grid = np.arange(-half[band] - 2 * widest, half[band] + 2 * widest + step, step) + centre
-        responses = np.stack([bands.on(grid, band) for bands in moved])
+        grid = (
+            np.arange(-half_support[band] - 2 * widest, half_support[band] + 2 * widest + step, step) + centre
+        )
+        responses = np.stack([bands.on(grid, band) for bands in shifted_imagers])
         coverage[:, band] = responses[:, (grid >= centres[0]) & (grid <= centres[-1])].sum(axis=1) * step
-        widths = spectrometer.fwhm[order[near]] if near.size else spectrometer.fwhm
+        widths = spectrometer.fwhm[order[nearby]] if nearby.size else spectrometer.fwhm
         if _has_hole(centres, centre, imager.fwhm[band] + np.ptp(shifts), 2.0 * widths.max()):
             coverage[:, band] = 0.0
         covered = coverage[:, band] >= 0.999
         weights[~covered, band] = np.nan
-        if near.size == 0 or not covered.any():
+        if nearby.size == 0 or not covered.any():
             weights[:, band] = np.nan
             continue
-        channels = spectrometer.on(grid, order[near])
+        channels = spectrometer.on(grid, order[nearby])
         rows = _constrained_ridge(channels, responses[covered], ridge)
         for node, row in zip(np.flatnonzero(covered), rows, strict=True):
-            weights[node, band, order[near]] = row
+            weights[node, band, order[nearby]] = row
         residual = np.einsum("ni,ig->ng", rows, channels) - responses[covered]
         misfit[covered, band] = np.sqrt((residual**2).sum(axis=1) / (responses[covered] ** 2).sum(axis=1))
         noise_gain[covered, band] = np.sqrt((rows**2).sum(axis=1))
@@ -323,10 +329,10 @@ def _remembered_operator(
 def misfit_through(
     declared: Responses, spectrometer: Responses, imager: Responses, nodes: tuple[float, ...]
 ) -> Floats:
-    """Return the misfit (node, band) of an operator applied to another spectrometer than it was made for [1].
+    """Return the misfit (node, band) of an operator for spectrometer ``declared`` applied to another one [1].
 
-    ``declared``: responses that the operator was made for; ``spectrometer``: true responses of the channels.
-    NaN where the operator is NaN. Cached, since a flight line is planned once to look at it and once to write
+    ``declared``: responses that define the operator; ``spectrometer``: true responses of the channels.
+    NaN where the operator is NaN. Cached, since a flight line is planned twice: to inspect it, and to write
     it.
     """
     matching = matching_operator(declared, imager, nodes)
@@ -334,33 +340,35 @@ def misfit_through(
     step = min(spectrometer.fwhm.min(), imager.fwhm.min()) / STEPS_PER_FWHM
     misfit = np.full(matching.misfit.shape, np.nan)
     for node, shift in enumerate(nodes):
-        moved = imager.shifted(shift)
+        shifted_imager = imager.shifted(shift)
         for band in np.flatnonzero(np.isfinite(matching.misfit[node])):
             row = matching.weights[node, band]
-            near = np.flatnonzero(row)
-            half = moved.reach()[band] + 2.0 * reach[near].max()
-            grid = np.arange(-half, half + step, step) + moved.wavelength[band]
-            response = moved.on(grid, int(band))
-            combined = row[near] @ spectrometer.on(grid, near)
+            used_channels = np.flatnonzero(row)
+            half_support = shifted_imager.reach()[band] + 2.0 * reach[used_channels].max()
+            grid = np.arange(-half_support, half_support + step, step) + shifted_imager.wavelength[band]
+            response = shifted_imager.on(grid, int(band))
+            combined = row[used_channels] @ spectrometer.on(grid, used_channels)
             misfit[node, band] = np.sqrt(((combined - response) ** 2).sum() / (response**2).sum())
     misfit.flags.writeable = False
     return misfit
 
 
-def _has_hole(centres: Floats, centre: float, half: float, widest: float) -> bool:
-    first = max(int(np.searchsorted(centres, centre - half)) - 1, 0)
-    last = int(np.searchsorted(centres, centre + half)) + 1
+def _has_hole(centres: Floats, centre: float, reach: float, max_step: float) -> bool:
+    first = max(int(np.searchsorted(centres, centre - reach)) - 1, 0)
+    last = int(np.searchsorted(centres, centre + reach)) + 1
     steps = np.diff(centres[first:last])
-    return bool(steps.size and steps.max() > widest)
+    return bool(steps.size and steps.max() > max_step)
 
 
 def _constrained_ridge(channels: Floats, responses: Floats, ridge: float) -> Floats:
-    # Ridge weights (node, channel) that combine channels into responses, each row summing to 1
-    # einsum: threads of a BLAS that wait for busy cores make products this small ten times slower
+    # Return ridge weights (node, channel) that combine channels into responses, each row of sum 1.
+    # einsum: with busy cores, BLAS threads make products this small ten times slower
     gram = np.einsum("ig,jg->ij", channels, channels)
     gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
     solved = np.linalg.solve(
         gram, np.column_stack([np.einsum("ig,ng->in", channels, responses), np.ones(len(gram))])
     ).T
-    free, ones = solved[:-1], solved[-1]
-    return np.asarray(free + ones * ((1.0 - free.sum(axis=1)) / ones.sum())[:, None])
+    unconstrained, correction = solved[:-1], solved[-1]
+    return np.asarray(
+        unconstrained + correction * ((1.0 - unconstrained.sum(axis=1)) / correction.sum())[:, None]
+    )

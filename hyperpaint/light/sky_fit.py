@@ -70,21 +70,24 @@ def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
     ]
     zenith, azimuth = np.meshgrid(*angles, indexing="ij")
     cosine = np.cos(zenith)
-    lit = (cosine > 1e-3) & (sky.values > 0.0).all(axis=0)
-    if lit.sum() < MIN_DIRECTIONS:
+    is_above_horizon = (cosine > 1e-3) & (sky.values > 0.0).all(axis=0)
+    if is_above_horizon.sum() < MIN_DIRECTIONS:
         raise SchemaError(
-            f"sky_radiance has {int(lit.sum())} directions above the horizon",
+            f"sky_radiance has {int(is_above_horizon.sum())} directions above the horizon",
             expected=f"{MIN_DIRECTIONS} or more",
             code="sky-directions-few",
         )
-    ring = np.abs(np.gradient(angles[0]))[:, None] if angles[0].size > 1 else np.ones((1, 1))
-    weight = (cosine * np.maximum(np.sin(zenith), 1e-3) * ring)[lit]
-    from_sun = scattering_cosine(cosine[lit], azimuth[lit], sun_zenith)
-    parts = [relative_radiance(shape, cosine[lit], from_sun) for shape in function_shapes(float(sun_zenith))]
+    zenith_step = np.abs(np.gradient(angles[0]))[:, None] if angles[0].size > 1 else np.ones((1, 1))
+    weight = (cosine * np.maximum(np.sin(zenith), 1e-3) * zenith_step)[is_above_horizon]
+    from_sun = scattering_cosine(cosine[is_above_horizon], azimuth[is_above_horizon], sun_zenith)
+    parts = [
+        relative_radiance(shape, cosine[is_above_horizon], from_sun)
+        for shape in function_shapes(float(sun_zenith))
+    ]
     functions = np.stack([np.ones_like(from_sun), *parts], axis=1)
     scale = np.sqrt(weight / weight.sum())
     shares, misfit = [], []
-    for radiance in sky.values[:, lit]:
+    for radiance in sky.values[:, is_above_horizon]:
         sums, residual = nnls(functions * (scale / radiance)[:, None], scale)
         shares.append(sums / sums.sum())
         misfit.append(residual)

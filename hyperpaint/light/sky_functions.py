@@ -10,7 +10,7 @@ zenith angle, the angle :math:`\Theta` from the sun, :math:`u = \ln(\mu + 0.05)`
 
 Coefficients and shares are fits to a plane-parallel Monte Carlo of molecules and aerosol (Henyey-Greenstein,
 asymmetry 0.65, exponent 1.14, single-scattering albedo 0.94) over ground of 0.15, at ten suns, four aerosols
-and six wavelengths (``tests/campaigns/sky_table.py``); linear between them, held beyond. No clouds, no bands.
+and six wavelengths (``tests/campaigns/sky_table.py``); linear between them, constant beyond. No clouds, no
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ def _tables() -> _Tables:
     )
 
 
-def _between(nodes: Floats, values: Floats, at: float) -> Floats:
-    # Values (node, ...) at one place, linear between nodes, held beyond
-    place = float(np.interp(at, nodes, np.arange(nodes.size)))
-    low = min(int(place), nodes.size - 2)
-    part = place - low
-    return np.asarray((1.0 - part) * values[low] + part * values[low + 1])
+def _between(nodes: Floats, values: Floats, x: float) -> Floats:
+    # Interpolate values (node, ...) at x: linear between nodes, constant beyond.
+    position = float(np.interp(x, nodes, np.arange(nodes.size)))
+    low = min(int(position), nodes.size - 2)
+    weight = position - low
+    return np.asarray((1.0 - weight) * values[low] + weight * values[low + 1])
 
 
 def scattering_cosine(cosine: Floats, azimuth: Floats, sun_zenith: float) -> Floats:
@@ -153,9 +153,9 @@ def clear_sky_shares(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: floa
     >>> print(clear_sky_shares([450.0, 850.0], 60.0).sum(axis=0))
     [1. 1.]
     """
-    tables, nm = _tables(), np.asarray(wavelength, np.float64)
+    tables, wavelengths = _tables(), np.asarray(wavelength, np.float64)
     rows = _between(tables.aerosols, _between(tables.suns, tables.shares, sun_zenith), aerosol)
-    shares = np.array([np.interp(nm, tables.wavelengths, row) for row in rows.T])
+    shares = np.array([np.interp(wavelengths, tables.wavelengths, row) for row in rows.T])
     return np.asarray(shares / shares.sum(axis=0))
 
 
@@ -187,9 +187,9 @@ def radiance_towards_sun(
     >>> radiance_towards_sun(nm, 60.0, 4.0) > radiance_towards_sun(nm, 60.0, -4.0)
     array([ True])
     """
-    turned = np.cos(np.radians(sun_zenith - angle))
+    from_sun = np.cos(np.radians(sun_zenith - angle))
     cosine = np.cos(np.radians(angle))
-    parts = [relative_radiance(shape, cosine, turned) for shape in function_shapes(float(sun_zenith))]
+    parts = [relative_radiance(shape, cosine, from_sun) for shape in function_shapes(float(sun_zenith))]
     return np.asarray(np.array([1.0, *parts]) @ clear_sky_shares(wavelength, sun_zenith, aerosol))
 
 
@@ -250,8 +250,8 @@ def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from
     sky = dome()
     azimuth = np.concatenate([sky.azimuth, -sky.azimuth], axis=1)
     cosine, level = np.tile(sky.cosine, 2), np.tile(sky.level, 2)
-    slope, turn = np.radians(angle), azimuth - np.radians(from_sun)
-    facing = np.cos(slope) + np.sin(slope) * np.sqrt(1.0 - cosine**2) / cosine * np.cos(turn)
+    slope, from_normal = np.radians(angle), azimuth - np.radians(from_sun)
+    facing = np.cos(slope) + np.sin(slope) * np.sqrt(1.0 - cosine**2) / cosine * np.cos(from_normal)
     weight = level * np.maximum(facing, 0.0)
     weight /= weight.sum()
     to_sun = scattering_cosine(cosine, azimuth, sun_zenith)

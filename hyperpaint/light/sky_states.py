@@ -50,19 +50,19 @@ class SkyRules:
     hazy_aerosol
         Optical depth from which clear air is called hazy [1].
     priors
-        Of `KINDS`.
+        Probabilities of `KINDS`.
     calm, restless
         Relative standard deviation of the level over `window_s` below which, and above which, each of
         `KINDS` is unlikely [1]: cirrus drifts by a per cent in a minute, broken cloud hides and reveals the
         sun.
     calm_spread, restless_spread
-        Spread of its logarithm beyond them.
+        Spread of the logarithm of that deviation beyond ``calm`` and ``restless``.
     window_s
         Half width of the interval over which the level varies [s]: clouds pass in seconds to a minute.
     wrong_clock
         Probability that clock or place are wrong, so that the sun stands elsewhere [1].
     other_sun_deg
-        Least distance of that sun in zenith angle [degree]: nearer ones can hardly be distinguished.
+        Minimum difference of that sun's zenith angle [degree]: smaller ones can hardly be distinguished.
     misfit
         Chi-square per interval of the best draw beyond which no sky explains a spectrum.
     decided
@@ -101,8 +101,8 @@ class SkyRules:
 RULES = SkyRules()
 
 #: Number of drawn states of the air; clouds are drawn over each.
-_AIRS = 512
-_REPEATS = {"air": 1, "thin": 2, "broken": 4, "overcast": 2}
+_N_AIR_STATES = 512
+_DRAWS_PER_STATE = {"air": 1, "thin": 2, "broken": 4, "overcast": 2}
 _NODES_NM = np.array(
     [300.0, 350, 380, 410, 450, 500, 550, 600, 650, 700, 760, 830, 900, 1000, 1200, 1600, 2500]
 )
@@ -125,10 +125,12 @@ class _Draws(NamedTuple):
 
 @functools.cache
 def _draws() -> _Draws:
-    # Skies that are compared: the same ones in every run
+    # Draw the skies for comparison, the same in every run.
     rng = np.random.default_rng(19_590)
-    # one stratum for each draw, so that a few hundred fill the range
-    strata = (np.argsort(rng.random((6, _AIRS)), axis=1) + rng.random((6, _AIRS))) / _AIRS
+    # one stratum per draw, so that a few hundred draws fill the range
+    strata = (
+        np.argsort(rng.random((6, _N_AIR_STATES)), axis=1) + rng.random((6, _N_AIR_STATES))
+    ) / _N_AIR_STATES
     from scipy.special import ndtri
 
     normal = ndtri(strata)
@@ -144,23 +146,23 @@ def _draws() -> _Draws:
     )
     parts = []
     for number, name in enumerate(KINDS):
-        count = _AIRS * _REPEATS[name]
+        count = _N_AIR_STATES * _DRAWS_PER_STATE[name]
         u = rng.random((5, count))
-        ones, none = np.ones(count), np.zeros(count)
+        ones, zeros = np.ones(count), np.zeros(count)
         tint = 0.3 * u[0]
         if name == "air":
-            amounts = ones, ones, none, none
+            amounts = ones, ones, zeros, zeros
         elif name == "thin":
             beam = 0.25 + 0.7 * u[1]
-            amounts = beam, 1.0 - 0.3 * (1.0 - beam) * u[3], (1.0 - beam) * (0.3 + 0.6 * u[2]), none
+            amounts = beam, 1.0 - 0.3 * (1.0 - beam) * u[3], (1.0 - beam) * (0.3 + 0.6 * u[2]), zeros
         elif name == "broken":
             cover = 0.1 + 0.85 * u[2]
-            # the sun is free in 45 %, hidden in 35 %, else behind an edge
+            # the sun is visible in 45 %, hidden in 35 %, else behind the edge of a cloud
             beam = np.where(u[1] < 0.45, 1.0, np.where(u[1] < 0.8, 0.1 * u[4], u[4]))
-            amounts = beam, 1.0 - cover, none, cover * (0.15 + 0.4 * u[3])
+            amounts = beam, 1.0 - cover, zeros, cover * (0.15 + 0.4 * u[3])
         else:
-            amounts = none, none, none, np.exp(np.log(0.03) + u[1] * np.log(0.75 / 0.03))
-        air = np.tile(np.arange(_AIRS), _REPEATS[name])
+            amounts = zeros, zeros, zeros, np.exp(np.log(0.03) + u[1] * np.log(0.75 / 0.03))
+        air = np.tile(np.arange(_N_AIR_STATES), _DRAWS_PER_STATE[name])
         parts.append((np.full(count, number), air, *amounts, tint))
     kind, air, beam, blue, returned, cloud, tint = (np.concatenate(part) for part in zip(*parts, strict=True))
     return _Draws(kind, air, beam, blue, returned, cloud, tint, states)
@@ -177,10 +179,10 @@ def windows_in(wavelength: Floats) -> Windows:
     """Return the intervals that channels (channel,) [nm], in any order, cover."""
     rows, centres = [], []
     for centre in RULES.window_nm:
-        inside = np.abs(wavelength - centre) <= RULES.half_width_nm
-        reach = wavelength.size and wavelength.min() <= centre - 2.0 and centre + 2.0 <= wavelength.max()
-        if reach and inside.any():
-            rows.append(inside / inside.sum())
+        is_inside = np.abs(wavelength - centre) <= RULES.half_width_nm
+        is_covered = wavelength.size and wavelength.min() <= centre - 2.0 and centre + 2.0 <= wavelength.max()
+        if is_covered and is_inside.any():
+            rows.append(is_inside / is_inside.sum())
             centres.append(centre)
     return Windows(np.array(centres), np.array(rows).reshape(len(rows), wavelength.size))
 
@@ -188,49 +190,53 @@ def windows_in(wavelength: Floats) -> Windows:
 class _Spectra(NamedTuple):
     level: Floats  # (draw, window): logarithm of the irradiance
     fraction: Floats  # (draw, node): diffuse fraction
-    clear: Floats  # (draw, node): diffuse fraction of the clear air itself
+    clear: Floats  # (draw, node): diffuse fraction of the same air without clouds
 
 
-def _mixed(draws: _Draws, nm: Floats, direct: Floats, diffuse: Floats) -> tuple[Floats, Floats]:
-    # Irradiance and its diffuse fraction of all draws (draw, wavelength)
+def _irradiance_of_draws(
+    draws: _Draws, wavelength: Floats, direct: Floats, diffuse: Floats
+) -> tuple[Floats, Floats]:
+    # Return irradiance and diffuse fraction of all draws (draw, wavelength).
     beam, blue, returned, cloud, tint = (amount[:, None] for amount in draws[2:7])
     direct, diffuse = direct[draws.air], diffuse[draws.air]
-    colour = 1.0 - tint + tint * (nm / 490.0) ** -4.0
+    colour = 1.0 - tint + tint * (wavelength / 490.0) ** -4.0
     scattered = blue * diffuse + returned * direct + cloud * colour * (direct + diffuse)
-    whole = beam * direct + scattered
-    return whole, scattered / whole
+    total = beam * direct + scattered
+    return total, scattered / total
 
 
 def _points_of(centres: tuple[float, ...]) -> Floats:
-    # Wavelengths at which the model is evaluated, `POINTS_PER_WINDOW` for each interval [nm]
+    # Return the wavelengths at which the model is evaluated, `POINTS_PER_WINDOW` for each interval [nm].
     steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
     return np.asarray((np.array(centres)[:, None] + steps).ravel())
 
 
 @functools.lru_cache(maxsize=64)
 def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> _Spectra:
-    # Spectra of all draws under a sun at one zenith angle [degree]
+    # Return the spectra of all draws for a zenith angle of the sun [degree].
     draws = _draws()
     aerosol, exponent, ozone, relative, ground, water = (state[:, None] for state in draws.states)
-    at = np.array(centres)
+    wavelengths = np.array(centres)
     sky = ClearSky(
         sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
     )
-    shape = (_AIRS, at.size, POINTS_PER_WINDOW)
+    shape = (_N_AIR_STATES, wavelengths.size, POINTS_PER_WINDOW)
     direct, diffuse = (part.reshape(shape).mean(axis=2) for part in sky.irradiance(_points_of(centres)))
-    whole, _ = _mixed(draws, at, direct, diffuse)
-    # the diffuse fraction needs no gases: they absorb of both parts alike
+    total, _ = _irradiance_of_draws(draws, wavelengths, direct, diffuse)
+    # the diffuse fraction needs no gases, which absorb the same share of direct and diffuse light
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
     direct, diffuse = scattered_light(_NODES_NM, sun_zenith, air)
-    _, fraction = _mixed(draws, _NODES_NM, direct, diffuse)
-    return _Spectra(np.log(whole), fraction, (diffuse / (direct + diffuse))[draws.air])
+    _, fraction = _irradiance_of_draws(draws, _NODES_NM, direct, diffuse)
+    return _Spectra(np.log(total), fraction, (diffuse / (direct + diffuse))[draws.air])
 
 
 @functools.lru_cache(maxsize=16)
 def _whitening(centres: tuple[float, ...], level_u: float) -> tuple[Floats, float]:
-    at = np.array(centres)
-    covariance = RULES.shape_u**2 * np.eye(at.size) + level_u**2
-    covariance += RULES.colour_u**2 * np.exp(-0.5 * ((at[:, None] - at) / RULES.colour_nm) ** 2)
+    wavelengths = np.array(centres)
+    covariance = RULES.shape_u**2 * np.eye(wavelengths.size) + level_u**2
+    covariance += RULES.colour_u**2 * np.exp(
+        -0.5 * ((wavelengths[:, None] - wavelengths) / RULES.colour_nm) ** 2
+    )
     lower = np.linalg.cholesky(covariance)
     return np.linalg.inv(lower), float(np.log(np.diag(lower)).sum())
 
@@ -254,8 +260,8 @@ class Explained(NamedTuple):
     nodes: Floats  # (node,) [nm]
 
 
-class _Weighed(NamedTuple):
-    # Posterior of each kind of sky and sample, for both widths of the level (sample, width, kind ...)
+class _Posterior(NamedTuple):
+    # Posterior by sample, width of the level (calibrated or not) and kind of sky (sample, width, kind ...)
     log: Floats  # logarithm of the evidence
     mean: Floats  # (..., node) of the diffuse fraction
     square: Floats  # (..., node) of its square
@@ -264,7 +270,7 @@ class _Weighed(NamedTuple):
     best: Floats  # (sample,): chi-square per interval of the best draw
 
 
-def _weighed(evidence: Evidence, windows: Windows, pressure: float) -> _Weighed:
+def _posterior(evidence: Evidence, windows: Windows, pressure: float) -> _Posterior:
     draws, centres = _draws(), tuple(map(float, windows.centre))
     shape = evidence.level.shape[0], 2, len(KINDS)
     log, turbid = np.zeros(shape), np.zeros(shape)
@@ -276,34 +282,40 @@ def _weighed(evidence: Evidence, windows: Windows, pressure: float) -> _Weighed:
     node_zenith = np.round(2.0 * sun) / 2.0
     for zenith in np.unique(node_zenith):
         spectra = _spectra(float(zenith), pressure, centres)
-        for part in np.array_split(here := np.flatnonzero(node_zenith == zenith), 1 + here.size // 128):
+        for block in np.array_split(
+            samples := np.flatnonzero(node_zenith == zenith), 1 + samples.size // 128
+        ):
             # levels at the sun of the node
-            turn = np.cos(np.radians(sun[part])) / np.cos(np.radians(zenith))
-            level = evidence.level[part] - np.log(turn)[:, None]
+            sun_ratio = np.cos(np.radians(sun[block])) / np.cos(np.radians(zenith))
+            level = evidence.level[block] - np.log(sun_ratio)[:, None]
             for width, level_u in enumerate((evidence.level_u, np.hypot(evidence.level_u, RULES.wide_u))):
-                white, size = _whitening(centres, float(level_u))
+                whitening, log_norm = _whitening(centres, float(level_u))
                 # chi-square of every sample with every draw
-                ours, theirs = level @ white.T, spectra.level @ white.T
-                chi = (ours**2).sum(axis=1)[:, None] + (theirs**2).sum(axis=1) - 2.0 * ours @ theirs.T
+                whitened, whitened_draws = level @ whitening.T, spectra.level @ whitening.T
+                chi = (
+                    (whitened**2).sum(axis=1)[:, None]
+                    + (whitened_draws**2).sum(axis=1)
+                    - 2.0 * whitened @ whitened_draws.T
+                )
                 if width == 0:
-                    best[part] = chi.min(axis=1) / len(centres)
-                chi /= np.maximum(1.0, best[part] / RULES.misfit)[:, None]
+                    best[block] = chi.min(axis=1) / len(centres)
+                chi /= np.maximum(1.0, best[block] / RULES.misfit)[:, None]
                 # evidence of each kind, and its means over the draws
                 for number, draw in enumerate(kinds):
-                    least = chi[:, draw].min(axis=1)
-                    weight = np.exp(-0.5 * (chi[:, draw] - least[:, None]))
+                    lowest = chi[:, draw].min(axis=1)
+                    weight = np.exp(-0.5 * (chi[:, draw] - lowest[:, None]))
                     total = weight.sum(axis=1)
-                    log[part, width, number] = np.log(total / draw.size) - 0.5 * least - size
+                    log[block, width, number] = np.log(total / draw.size) - 0.5 * lowest - log_norm
                     weight /= total[:, None]
-                    mean[part, width, number] = weight @ spectra.fraction[draw]
-                    square[part, width, number] = weight @ spectra.fraction[draw] ** 2
-                    clear[part, width, number] = weight @ spectra.clear[draw]
-                    turbid[part, width, number] = weight @ is_hazy[draw]
-    return _Weighed(log, mean, square, clear, turbid, best)
+                    mean[block, width, number] = weight @ spectra.fraction[draw]
+                    square[block, width, number] = weight @ spectra.fraction[draw] ** 2
+                    clear[block, width, number] = weight @ spectra.clear[draw]
+                    turbid[block, width, number] = weight @ is_hazy[draw]
+    return _Posterior(log, mean, square, clear, turbid, best)
 
 
-class _Elsewhere(NamedTuple):
-    # Posterior of clear air for each sample with the sun at other zenith angles (sample, ...)
+class _OtherSunPosterior(NamedTuple):
+    # Posterior of clear air if the sun were at other zenith angles than clock and position give (sample, ...)
     log: Floats  # logarithm of the evidence
     mean: Floats  # (sample, node) of the diffuse fraction
     square: Floats  # (sample, node) of its square
@@ -314,32 +326,36 @@ _OTHER_SUNS_DEG = np.arange(5.0, 85.1, 2.5)
 
 @functools.lru_cache(maxsize=64)
 def _clear_air(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> tuple[Floats, Floats]:
-    # Level (air, window) and diffuse fraction (air, node) of every fourth state of clear air
+    # Return level (air, window) and diffuse fraction (air, node) of every fourth state of clear air.
     aerosol, exponent, ozone, relative, ground, water = (state[::4, None] for state in _draws().states)
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
     sky = ClearSky(
         sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
     )
     direct, diffuse = scattered_light(_NODES_NM, sun_zenith, air)
-    whole = np.sum(sky.irradiance(_points_of(centres)), axis=0)
-    whole = whole.reshape(aerosol.size, len(centres), -1).mean(axis=2)
-    return np.log(whole), diffuse / (direct + diffuse)
+    total = np.sum(sky.irradiance(_points_of(centres)), axis=0)
+    total = total.reshape(aerosol.size, len(centres), -1).mean(axis=2)
+    return np.log(total), diffuse / (direct + diffuse)
 
 
-def _elsewhere(evidence: Evidence, windows: Windows, pressure: float) -> _Elsewhere:
+def _other_sun_posterior(evidence: Evidence, windows: Windows, pressure: float) -> _OtherSunPosterior:
     centres = tuple(map(float, windows.centre))
-    white, size = _whitening(centres, float(evidence.level_u))
-    ours = evidence.level @ white.T
+    whitening, log_norm = _whitening(centres, float(evidence.level_u))
+    whitened = evidence.level @ whitening.T
     shape = evidence.level.shape[0], _OTHER_SUNS_DEG.size
     log, mean, square = np.empty(shape), *np.empty((2, *shape, _NODES_NM.size))
     for number, zenith in enumerate(_OTHER_SUNS_DEG):
         level, fraction = _clear_air(float(zenith), pressure, centres)
-        theirs = level @ white.T
-        chi = (ours**2).sum(axis=1)[:, None] + (theirs**2).sum(axis=1) - 2.0 * ours @ theirs.T
-        least = chi.min(axis=1)
-        weight = np.exp(-0.5 * (chi - least[:, None]))
+        whitened_air = level @ whitening.T
+        chi = (
+            (whitened**2).sum(axis=1)[:, None]
+            + (whitened_air**2).sum(axis=1)
+            - 2.0 * whitened @ whitened_air.T
+        )
+        lowest = chi.min(axis=1)
+        weight = np.exp(-0.5 * (chi - lowest[:, None]))
         total = weight.sum(axis=1)
-        log[:, number] = np.log(total / len(theirs)) - 0.5 * least - size
+        log[:, number] = np.log(total / len(whitened_air)) - 0.5 * lowest - log_norm
         mean[:, number] = weight @ fraction / total[:, None]
         square[:, number] = weight @ fraction**2 / total[:, None]
     # average over the other suns, without those near the sun of the clock
@@ -348,7 +364,7 @@ def _elsewhere(evidence: Evidence, windows: Windows, pressure: float) -> _Elsewh
     share = np.exp(log - best[:, None])
     total = share.sum(axis=1)
     share = (share / total[:, None])[..., None]
-    return _Elsewhere(
+    return _OtherSunPosterior(
         best + np.log(total / _OTHER_SUNS_DEG.size), (share * mean).sum(axis=1), (share * square).sum(axis=1)
     )
 
@@ -366,78 +382,79 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
     clock.
     """
     # posterior of kinds of sky and widths of the level
-    weighed = _weighed(evidence, windows, pressure)
+    posterior = _posterior(evidence, windows, pressure)
     prior = np.log(np.array([[1.0 - RULES.wide_prior], [RULES.wide_prior]]) * np.array(RULES.priors))
     variation = _variation(evidence)
-    logs = _averaged(weighed.log, evidence.seconds) + prior + variation[:, None, :]
+    logs = _window_means(posterior.log, evidence.seconds) + prior + variation[:, None, :]
     share = np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
     total = share.sum(axis=(1, 2))
     share /= total[:, None, None]
-    probability = _probabilities(share, weighed.turbid)
+    probability = _probabilities(share, posterior.turbid)
     fraction, square, clear = (
-        (share[..., None] * part).sum(axis=(1, 2)) for part in (weighed.mean, weighed.square, weighed.clear)
+        (share[..., None] * part).sum(axis=(1, 2))
+        for part in (posterior.mean, posterior.square, posterior.clear)
     )
     if (probability[:, :2].sum(axis=1) < RULES.decided).any():
-        # a spectrum that is no clear sky's now may be a clear sky's at another hour
-        elsewhere = _elsewhere(evidence, windows, pressure)
-        other = _averaged(elsewhere.log, evidence.seconds) + variation[:, KINDS.index("air")]
-        here = logs.max(axis=(1, 2)) + np.log(total) - np.log(RULES.wrong_clock)
-        wrong = 1.0 / (1.0 + np.exp(np.clip(here - other, -500.0, 500.0)))[:, None]
-        probability = (1.0 - wrong) * probability + wrong * np.eye(5)[4]
-        fraction += wrong * (elsewhere.mean - fraction)
-        square += wrong * (elsewhere.square - square)
-    probability[(weighed.best > RULES.misfit) | (evidence.sun_zenith > MAX_SUN_ZENITH_DEG)] = np.eye(5)[4]
-    # mean of the likeliest kind; its distance from the mean of all enters the uncertainty
+        # a spectrum that no clear sky explains now may be explained by a clear sky at another hour
+        other_sun = _other_sun_posterior(evidence, windows, pressure)
+        log_other_sun = _window_means(other_sun.log, evidence.seconds) + variation[:, KINDS.index("air")]
+        log_clock_sun = logs.max(axis=(1, 2)) + np.log(total) - np.log(RULES.wrong_clock)
+        is_other_sun = 1.0 / (1.0 + np.exp(np.clip(log_clock_sun - log_other_sun, -500.0, 500.0)))[:, None]
+        probability = (1.0 - is_other_sun) * probability + is_other_sun * np.eye(5)[4]
+        fraction += is_other_sun * (other_sun.mean - fraction)
+        square += is_other_sun * (other_sun.square - square)
+    probability[(posterior.best > RULES.misfit) | (evidence.sun_zenith > MAX_SUN_ZENITH_DEG)] = np.eye(5)[4]
+    # mean of the likeliest kind; its distance from the mean of all kinds enters the uncertainty
     kind = np.array([0, 0, KINDS.index("broken"), KINDS.index("overcast")])
     state = probability[:, :4].argmax(axis=1)
-    sure = probability[:, :4].max(axis=1) >= RULES.decided
-    mean = np.where(sure[:, None], weighed.mean[np.arange(state.size), 0, kind[state]], fraction)
+    is_decided = probability[:, :4].max(axis=1) >= RULES.decided
+    mean = np.where(is_decided[:, None], posterior.mean[np.arange(state.size), 0, kind[state]], fraction)
     model = RULES.floor + RULES.model * mean * (1.0 - mean)
     u = np.sqrt(np.maximum(square - 2.0 * mean * fraction + mean**2, 0.0) + model**2)
     fraction = mean
-    # between clouds the receiver measures at one moment the light that the ground gets at the next
-    apart = fraction - fraction.mean(axis=0)
-    square = _averaged(apart**2, evidence.seconds) - _averaged(apart, evidence.seconds) ** 2
+    # under broken cloud, a shadow reaches receiver and ground at different times
+    departure = fraction - fraction.mean(axis=0)
+    square = _window_means(departure**2, evidence.seconds) - _window_means(departure, evidence.seconds) ** 2
     u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * np.maximum(square, 0.0))
-    middle = int(np.abs(_NODES_NM - 550.0).argmin())
-    cloud = (fraction - clear)[:, middle] / np.maximum(1.0 - clear[:, middle], 1e-6)
+    node_550 = int(np.abs(_NODES_NM - 550.0).argmin())
+    cloud = (fraction - clear)[:, node_550] / np.maximum(1.0 - clear[:, node_550], 1e-6)
     return Explained(fraction, u, probability, np.clip(cloud, 0.0, 1.0), _NODES_NM)
 
 
 def _probabilities(share: Floats, turbid: Floats) -> Floats:
-    # Probability of the five states (sample, state).
-    # From the shares of kinds (sample, width of the level, kind), and the share of turbid air among them.
+    # Return the probabilities of the five states (sample, state)
+    # from the shares of kinds (sample, width of the level, kind) and the share of turbid air in each kind.
     # Thin cloud, and a level far from its calibration, count as contradictory.
     air, thin, broken, overcast = share[:, 0].T
     hazy = air * turbid[:, 0, 0]
     return np.stack([air - hazy, hazy, broken, overcast, share[:, 1].sum(axis=1) + thin], axis=1)
 
 
-def _near(seconds: Floats) -> tuple[Ints, Ints]:
-    # First sample within the window of each sample, and the first after it (sample,)
+def _window_of(seconds: Floats) -> tuple[Ints, Ints]:
+    # Return the first sample within the window of each sample, and the first sample after it (sample,).
     first = np.searchsorted(seconds, seconds - RULES.window_s, side="left")
     return first, np.searchsorted(seconds, seconds + RULES.window_s, side="right")
 
 
-def _averaged(values: Floats, seconds: Floats) -> Floats:
-    # Means of values (sample, ...) over the window of each sample, whose times increase
-    first, last = _near(seconds)
+def _window_means(values: Floats, seconds: Floats) -> Floats:
+    # Return means of values (sample, ...) over the window of each sample; times increase.
+    first, last = _window_of(seconds)
     sums = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
     return np.asarray((sums[last] - sums[first]) / (last - first).reshape(-1, *[1] * (values.ndim - 1)))
 
 
 def _variation(evidence: Evidence) -> Floats:
-    # Log likelihood of the level's changes under each kind of sky (sample, kind)
-    height = np.maximum(np.cos(np.radians(np.minimum(evidence.sun_zenith, 88.0))), 1e-3)
-    level = evidence.level.mean(axis=1) - np.log(height)
+    # Return the log likelihood of the level's changes under each kind of sky (sample, kind).
+    sun_cosine = np.maximum(np.cos(np.radians(np.minimum(evidence.sun_zenith, 88.0))), 1e-3)
+    level = evidence.level.mean(axis=1) - np.log(sun_cosine)
     level = level - level.mean()
-    mean = _averaged(level, evidence.seconds)
-    spread = np.sqrt(np.maximum(_averaged(level**2, evidence.seconds) - mean**2, 0.0))
-    # a record of some seconds contains little of the changes of a minute
-    first, last = _near(evidence.seconds)
+    mean = _window_means(level, evidence.seconds)
+    spread = np.sqrt(np.maximum(_window_means(level**2, evidence.seconds) - mean**2, 0.0))
+    # a record of a few seconds shows only a small part of the changes of a minute
+    first, last = _window_of(evidence.seconds)
     span = (evidence.seconds[last - 1] - evidence.seconds[first]) / (2.0 * RULES.window_s)
-    log = np.log(np.maximum(spread, 1e-3))[:, None]
+    log_spread = np.log(np.maximum(spread, 1e-3))[:, None]
     with np.errstate(divide="ignore"):
-        below = np.maximum(np.log(RULES.calm) - log, 0.0) / np.array(RULES.calm_spread)
-    above = np.maximum(log - np.log(RULES.restless), 0.0) / RULES.restless_spread
+        below = np.maximum(np.log(RULES.calm) - log_spread, 0.0) / np.array(RULES.calm_spread)
+    above = np.maximum(log_spread - np.log(RULES.restless), 0.0) / RULES.restless_spread
     return np.asarray(-0.5 * (below**2 * np.minimum(span, 1.0)[:, None] + above**2))

@@ -192,12 +192,14 @@ def scattered_light(
 
     rayleigh, scattering, absorption = transmittances(mass)
     direct = cosine * rayleigh * scattering * absorption
-    short = np.where(um <= 0.45, (um + 0.55) ** 1.8, 1.0)
-    once = (
+    violet_correction = np.where(um <= 0.45, (um + 0.55) ** 1.8, 1.0)
+    single_scattering = (
         cosine
         * absorption
         * (0.5 * (1 - rayleigh**0.95) + rayleigh**1.5 * (1 - scattering) * forward(cosine))
     )
     rayleigh, scattering, absorption = transmittances(1.8)
     sky = absorption * (0.5 * (1 - rayleigh) + (1 - forward(1 / 1.8)) * rayleigh * (1 - scattering))
-    return direct, (once + (direct + once) * sky * air.ground / (1 - sky * air.ground)) * short
+    return direct, (
+        single_scattering + (direct + single_scattering) * sky * air.ground / (1 - sky * air.ground)
+    ) * violet_correction

@@ -38,7 +38,7 @@ class LineLight:
     after: npt.NDArray[np.int64]
     weight: Floats  #: (line,) float64: of the later sample; NaN where the line has no light
     age: npt.NDArray[np.float32]  #: (line,) float32: time to the nearest sample [s]
-    #: (line,) float32: what an error of the clocks could do to reflectance, relative [1]; see
+    #: (line,) float32: largest relative error of reflectance by an error of the clocks [1]; see
     #: `timing_sensitivity`
     sensitivity: npt.NDArray[np.float32]
     flags: npt.NDArray[np.uint16]  #: (line,) uint16: bits of `Quality` that hold for the whole line
@@ -98,10 +98,10 @@ def line_light(
     gap = ~outside & (interval / 1e9 > max_gap) & (weight > 0.0) & (weight < 1.0)
     level = levels[valid].sum(axis=1)
     change = np.abs(level[high] - level[low]) / np.maximum(np.minimum(level[high], level[low]), 1e-30)
-    unlit = outside | gap | missing
-    within = UNKNOWN_CLOCK if clock_uncertainty is None else clock_uncertainty
-    sensitivity = timing_sensitivity(stamps, ticks, levels[valid], within)
-    sensitivity[unlit] = np.nan
+    has_no_light = outside | gap | missing
+    max_offset = UNKNOWN_CLOCK if clock_uncertainty is None else clock_uncertainty
+    sensitivity = timing_sensitivity(stamps, ticks, levels[valid], max_offset)
+    sensitivity[has_no_light] = np.nan
     flags = np.zeros(lines.shape, np.uint16)
     flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
     flags[~outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
@@ -113,7 +113,7 @@ def line_light(
     return LineLight(
         valid[low].astype(np.int64),
         valid[high].astype(np.int64),
-        np.where(unlit, np.nan, weight),
+        np.where(has_no_light, np.nan, weight),
         np.where(missing, np.nan, age).astype(np.float32),
         sensitivity.astype(np.float32),
         flags,
@@ -144,29 +144,34 @@ def timing_sensitivity(stamps: Array, ticks: Array, levels: Floats, within: floa
     """
     if len(ticks) < 2:
         return np.zeros(stamps.shape)
-    powers = np.log(np.maximum(levels, 1e-30))
+    logs = np.log(np.maximum(levels, 1e-30))
     empty = np.full(levels.shape[1], np.inf)
-    u = round(within * 1e9)
-    low, here, high = (_at(ticks, levels, stamps + shift) for shift in (-u, 0, u))
-    # inside the window the extremes are at samples; many lines share a window
-    first, last = np.searchsorted(ticks, stamps - u), np.searchsorted(ticks, stamps + u, side="right")
-    windows, which = np.unique(np.stack([first, last]), axis=1, return_inverse=True)
-    extremes = np.array(
-        [
-            (powers[a:b].min(axis=0), powers[a:b].max(axis=0)) if b > a else (empty, -empty)
-            for a, b in windows.T
-        ]
+    offset = round(within * 1e9)
+    at_early, at_stamp, at_late = (
+        _log_level_at(ticks, levels, stamps + shift) for shift in (-offset, 0, offset)
     )
-    least, most = np.moveaxis(extremes[which.ravel()], 1, 0)
-    least, most = (np.minimum(least, np.minimum(low, high)), np.maximum(most, np.maximum(low, high)))
-    return np.asarray(np.expm1(np.maximum(here - least, most - here).max(axis=1)))
+    # inside a window, extremes are at samples; many lines share a window
+    first, last = (
+        np.searchsorted(ticks, stamps - offset),
+        np.searchsorted(ticks, stamps + offset, side="right"),
+    )
+    windows, window_of_line = np.unique(np.stack([first, last]), axis=1, return_inverse=True)
+    extremes = np.array(
+        [(logs[a:b].min(axis=0), logs[a:b].max(axis=0)) if b > a else (empty, -empty) for a, b in windows.T]
+    )
+    lowest, highest = np.moveaxis(extremes[window_of_line.ravel()], 1, 0)
+    lowest, highest = (
+        np.minimum(lowest, np.minimum(at_early, at_late)),
+        np.maximum(highest, np.maximum(at_early, at_late)),
+    )
+    return np.asarray(np.expm1(np.maximum(at_stamp - lowest, highest - at_stamp).max(axis=1)))
 
 
-def _at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
+def _log_level_at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
     after = np.clip(np.searchsorted(ticks, stamps, side="right"), 1, ticks.size - 1)
     weight = np.clip((stamps - ticks[after - 1]) / (ticks[after] - ticks[after - 1]), 0.0, 1.0)[:, None]
-    between = levels[after - 1] + weight * (levels[after] - levels[after - 1])
-    return np.asarray(np.log(np.maximum(between, 1e-30)))
+    level = levels[after - 1] + weight * (levels[after] - levels[after - 1])
+    return np.asarray(np.log(np.maximum(level, 1e-30)))
 
 
 def _check_seconds(max_gap: float | None, clock_uncertainty: float | None) -> None:
@@ -230,17 +235,19 @@ def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
         )
     names = [name for name in irradiance.data_vars if str(name).startswith("irradiance")]
     if "irradiance" not in names:
-        held = ", ".join(map(str, irradiance.data_vars)) or "nothing"
+        contents = ", ".join(map(str, irradiance.data_vars)) or "nothing"
         raise SchemaError(
-            f"the Dataset given as irradiance= holds {held}",
+            f"the Dataset given as irradiance= holds {contents}",
             expected="'irradiance' and 'irradiance_fwhm'",
             code="variable-missing",
         )
-    own = [name for name in dataset.variables if str(name).startswith("irradiance")]
-    of_line = {
+    old_names = [name for name in dataset.variables if str(name).startswith("irradiance")]
+    line_attrs = {
         name: text for name, text in dataset.attrs.items() if not name.startswith(("irradiance", "alignment"))
     }
-    of_record = {name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")}
-    line = dataset.drop_vars(own).merge(irradiance[names], combine_attrs="override")
-    line.attrs = {**of_line, **of_record}
+    record_attrs = {
+        name: text for name, text in irradiance.attrs.items() if str(name).startswith("irradiance")
+    }
+    line = dataset.drop_vars(old_names).merge(irradiance[names], combine_attrs="override")
+    line.attrs = {**line_attrs, **record_attrs}
     return line

@@ -1,6 +1,6 @@
 """From counts to radiance and reflectance in one pass, with flags and uncertainty.
 
-A flight line with its calibration and light comes in, the same line with lazy cubes goes out. For all rooms
+A flight line with its calibration and light comes in; the line with lazy cubes goes out. For all rooms
 that read reflectance.
 """
 

@@ -28,7 +28,7 @@ _SIDE = "block_side"
 def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     """Return a flight line at the size of a screen: means of blocks of ``side`` x ``side`` pixels.
 
-    Lazy. Reads the means that `process` stored beside the line where they serve, else computes from the whole
+    Lazy. Reads the means that `process` stored beside the line if they are valid, else computes them from the
     cube.
 
     Parameters
@@ -42,7 +42,7 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     -------
     Dataset
         ``reflectance`` (along_track, band, cross_track), float32, with the coordinates of the middles of
-        blocks: a flight line as any other. ``coarse(line).paint.at(650.0)`` is the picture of a band,
+        blocks: an ordinary flight line. ``coarse(line).paint.at(650.0)`` is the picture of a band,
         ``coarse(line).paint.rgb()`` the picture in colour. Its pixel ``(y, x)`` is the mean of the valid
         pixels of lines ``y * side`` to ``(y + 1) * side`` and those columns. Attributes of ``reflectance``:
         ``block_side`` is the side, ``level`` is ``stored``, with 11 bits, or ``computed``.
@@ -79,12 +79,12 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
     else:
         means = stored.transpose(*schema.VARIABLES["coarse_reflectance"].dims)
     side = int(means.attrs[_SIDE])
-    middles = {
+    middle_positions = {
         dim: np.minimum(np.arange(0, line.sizes[dim], side) + side // 2, line.sizes[dim] - 1)
         for dim in (ALONG_TRACK, CROSS_TRACK)
     }
-    small = [name for name in line.coords if set(line[name].dims) <= set(CUBE)]
-    labels = line[small].isel(middles, missing_dims="ignore")
+    small_coordinates = [name for name in line.coords if set(line[name].dims) <= set(CUBE)]
+    labels = line[small_coordinates].isel(middle_positions, missing_dims="ignore")
     level = "computed" if stored is None else "stored"
     values = xr.DataArray(means.data.astype(np.float32), dims=CUBE)
     return labels.assign(reflectance=schema.label(values, "reflectance", **{_SIDE: side, "level": level}))
@@ -93,7 +93,7 @@ def coarse(dataset: xr.Dataset, *, side: int | None = None) -> xr.Dataset:
 def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArray:
     """Return the means of blocks of reflectance as they are stored beside a line, lazily.
 
-    One small task per written slab; the same bits whatever the chunks.
+    One small task per written slab; the same bits for all chunks.
     """
     import dask.array as da
 
@@ -103,7 +103,7 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
         side = MIN_BLOCK_SIDE
         while side < CHUNK_LINES and lines > SCREEN_LINES * side:
             side *= 2
-    # whole blocks in every task
+    # every task has complete blocks
     starts = np.unique([*(np.cumsum((0, *cube.data.chunks[0])) // side * side)[:-1], lines])
     sizes = tuple(np.diff(starts).tolist()) or (0,)
     slabs = cube.data if sizes == cube.data.chunks[0] else cube.data.rechunk({0: sizes})
@@ -115,8 +115,8 @@ def coarse_reflectance(line: xr.Dataset, side: int | None = None) -> xr.DataArra
         dtype=np.float32,
         meta=np.empty((0, 0, 0), np.float32),
     )
-    row = schema.VARIABLES["coarse_reflectance"]
-    out = xr.DataArray(means, dims=row.dims, name=row.name, attrs={**row.attrs, _SIDE: side})
+    spec = schema.VARIABLES["coarse_reflectance"]
+    out = xr.DataArray(means, dims=spec.dims, name=spec.name, attrs={**spec.attrs, _SIDE: side})
     schema.stamp_means(out, line)
     return out
 
@@ -129,14 +129,14 @@ def _means(values: Array, side: int) -> Array:
 
 
 def _stored(line: xr.Dataset, side: int | None) -> xr.DataArray | None:
-    # Stored means where they belong to this line and are complete; None otherwise
-    row = schema.VARIABLES["coarse_reflectance"]
-    stored = line.get(row.name)
-    if stored is None or set(stored.dims) != set(row.dims):
+    # Return the stored means if they belong to this line and are complete, else None.
+    spec = schema.VARIABLES["coarse_reflectance"]
+    stored = line.get(spec.name)
+    if stored is None or set(stored.dims) != set(spec.dims):
         return None
     stored_side = stored.attrs.get(_SIDE)
     if not isinstance(stored_side, int | np.integer) or stored_side < 1 or side not in (None, stored_side):
         return None
     lengths = {"coarse_y": line.sizes.get(ALONG_TRACK, 0), "coarse_x": line.sizes.get(CROSS_TRACK, 0)}
-    is_whole = all(stored.sizes[dim] == -(-length // stored_side) for dim, length in lengths.items())
-    return stored if is_whole and schema.has_own_means(line) else None
+    is_complete = all(stored.sizes[dim] == -(-length // stored_side) for dim, length in lengths.items())
+    return stored if is_complete and schema.has_own_means(line) else None

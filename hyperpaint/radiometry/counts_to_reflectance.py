@@ -45,8 +45,8 @@ _BITS_OF_COUNTS = Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR 
 _BITS_OF_LIGHT = (
     Quality.IRRADIANCE_GAP | Quality.ILLUMINATION_UNSTABLE | Quality.LOW_SUN | Quality.TIMING_SENSITIVE
 )
-#: Bits that each product derives anew; others were set elsewhere, and stay.
-_OWN_BITS = {"radiance": _BITS_OF_COUNTS, "reflectance": _BITS_OF_COUNTS | _BITS_OF_LIGHT}
+#: Bits that every product derives anew; bits of other rooms stay.
+_PRODUCT_BITS = {"radiance": _BITS_OF_COUNTS, "reflectance": _BITS_OF_COUNTS | _BITS_OF_LIGHT}
 
 
 @takes_quantities()
@@ -112,13 +112,13 @@ def radiance(dataset: xr.Dataset) -> xr.Dataset:
     """
     dataset = schema.rename_to_roles(dataset)
     if "counts" not in dataset.variables:
-        _refuse_without(dataset, ("counts", "radiance"), "radiance")
+        _require_one_of(dataset, ("counts", "radiance"), "radiance")
         return dataset.assign(schema.require(dataset, ["radiance"], "radiance"))
     cube, values = cube_inputs(dataset, "radiance")
     refuse_calibration(dataset, needs_scale=True)
     planner = lazy_plan(dataset, None, make_plan, cube=values, light=None)
     (radiances,), quality, _ = slabs.calibrated(slabs.line_chunked(cube), planner)
-    return _with(dataset, "radiance", radiances, quality, applied(values))
+    return _with_product(dataset, "radiance", radiances, quality, applied(values))
 
 
 @takes_quantities(tilt="degree")
@@ -291,7 +291,7 @@ def _reflectance(
     keep_bits: int | None = None,
     refuses: bool = True,
 ) -> xr.Dataset:
-    # Compute `reflectance`; without `refuses` panels are judged but never refused
+    # Compute `reflectance`; with `refuses=False` panels are judged but not refused.
     dataset = schema.rename_to_roles(dataset)
     if isinstance(tilt, tuple) and len(tilt) == 2:
         tilt = Tilt(*tilt)
@@ -299,7 +299,7 @@ def _reflectance(
         raise SchemaError(
             f"tilt={tilt!r}", expected="hyperpaint.Tilt or (angle, azimuth) in degrees", code="type-wrong"
         )
-    _refuse_without(dataset, ("counts", "radiance", "reflectance"), "reflectance")
+    _require_one_of(dataset, ("counts", "radiance", "reflectance"), "reflectance")
     if not {"counts", "radiance"} & set(dataset.variables):
         if any(option is not None for option in (irradiance, tilt, panels or None, keep_bits)):
             raise SchemaError(
@@ -312,13 +312,13 @@ def _reflectance(
     stored = None if panels else declared_scale(dataset, other_light=irradiance is not None)
     if irradiance is not None:
         dataset = replace_record(dataset, irradiance)
-    scaling = panels if stored is None else declared_panels(dataset)
+    scale_panels = panels if stored is None else declared_panels(dataset)
     if keep_bits is not None and not 1 <= keep_bits <= 23:
         raise SchemaError(
             f"keep_bits={keep_bits}", expected="1 to 23 mantissa bits of float32", code="value-out-of-range"
         )
     cube, inputs = plan_inputs(
-        dataset, stored, scaling, tilt=tilt, keep_bits=keep_bits, uncertainty=uncertainty
+        dataset, stored, scale_panels, tilt=tilt, keep_bits=keep_bits, uncertainty=uncertainty
     )
     if panels:
         inputs["panel"] = panel_inputs(dataset, panels, reflectance) | {"refuses": refuses}
@@ -330,20 +330,22 @@ def _reflectance(
         lazy_plan(dataset, options, make_plan, **inputs),
         cubes=1 if uncertain is None else 3,
     )
-    notes = {"tilt": str(tilt) if tilt else None, "panel": "; ".join(map(str, scaling)) or None}
-    notes |= applied(inputs["cube"])
+    attributes = {"tilt": str(tilt) if tilt else None, "panel": "; ".join(map(str, scale_panels)) or None}
+    attributes |= applied(inputs["cube"])
     # drop uncertainties of an earlier reflectance
-    result = _with(dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality, notes)
+    result = _with_product(
+        dataset.drop_vars(UNCERTAINTIES, errors="ignore"), "reflectance", cubes[0], quality, attributes
+    )
     if uncertain is not None:
         result = with_uncertainty(result, cubes[1:], uncertain)
     lines, bands = cube.sizes[ALONG_TRACK], cube.sizes[BAND]
     light_of_lines = dask.delayed(slabs.light_of_lines, pure=True)
-    small = {
+    line_variables = {
         "irradiance_age": (light_of_lines(plan, "age"), ALONG_TRACK, lines),
         "timing_sensitivity": (light_of_lines(plan, "sensitivity"), ALONG_TRACK, lines),
         "irradiance_misfit": (plan.misfit, BAND, bands),
     }
-    for name, (values, dim, size) in small.items():
+    for name, (values, dim, size) in line_variables.items():
         array = xr.DataArray(da.from_delayed(values, (size,), np.float32), dims=dim)
         result[name] = schema.label(array, name)
     if stored is not None:
@@ -353,51 +355,51 @@ def _reflectance(
     return result.assign(closure_variables(plan, len(panels), bands, lines)) if panels else result
 
 
-def _refuse_without(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
+def _require_one_of(dataset: xr.Dataset, names: tuple[str, ...], purpose: str) -> None:
     if not set(names) & set(dataset.variables):
-        held = ", ".join(map(str, dataset.data_vars)) or "no variable"
+        variables = ", ".join(map(str, dataset.data_vars)) or "no variable"
         raise SchemaError(
-            f"cannot compute {purpose} from {held}",
+            f"cannot compute {purpose} from {variables}",
             expected=f"'counts' with {', '.join(COUNTED[1:])}, or {' or '.join(map(repr, names[1:]))}",
             code="variable-missing",
         )
 
 
 def applied(values: dict[str, Any]) -> dict[str, str | None]:
-    """Return the attributes that name the applied corrections of the detector; None for a missing one."""
+    """Return the attributes that name the applied detector corrections; None for corrections not applied."""
     linearity: Linearity | None = values.get("linearity")
-    notes: dict[str, str | None] = {}
+    attributes: dict[str, str | None] = {}
     if linearity is not None:
-        notes["linearity_applied"] = linearity.described(TABLE[0] in values)
+        attributes["linearity_applied"] = linearity.described(TABLE[0] in values)
     if "masked" in values:
-        notes["pedestal_applied"] = "mean of the masked elements of each line, beyond their dark"
-    notes["stray_light_applied"] = described(values)
-    return notes
+        attributes["pedestal_applied"] = "mean of the masked elements of each line, beyond their dark"
+    attributes["stray_light_applied"] = described(values)
+    return attributes
 
 
-def _with(
-    dataset: xr.Dataset, name: str, cube: Any, quality: Any, notes: dict[str, str | None]
+def _with_product(
+    dataset: xr.Dataset, name: str, cube: Any, quality: Any, attributes: dict[str, str | None]
 ) -> xr.Dataset:
-    # Dataset with a calibrated cube and its quality, attributes and `notes` set outright
-    before = None
+    # Return the dataset with a calibrated cube, its quality, and `attributes` that are not empty.
+    earlier_quality = None
     if "quality" in dataset.variables:
-        before = schema.require(dataset, ["quality"], name)["quality"].variable
-    bits = merged_quality(name, quality, before, anew="counts" in dataset.variables)
-    texts = {key: text for key, text in notes.items() if text}
-    values = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **texts)
+        earlier_quality = schema.require(dataset, ["quality"], name)["quality"].variable
+    bits = merged_quality(name, quality, earlier_quality, anew="counts" in dataset.variables)
+    attrs = {key: text for key, text in attributes.items() if text}
+    values = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **attrs)
     return dataset.assign({name: values, "quality": bits})
 
 
 def merged_quality(name: str, quality: Any, before: xr.Variable | None, *, anew: bool) -> xr.DataArray:
     """Return the flags of a product, merged with flags that were set before.
 
-    ``anew``: flags derived from counts replace those derived before.
+    ``anew``: flags derived from counts replace earlier ones.
     """
     flags = xr.DataArray(quality, dims=(ALONG_TRACK, CROSS_TRACK))
     attrs: dict[str, Any] = {}
     if before is not None:
         # bits of other rooms, such as glint or shadow, stay
-        flags = flags | (before & np.uint16(0xFFFF ^ (int(_OWN_BITS[name]) if anew else 0)))
+        flags = flags | (before & np.uint16(0xFFFF ^ (int(_PRODUCT_BITS[name]) if anew else 0)))
         attrs = {key: text for key, text in before.attrs.items() if key == "flags_from"}
     return schema.label(flags.astype(np.uint16), "quality", **attrs)
 
@@ -415,7 +417,7 @@ def slab(
 ) -> xr.Dataset:
     """Reflectance and quality of some whole lines: numpy in, numpy out, the bits of ``.paint.reflectance()``.
 
-    For engines other than dask, and for loops of your own: the function, its inputs and its outputs can be
+    For engines other than dask, and for user loops: the function, its inputs and its outputs can be
     pickled, and no scheduler is used. Recipes for cubed, Ray, process pools and dask.distributed are in
     docs/howto/engines.md.
 
@@ -463,10 +465,10 @@ def slab(
         )
     line = line.compute()  # reads variables that are opened with chunks=None
     cubes = {name: line[name] for name in ("counts", "radiance") if name in line.data_vars}
-    # one chunk, without a name, whose hash would cost a pass over it
-    whole = {
+    # one chunk with a random name: a hash of the values would take a pass over them
+    single_chunk = {
         name: cube.copy(data=da.from_array(cube.values, chunks=-1, name=False))
         for name, cube in cubes.items()
     }
-    product = reflectance(line.assign(whole), uncertainty=uncertainty, tilt=tilt, keep_bits=keep_bits)
+    product = reflectance(line.assign(single_chunk), uncertainty=uncertainty, tilt=tilt, keep_bits=keep_bits)
     return product.compute(scheduler="synchronous").assign(cubes)

@@ -1,4 +1,4 @@
-"""Collect the inputs of a plan from a labelled flight line, checked by their labels; nothing is read."""
+"""Collect the inputs of a plan from a labelled flight line; labels are checked, values are not read."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _OPTIONAL = (
 def plan_inputs(
     dataset: xr.Dataset,
     stored: dict[str, Any] | None,
-    scaling: Sequence[Panel],
+    scale_panels: Sequence[Panel],
     *,
     tilt: Tilt | None = None,
     keep_bits: int | None = None,
@@ -48,16 +48,16 @@ def plan_inputs(
 ) -> tuple[xr.DataArray, dict[str, Any]]:
     """Return the cube from which reflectance is computed, and the inputs of `make_plan` besides its shape.
 
-    ``scaling``: panels that give the scale; ``stored``: their scale, where they were measured before.
+    ``scale_panels``: panels that give the scale; ``stored``: their scale, if measured before.
     """
     if "counts" in dataset.variables:
-        refuse_calibration(dataset, needs_scale=not scaling)
+        refuse_calibration(dataset, needs_scale=not scale_panels)
     cube, values = cube_inputs(dataset, "reflectance")
     # the plan adds the uncertainty of the panels' means, and of lines between panels
-    panel_u = max((panel.uncertainty for panel in scaling), default=None)
+    panel_u = max((panel.uncertainty for panel in scale_panels), default=None)
     return cube, {
         "cube": values,
-        "light": _light_inputs(dataset, tilt, bool(scaling) and stored is None),
+        "light": _light_inputs(dataset, tilt, bool(scale_panels) and stored is None),
         "tilt": tilt,
         "panel": stored,
         "keep_bits": keep_bits,
@@ -78,25 +78,25 @@ def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
 def cube_inputs(dataset: xr.Dataset, purpose: str) -> tuple[xr.DataArray, dict[str, Any]]:
     """Return the counts or the radiance of a line, and the small variables that calibrate it."""
     schema.warn_of_lost_calibration(dataset, purpose)
-    from_counts = "counts" in dataset.variables
-    needed = [*COUNTED] if from_counts else ["radiance"]
+    is_from_counts = "counts" in dataset.variables
+    required = [*COUNTED] if is_from_counts else ["radiance"]
     if purpose == "reflectance":
-        needed += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
+        required += ["time", "wavelength", "fwhm", *(n for n in _LIGHT if n not in dataset.variables)]
     optional = [name for name in _OPTIONAL if name in dataset.variables]
-    if from_counts:
+    if is_from_counts:
         optional += [name for name in (*TABLE, "masked", *STRAY_LIGHT) if name in dataset.variables]
     elif "radiance_gain" in dataset.variables:
         optional.append("radiance_gain")  # for the slope of the responsivity
-    arrays = schema.require(dataset, dict.fromkeys([*needed, *optional]), purpose)
-    cube = arrays.pop("counts" if from_counts else "radiance")
-    if not from_counts:
+    arrays = schema.require(dataset, dict.fromkeys([*required, *optional]), purpose)
+    cube = arrays.pop("counts" if is_from_counts else "radiance")
+    if not is_from_counts:
         cube = cube.astype(np.float32)
     if purpose == "radiance":
         arrays.pop("wavelength_shift", None)
     if "masked" in arrays and arrays["masked"].dims == (BAND,):
         arrays["masked"] = arrays["masked"].expand_dims(CROSS_TRACK, axis=1)
     values = {name: slabs.small(array) for name, array in arrays.items()}
-    if from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
+    if is_from_counts and (TABLE[0] in values or declared_linearity(dataset.attrs)):
         values["linearity"] = declared_linearity(dataset.attrs)
     if SHIFT_TIME in values:
         values["shifted_bands"] = dataset[SHIFT_TIME].attrs.get("bands")

@@ -1,7 +1,7 @@
 """Linearity of the detector: a polynomial or a table from raw counts to counts proportional to light.
 
-Declared for dark-subtracted counts, c = L(C - D), or for raw counts, c = L(C) - L(D): it depends on whether
-amplifier and converter bend the sum, or the wells bend the light alone.
+Declared for dark-subtracted counts, c = L(C - D), or for raw counts, c = L(C) - L(D), depending on whether
+amplifier and converter, which process light and dark, are nonlinear, or the detector wells.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from hyperpaint.kernels.arguments import DetectorModel
 
 DARK_SUBTRACTED, RAW = "dark-subtracted", "raw"
 TABLE = ("linearity_counts", "linear_counts")
-#: Terms of a polynomial that the kernel computes; longer ones become tables.
+#: Number of terms of a polynomial in the kernel; longer polynomials become tables.
 MAX_KERNEL_TERMS = 4
-#: Nodes of a table: every eighth count of 16 bits, so that between them a bend of 5 % at full scale is
-#: straight to 1e-5 counts.
+#: Nodes of a table: every eighth count of 16 bits, so that interpolation of a curve with 5 % at full scale is
+#: accurate to 1e-5 counts.
 TABLE_NODES = 8192
-#: Range of a table below 0, as a share of the highest count [1]: as far as dark noise reaches.
+#: Range of a table below 0, as a share of the highest count [1], which covers dark noise.
 BELOW_DARK_SHARE = 1.0 / 16.0
-_NONE_MASKED = np.empty((0, 2), np.int64)
-#: End of the curve [count] where the calibration does not give the saturation count.
+_NO_MASKED_ELEMENTS = np.empty((0, 2), np.int64)
+#: End of the curve [count] if the calibration has no saturation count.
 DEFAULT_HIGHEST_COUNT = 65535.0
 
 
@@ -37,25 +37,27 @@ class Linearity:
     """Curve from counts to counts proportional to light; see `linearity_of`."""
 
     coefficients: tuple[float, ...] = ()  #: a2, a3 ... of c + a2 c^2 + a3 c^3 + ...; none with a table
-    #: measured, linear (node,) [count]: the table, straight between nodes and beyond them; None without
+    #: measured, linear (node,) [count]: the table, linear between nodes and beyond them; None without a table
     measured: Floats | None = None
     linear: Floats | None = None
-    on_raw: bool = False  #: Whether it holds for raw counts, dark included
+    on_raw: bool = False  #: Whether the curve applies to raw counts, which include the dark
 
     def __bool__(self) -> bool:
         return bool(self.coefficients) or self.measured is not None
 
     def described(self, as_table: bool) -> str:
-        """Return its description for an attribute; ``as_table``: a table whose values are not read yet."""
+        """Return a description for an attribute; ``as_table``: the curve is a table that is not read yet."""
         form = "table" if as_table else f"polynomial of degree {len(self.coefficients) + 1}"
         return f"{form} on {RAW if self.on_raw else DARK_SUBTRACTED} counts"
 
     def correction(self, counts: Any) -> Any:
         """Return the counts to add to counts of any shape to make them proportional to light [count]."""
         if self.measured is not None and self.linear is not None:
-            node, beyond = self.measured, self.linear - self.measured
-            place = np.clip(np.searchsorted(node, counts) - 1, 0, node.size - 2)
-            return beyond[place] + (np.diff(beyond) / np.diff(node))[place] * (counts - node[place])
+            nodes, corrections = self.measured, self.linear - self.measured
+            lower = np.clip(np.searchsorted(nodes, counts) - 1, 0, nodes.size - 2)
+            return corrections[lower] + (np.diff(corrections) / np.diff(nodes))[lower] * (
+                counts - nodes[lower]
+            )
         relative = 0.0
         for coefficient in reversed(self.coefficients):
             relative = (relative + coefficient) * counts
@@ -67,10 +69,10 @@ class Linearity:
             return raw - dark
         if self.on_raw:
             return (raw + self.correction(raw)) - (dark + self.correction(dark))
-        above = raw - dark
-        return above + self.correction(above)
+        net = raw - dark
+        return net + self.correction(net)
 
-    def as_kernel_takes_it(self, highest_count: float) -> DetectorModel:
+    def detector_model(self, highest_count: float) -> DetectorModel:
         """Return the curve for the kernel: a short polynomial unchanged, any other curve as a fine table."""
         polynomial = table = np.empty(0, np.float32)
         first, per_count = 0.0, 1.0
@@ -84,11 +86,11 @@ class Linearity:
             per_count = (TABLE_NODES - 1) / (end - first)
         on_raw = np.bool_(bool(self) and self.on_raw)
         return DetectorModel(
-            polynomial, table, np.float32(first), np.float32(per_count), _NONE_MASKED, on_raw
+            polynomial, table, np.float32(first), np.float32(per_count), _NO_MASKED_ELEMENTS, on_raw
         )
 
     def check(self, problems: Problems, highest_count: float) -> None:
-        """Add problems of a curve that is not finite, or does not rise up to the highest count."""
+        """Add problems of a curve that is not finite, or does not increase up to the highest count."""
         if not self:
             return
         if self.measured is not None and self.linear is not None:
@@ -142,8 +144,8 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
             expected=f"{DARK_SUBTRACTED!r} or {RAW!r}",
             code="choice-unknown",
         )
-    stated = attrs.get("linearity", ())
-    return Linearity(() if isinstance(stated, str) else polynomial(stated), on_raw=kind == RAW)
+    coefficients = attrs.get("linearity", ())
+    return Linearity(() if isinstance(coefficients, str) else polynomial(coefficients), on_raw=kind == RAW)
 
 
 def polynomial(coefficients: Sequence[float] | Any) -> tuple[float, ...]:

@@ -1,11 +1,11 @@
 """Ratio of measured to certified panel reflectance, with checks that the region is the declared panel.
 
-The factor of a panel is the mean of its pixels' reflectance, through the irradiance record, over its known
-reflectance. Pixels that do not show a sunlit panel are left out of that mean. Where pixels are saturated, the
-mean is the mean of a normal distribution censored at each sample's own limit, after the panel's pattern in
-unsaturated bands has been divided out. A tilted panel gets more or less direct light, by the same share in
-all bands, which leaves the spectrum of the direct share in its factor. No labels here: arrays of one panel
-in, numbers out.
+The factor of a panel is the mean reflectance of its pixels, from the irradiance record, over its certified
+reflectance. Pixels that do not show a sunlit panel are left out. Where pixels are saturated, the
+mean is estimated from a normal distribution censored at the limits of the samples, after the panel's pattern
+in unsaturated bands has been divided out. A tilted panel gets more or less direct light, by the same share in
+all bands, which adds the spectrum of the direct share to its factor. No labels here: arrays of a panel in,
+numbers out.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from hyperpaint.base.errors import PaintWarning, SchemaError
 
 #: Faults of a panel, in the order of the bits of ``panel_state``.
 PANEL_STATES = ("saturated", "partly_other", "uneven", "leaning", "off_level", "refused")
-_SATURATED, _OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, REFUSED = (1 << bit for bit in range(len(PANEL_STATES)))
+_SATURATED, _PARTLY_OTHER, _UNEVEN, _LEANING, _OFF_LEVEL, REFUSED = (
+    1 << bit for bit in range(len(PANEL_STATES))
+)
 
 
 @dataclass(frozen=True)
@@ -34,38 +36,38 @@ class PanelRules:
     ----------
     outlier_sd
         Robust standard deviations from the median of the pixels, in brightness or colour, above which a pixel
-        shows something else [1]. Of 1000 normal pixels none is beyond 6.
+        does not show the panel [1]. None of 1000 normal pixels is beyond 6.
     least_departure
-        Departure below which a pixel is kept whatever the spread [1]: one in twenty of them moves the mean by
+        Departure below which a pixel is always kept [1]: one in twenty such pixels changes the mean by
         a thousandth.
     noticed_share
-        Share of pixels that are saturated, or show something else, from which it is reported [1].
+        Share of saturated pixels, or of pixels that do not show the panel, above which it is reported [1].
     most_saturated
-        Share of saturated pixels up to which a band has a mean [1]: beyond a half, the visible part of the
+        Share of saturated pixels up to which a band has a mean [1]: above a half, the unsaturated part of the
         distribution does not contain its middle.
     least_used
-        Share of pixels that must be panel [1]: with fewer, the median may belong to something else.
+        Minimum share of pixels that show the panel [1]: with fewer, the median may belong to another surface.
     most_error
         Standard error of the mean of the pixels above which they are uneven [1].
     refused_error
-        The same, above which the panel is refused unless its declared uncertainty covers it [1]: half of a
-        panel in a shade of 40 % has 0.025.
+        Standard error above which the panel is refused unless its declared uncertainty covers it [1]: half of
+        a panel in a shade of 40 % has 0.025.
     least_lean
-        Change of the light by a panel's attitude from which it is reported [1].
+        Change of the light by a panel's attitude above which it is reported [1].
     lean_significance
-        Least change in units of its standard error [1].
+        Minimum change in units of its standard error [1].
     lean_misfit
-        Residuals of the factor, relative to the spread that the change gives it, up to which attitude
+        Residuals of the factor, relative to the spread by the change, up to which attitude
         explains its shape [1].
     least_contrast
-        Least difference of the direct share between bands at which attitude leaves a shape [1].
+        Minimum difference of the direct share between bands for a detectable change by attitude [1].
     gain_u, irradiance_u
-        Relative standard uncertainties where the line states none [1]: of a lamp calibration a year old, and
+        Relative standard uncertainties if the line has none [1]: of a lamp calibration a year old, and
         of a calibrated field spectrometer with a cosine receptor.
     coverage
-        Standard uncertainties that a factor may be from 1 [1].
+        Accepted distance of a factor from 1 in standard uncertainties [1].
     off_bands
-        Share of bands beyond that, from which it is reported [1].
+        Share of bands beyond ``coverage`` above which it is reported [1].
     repeatability
         Relative standard uncertainty of a panel that is laid out again [1]: half a degree from level changes
         direct light by 0.5 % with the sun at 30 degrees.
@@ -93,7 +95,7 @@ RULES = PanelRules()
 
 
 class PanelContext(NamedTuple):
-    """Properties of the line that all its panels are judged with."""
+    """Properties of the line for the judgement of its panels."""
 
     wavelength: Floats  # (band,) [nm]
     good: NDArray[np.bool_]  # (band,)
@@ -102,26 +104,26 @@ class PanelContext(NamedTuple):
 
 
 class PanelClosure(NamedTuple):
-    """Results of several panels, stacked: (panel, band), except ``state`` and ``time`` (panel,)."""
+    """Results of panels, stacked: (panel, band), except ``state`` and ``time`` (panel,)."""
 
     scale: Floats  # Expected over measured, by which reflectance is multiplied [1]
     factor: Floats  # Measured over expected [1]
     u: Floats  # Combined standard uncertainty of the factor [1]
-    mean_u: Floats  # Relative standard uncertainty of the panel's mean alone [1]
+    mean_u: Floats  # Relative standard uncertainty of the mean over pixels [1]
     used: Floats  # Share of pixels used [1]
     state: NDArray[np.uint8]
     time: NDArray[np.datetime64]
-    reasons: tuple[str, ...]  # Why a panel is refused; empty where it is not
+    reasons: tuple[str, ...]  # Reason of the refusal of a panel; empty if not refused
 
-    def at(self, places: NDArray[np.int64]) -> PanelClosure:
-        """Return the results of some panels."""
-        reasons = tuple(self.reasons[place] for place in places)
-        scale, factor, u, mean_u, used = (values[places] for values in self[:5])
-        return PanelClosure(scale, factor, u, mean_u, used, self.state[places], self.time[places], reasons)
+    def at(self, indices: NDArray[np.int64]) -> PanelClosure:
+        """Return the results of the panels at indices."""
+        reasons = tuple(self.reasons[k] for k in indices)
+        scale, factor, u, mean_u, used = (values[indices] for values in self[:5])
+        return PanelClosure(scale, factor, u, mean_u, used, self.state[indices], self.time[indices], reasons)
 
 
-class _Part(NamedTuple):
-    # One panel's row of a `PanelClosure`, with its warnings
+class _PanelResult(NamedTuple):
+    # Row of a `PanelClosure` for a panel, with its warnings.
     scale: Floats
     factor: Floats
     u: Floats
@@ -162,7 +164,7 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
     )
 
 
-def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
+def _judge(panel: Mapping[str, Any], context: PanelContext) -> _PanelResult:
     observed = np.asarray(panel["observed"], np.float64)
     expected = np.asarray(panel["reflectance"], np.float64)
     valid = np.isfinite(observed)
@@ -174,45 +176,48 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
         )
     ceiling = panel["ceiling"]
     if ceiling is None:  # radiance has no saturation limit: use the brightest sample
-        top = np.where(valid, observed, -np.inf).max(axis=(0, 2))
-        ceiling = np.broadcast_to(top[None, :, None], observed.shape)
+        brightest = np.where(valid, observed, -np.inf).max(axis=(0, 2))
+        ceiling = np.broadcast_to(brightest[None, :, None], observed.shape)
     ceiling = np.asarray(ceiling, np.float64)
-    saturated = ~valid & np.isfinite(ceiling)
+    is_saturated = ~valid & np.isfinite(ceiling)
     notes: list[str] = []
     reasons: list[str] = []
     state = 0
-    # pixels that show something else, by brightness and colour in unsaturated bands
-    clean = ~saturated.any(axis=(0, 2)) & valid.any(axis=(0, 2))
-    clean &= context.good & (np.nan_to_num(expected) > 0.0)
-    brightness, foreign = _pixels(observed, clean)
-    foreign_share = float(foreign.mean())
+    # pixels that do not show the panel, by brightness and colour in unsaturated bands
+    is_unsaturated = ~is_saturated.any(axis=(0, 2)) & valid.any(axis=(0, 2))
+    is_unsaturated &= context.good & (np.nan_to_num(expected) > 0.0)
+    brightness, is_foreign = _brightness_and_outliers(observed, is_unsaturated)
+    foreign_share = float(is_foreign.mean())
     if foreign_share >= RULES.noticed_share:
-        state |= _OTHER
+        state |= _PARTLY_OTHER
         notes.append(
             f"{100 * foreign_share:.1f} % of its pixels are shaded or show something else, and are left out"
         )
         if 1.0 - foreign_share < RULES.least_used:
             reasons.append("more than half of its region shows something else")
-        # outliers spill some light over their eight neighbours
+        # light of outliers spreads to their eight neighbours
         from scipy.ndimage import binary_dilation
 
-        wider = np.asarray(binary_dilation(foreign, np.ones((3, 3), bool)))
-        foreign = wider if 1.0 - wider.mean() >= RULES.least_used else foreign
-    # mean of the others, with saturated samples
-    on_panel = ~foreign[:, None, :]
-    number, total, error, full = _means(
-        observed, ceiling, saturated, on_panel, brightness if clean.sum() >= 3 else None
+        dilated = np.asarray(binary_dilation(is_foreign, np.ones((3, 3), bool)))
+        is_foreign = dilated if 1.0 - dilated.mean() >= RULES.least_used else is_foreign
+    # mean of the panel's pixels, with saturated samples
+    on_panel = ~is_foreign[:, None, :]
+    number, total, error, saturated_share_of_band = _panel_means(
+        observed, ceiling, is_saturated, on_panel, brightness if is_unsaturated.sum() >= 3 else None
     )
-    lit = on_panel & context.good[:, None]
-    saturated_share = float((saturated & lit).any(axis=1).sum() / max(on_panel[:, 0].sum(), 1))
+    is_panel_and_good = on_panel & context.good[:, None]
+    saturated_share = float(
+        (is_saturated & is_panel_and_good).any(axis=1).sum() / max(on_panel[:, 0].sum(), 1)
+    )
     if saturated_share >= RULES.noticed_share:
         state |= _SATURATED
-        lost = np.isnan(total) & (full > 0)
-        loss = f", and {lost.sum()} bands are refused" if lost.any() else ""
+        is_refused = np.isnan(total) & (saturated_share_of_band > 0)
+        refused_text = f", and {is_refused.sum()} bands are refused" if is_refused.any() else ""
         notes.append(
-            f"{100 * saturated_share:.0f} % of its pixels are saturated, in {(full > 0).sum()} bands{loss}"
+            f"{100 * saturated_share:.0f} % of its pixels are saturated, in "
+            f"{(saturated_share_of_band > 0).sum()} bands{refused_text}"
         )
-        if lost[context.good].all():
+        if is_refused[context.good].all():
             reasons.append("more than half of its pixels are saturated in every band")
     with np.errstate(invalid="ignore", divide="ignore"):
         scale = expected * number / total
@@ -239,22 +244,23 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _Part:
                 f"it is tilted, or in a shadow or reflections: {100 * change:+.1f} % of light by the sun"
             )
     with np.errstate(invalid="ignore"):
-        off = (np.abs(factor - 1.0) > RULES.coverage * u)[context.good & np.isfinite(factor)]
-    if context.has_scale and off.size and off.mean() >= RULES.off_bands:
+        is_off = (np.abs(factor - 1.0) > RULES.coverage * u)[context.good & np.isfinite(factor)]
+    if context.has_scale and is_off.size and is_off.mean() >= RULES.off_bands:
         state |= _OFF_LEVEL
-        low, middle, high = np.nanquantile(factor[context.good], [0.0, 0.5, 1.0])
+        low, median, high = np.nanquantile(factor[context.good], [0.0, 0.5, 1.0])
         notes.append(
-            f"it measures {low:.3f} to {high:.3f} (median {middle:.3f}) of the reflectance expected from "
+            f"it measures {low:.3f} to {high:.3f} (median {median:.3f}) of the reflectance expected from "
             f"irradiance, with a combined standard uncertainty of {np.nanmedian(u):.3f}"
         )
     state |= REFUSED if reasons else 0
-    used = 1.0 - (foreign[:, None, :] | ~valid).mean(axis=(0, 2))
-    return _Part(scale, factor, u, mean_u, used, state, tuple(notes), "; ".join(reasons))
+    used = 1.0 - (is_foreign[:, None, :] | ~valid).mean(axis=(0, 2))
+    return _PanelResult(scale, factor, u, mean_u, used, state, tuple(notes), "; ".join(reasons))
 
 
-def _pixels(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
-    # Relative brightness of pixels (line, column), and whether each shows something else.
-    # From the `clean` bands, or from all where there are few; NaN and false where a pixel has no such sample.
+def _brightness_and_outliers(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
+    # Return the relative brightness of pixels (line, column), and which pixels do not show the panel,
+    # from the `clean` bands, or from all bands if these are few; NaN and false for pixels without such
+    # samples.
     cube = np.moveaxis(observed, 1, 2)[..., clean if clean.sum() >= 3 else np.isfinite(observed).any((0, 2))]
     valid = np.isfinite(cube)
     spectrum = np.nanmedian(cube.reshape(-1, cube.shape[-1]), axis=0)
@@ -267,80 +273,82 @@ def _pixels(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray
 
     brightness = level(slice(None))
     parts = [part for part in np.array_split(np.arange(spectrum.size), min(4, spectrum.size)) if part.size]
-    foreign = _outlying(brightness)
+    is_foreign = _is_outlier(brightness)
     for part in parts:
-        foreign |= _outlying(level(part) / brightness)
-    return brightness, foreign
+        is_foreign |= _is_outlier(level(part) / brightness)
+    return brightness, is_foreign
 
 
-def _outlying(values: Floats) -> NDArray[np.bool_]:
+def _is_outlier(values: Floats) -> NDArray[np.bool_]:
     finite = values[np.isfinite(values)]
     if finite.size < 3:
         return np.zeros(values.shape, bool)
-    middle = np.median(finite)
-    # the median deviation of few values may be small by chance
-    spread = 1.4826 * np.median(np.abs(finite - middle)) * (1.0 + 5.0 / finite.size)
-    limit = max(RULES.outlier_sd * spread, RULES.least_departure * abs(middle))
-    return np.asarray(np.nan_to_num(np.abs(values - middle)) > limit)
+    median = np.median(finite)
+    # with few values the median deviation may be small by chance
+    spread = 1.4826 * np.median(np.abs(finite - median)) * (1.0 + 5.0 / finite.size)
+    limit = max(RULES.outlier_sd * spread, RULES.least_departure * abs(median))
+    return np.asarray(np.nan_to_num(np.abs(values - median)) > limit)
 
 
-def _means(
+def _panel_means(
     observed: Floats,
     ceiling: Floats,
     saturated: NDArray[np.bool_],
     on_panel: NDArray[np.bool_],
     brightness: Floats | None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    # Number and sum of a panel's pixels, the mean's error, and the saturated share (band,).
+    # Return number and sum of a panel's pixels, the error of the mean, and the saturated share (band,).
     # `on_panel` (line, 1, column): whether pixels belong to the panel; `brightness` (line, column): its
     # pattern from unsaturated bands, or None.
     valid = np.isfinite(observed) & on_panel
     number = valid.sum(axis=(0, 2))
-    counted = number + (saturated & on_panel).sum(axis=(0, 2))
+    n_all = number + (saturated & on_panel).sum(axis=(0, 2))
     with np.errstate(invalid="ignore", divide="ignore"):
-        full = np.where(counted > 0, 1.0 - number / np.maximum(counted, 1), 0.0)
+        saturated_share = np.where(n_all > 0, 1.0 - number / np.maximum(n_all, 1), 0.0)
         total = np.where(valid, observed, 0.0).sum(axis=(0, 2))
         mean = total / number
         squares = (np.where(valid, observed - mean[None, :, None], 0.0) ** 2).sum(axis=(0, 2))
         error = np.sqrt(squares / np.maximum(number - 1, 1) / number)
     # bands with some saturated samples: mean of a censored normal distribution
-    total[full > RULES.most_saturated] = np.nan
-    cut = np.flatnonzero((full > 0.0) & (full <= RULES.most_saturated))
-    if not cut.size:
-        return number, total, error, full
+    total[saturated_share > RULES.most_saturated] = np.nan
+    partly_saturated = np.flatnonzero((saturated_share > 0.0) & (saturated_share <= RULES.most_saturated))
+    if not partly_saturated.size:
+        return number, total, error, saturated_share
     pattern = np.ones(observed[:, 0].shape)
     if brightness is not None:
         pattern = brightness / float(np.nanmean(brightness[on_panel[:, 0, :]]))
     pixels = on_panel[:, 0, :] & np.isfinite(pattern)
     weight = pattern[pixels][:, None]
-    limits = np.moveaxis(np.where(saturated, ceiling, np.nan)[:, cut], 1, 2)[pixels] / weight
-    mean[cut], spread = _censored_mean(np.moveaxis(observed[:, cut], 1, 2)[pixels] / weight, limits)
-    total[cut] = mean[cut] * number[cut]
-    error[cut] = spread / np.sqrt(number[cut])
-    return number, total, error, full
+    limits = np.moveaxis(np.where(saturated, ceiling, np.nan)[:, partly_saturated], 1, 2)[pixels] / weight
+    mean[partly_saturated], spread = _censored_mean(
+        np.moveaxis(observed[:, partly_saturated], 1, 2)[pixels] / weight, limits
+    )
+    total[partly_saturated] = mean[partly_saturated] * number[partly_saturated]
+    error[partly_saturated] = spread / np.sqrt(number[partly_saturated])
+    return number, total, error, saturated_share
 
 
 def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
-    # Mean and standard deviation of normal samples (pixel, band), some censored at their limits.
-    # By expectation and maximisation. Censored samples have NaN in `values` and a number in `limits`, others
-    # NaN in `limits`; a sample with NaN in both is missing.
+    # Return mean and standard deviation of normal samples (pixel, band), some of them censored at limits,
+    # by expectation and maximisation. Censored samples have NaN in `values` and a number in `limits`,
+    # measured ones NaN in `limits`; a sample with NaN in both is missing.
     from scipy.special import log_ndtr
 
-    beyond = np.isfinite(limits)
-    present = np.isfinite(values) | beyond
-    measured, number = np.where(np.isfinite(values), values, 0.0), present.sum(axis=0)
+    is_censored = np.isfinite(limits)
+    is_present = np.isfinite(values) | is_censored
+    measured, number = np.where(np.isfinite(values), values, 0.0), is_present.sum(axis=0)
     mean, spread = np.nanmean(values, axis=0), np.nanstd(values, axis=0)
-    least = 1e-6 * np.abs(mean)
+    min_spread = 1e-6 * np.abs(mean)
     for _ in range(300):
-        spread = np.maximum(spread, least)
-        z = np.where(beyond, (limits - mean) / spread, 0.0)
+        spread = np.maximum(spread, min_spread)
+        z = np.where(is_censored, (limits - mean) / spread, 0.0)
         # phi(z) / Q(z), without underflow
         hazard = np.exp(-0.5 * z**2 - 0.5 * np.log(2.0 * np.pi) - log_ndtr(-z))
-        guess = np.where(beyond, mean + spread * hazard, measured)
-        variance = np.where(beyond, spread**2 * np.maximum(1.0 + z * hazard - hazard**2, 0.0), 0.0)
-        before, mean = mean, np.where(present, guess, 0.0).sum(axis=0) / number
-        spread = np.sqrt(np.where(present, (guess - mean) ** 2 + variance, 0.0).sum(axis=0) / number)
-        if (np.abs(mean - before) <= 1e-7 * np.abs(mean)).all():
+        expected = np.where(is_censored, mean + spread * hazard, measured)
+        variance = np.where(is_censored, spread**2 * np.maximum(1.0 + z * hazard - hazard**2, 0.0), 0.0)
+        previous, mean = mean, np.where(is_present, expected, 0.0).sum(axis=0) / number
+        spread = np.sqrt(np.where(is_present, (expected - mean) ** 2 + variance, 0.0).sum(axis=0) / number)
+        if (np.abs(mean - previous) <= 1e-7 * np.abs(mean)).all():
             break
     return mean, spread
 
@@ -348,7 +356,7 @@ def _censored_mean(values: Floats, limits: Floats) -> tuple[Floats, Floats]:
 def _change_by_attitude(
     factor: Floats, direct_share: Floats | None, context: PanelContext
 ) -> tuple[float, float]:
-    """Return the relative change of a panel's light by its attitude, 0 without, and its level [1].
+    """Return the relative change of a panel's light by its attitude, 0 if insignificant, and its level [1].
 
     .. math:: F = k (1 + a w)
 
@@ -356,15 +364,15 @@ def _change_by_attitude(
     """
     best = None
     for direct in () if direct_share is None else direct_share:
-        usable = context.good & np.isfinite(factor) & np.isfinite(direct)
-        places = np.flatnonzero(usable)[np.argsort(context.wavelength[usable], kind="stable")]
-        if places.size < 5 or np.ptp(direct[places]) < RULES.least_contrast:
+        is_usable = context.good & np.isfinite(factor) & np.isfinite(direct)
+        bands = np.flatnonzero(is_usable)[np.argsort(context.wavelength[is_usable], kind="stable")]
+        if bands.size < 5 or np.ptp(direct[bands]) < RULES.least_contrast:
             continue
-        groups = np.array_split(places, min(16, places.size))
-        design, shape = (
+        groups = np.array_split(bands, min(16, bands.size))
+        direct_medians, factor_medians = (
             np.array([np.median(spectrum[group]) for group in groups]) for spectrum in (direct, factor)
         )
-        fit = _Line.through(design, shape)
+        fit = _LineFit.through(direct_medians, factor_medians)
         best = fit if best is None or fit.residual < best.residual else best
     if best is None:
         return 0.0, 1.0
@@ -377,19 +385,19 @@ def _change_by_attitude(
     return (change if is_lean else 0.0), best.level
 
 
-class _Line(NamedTuple):
+class _LineFit(NamedTuple):
     level: float
     slope: float
     slope_u: float
     residual: float  # Standard deviation of the residuals
-    middle: float  # Median and standard deviation of the places
+    middle: float  # Median and standard deviation of x
     spread: float
 
     @classmethod
-    def through(cls, places: Floats, values: Floats) -> _Line:
-        spread = float(places.std())
-        slope = float(np.mean((places - places.mean()) * (values - values.mean()))) / spread**2
-        level = float(values.mean() - slope * places.mean())
-        residual = float(np.sqrt(((values - level - slope * places) ** 2).sum() / (places.size - 2)))
-        slope_u = residual / (spread * float(np.sqrt(places.size)))
-        return cls(level, slope, slope_u, residual, float(np.median(places)), spread)
+    def through(cls, x: Floats, y: Floats) -> _LineFit:
+        spread = float(x.std())
+        slope = float(np.mean((x - x.mean()) * (y - y.mean()))) / spread**2
+        level = float(y.mean() - slope * x.mean())
+        residual = float(np.sqrt(((y - level - slope * x) ** 2).sum() / (x.size - 2)))
+        slope_u = residual / (spread * float(np.sqrt(x.size)))
+        return cls(level, slope, slope_u, residual, float(np.median(x)), spread)

@@ -24,7 +24,7 @@ from .panel_judging import PANEL_STATES
 #: Variables of the results of panels.
 CLOSURE = ("panel_factor", "panel_factor_u", "panel_used", "panel_state", "panel_time")
 
-#: Variables that give a line its scale again, in a crop without any panel as well.
+#: Variables that hold the scale of a line by panels, also in a crop without panels.
 _SCALE = ("panel_factor", "panel_state", "panel_weight", "panel_scale_u")
 
 #: Uncertainties of a line that limit how far panel factors may be from 1.
@@ -39,15 +39,15 @@ class Panel:
     Attributes
     ----------
     along_track, cross_track
-        Lines and columns it fills, by position.
+        Lines and columns of the panel, by position.
     reflectance
-        Its reflectance factor: a number [1], or a DataArray [any unit of it] with a coordinate ``wavelength``
-        [any unit of length].
+        Certified reflectance factor: a number [1], or a DataArray [1 or percent] with a coordinate
+        ``wavelength`` [any unit of length].
     uncertainty
-        Relative standard uncertainty of its reflectance [1]. A panel whose measured tilt changes its light by
+        Relative standard uncertainty of the reflectance [1]. A panel whose measured tilt changes its light by
         more than twice this is refused.
     tilt
-        Its attitude where it is not level, as `hyperpaint.Tilt` or (angle, azimuth) [degree].
+        Attitude if the panel is not level, as `hyperpaint.Tilt` or (angle, azimuth) [degree].
 
     Raises
     ------
@@ -74,12 +74,12 @@ class Panel:
                 expected="a fraction of 1, such as 0.02",
                 code="value-out-of-range",
             )
-        labelled = hasattr(self.reflectance, "coords")
-        if labelled and "wavelength" not in self.reflectance.coords:
+        is_labelled = hasattr(self.reflectance, "coords")
+        if is_labelled and "wavelength" not in self.reflectance.coords:
             raise SchemaError(
                 "the panel's reflectance has no coordinate 'wavelength' [nm]", code="coordinate-missing"
             )
-        if not labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2):
+        if not is_labelled and not (np.ndim(self.reflectance) == 0 and 0 < self.reflectance <= 1.2):
             raise SchemaError(
                 f"the panel's reflectance is {self.reflectance}",
                 expected="0 to 1, or a DataArray",
@@ -91,15 +91,15 @@ class Panel:
         if np.ndim(self.reflectance) == 0:
             return np.full(np.shape(wavelength), float(self.reflectance))
         factor = convert(self.reflectance, "1", "reflectance")
-        nm = convert(factor["wavelength"].astype(np.float64), "nm").values
-        order = np.argsort(nm, kind="stable")
-        return np.interp(wavelength, nm[order], factor.values[order], np.nan, np.nan)
+        wavelengths = convert(factor["wavelength"].astype(np.float64), "nm").values
+        order = np.argsort(wavelengths, kind="stable")
+        return np.interp(wavelength, wavelengths[order], factor.values[order], np.nan, np.nan)
 
 
 def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
     """Return the panels that a flight line declares (attribute ``panels``), as a ``collect.toml`` names them.
 
-    Raises SchemaError: The attribute is no declaration of panels.
+    Raises SchemaError: The attribute does not declare panels.
     """
     try:
         rows = json.loads(str(dataset.attrs.get("panels", "[]")))
@@ -114,24 +114,22 @@ def declared_panels(dataset: xr.Dataset) -> tuple[Panel, ...]:
             for row in rows
         )
     except (ValueError, TypeError, KeyError) as error:
-        raise SchemaError(
-            f"attribute 'panels' declares no panels: {error}", code="panels-unreadable"
-        ) from error
+        raise SchemaError(f"attribute 'panels' cannot be read: {error}", code="panels-unreadable") from error
 
 
 def declared_scale(dataset: xr.Dataset, *, other_light: bool) -> dict[str, Any] | None:
     """Return the stored scale from the panels that a line declares; None without one.
 
-    Panels are declared by position in the whole line; their stored scale holds in any crop, but only with the
-    line's own irradiance record.
+    Panels are declared by position in the whole line; their stored scale is valid in any crop, but only with
+    the line's own irradiance record.
 
-    Warns PaintWarning: There is a scale, but ``other_light`` replaces its record.
+    Warns PaintWarning: A scale is stored, but ``other_light`` replaces its irradiance record.
     """
     if "panels" not in dataset.attrs or not set(_SCALE) <= set(dataset.variables):
         return None
     if other_light:
-        text = "the scale by panels belongs to the line's own irradiance and is left out; pass panel="
-        warnings.warn(PaintWarning(text, code="panel-scale-foreign"), stacklevel=2)
+        warning = "the scale by panels belongs to the line's own irradiance and is left out; pass panel="
+        warnings.warn(PaintWarning(warning, code="panel-scale-foreign"), stacklevel=2)
         return None
     arrays = require(dataset, list(_SCALE), "the scale by panels")
     return {name.removeprefix("panel_"): slabs.small(array) for name, array in arrays.items()}
@@ -143,12 +141,15 @@ def without_panels(dataset: xr.Dataset) -> xr.Dataset:
 
 
 def _tabulated(reflectance: Any) -> Any:
-    # A declared reflectance: a number, or pairs of wavelength [nm] and reflectance
+    # Return a declared reflectance: a number, or a DataArray of pairs of wavelength [nm] and reflectance.
     if not isinstance(reflectance, list):
         return reflectance
-    nm, values = np.array(reflectance, np.float64).T
+    wavelengths, values = np.array(reflectance, np.float64).T
     return xr.DataArray(
-        values, {"wavelength": ("wavelength", nm, {"units": "nm"})}, ("wavelength",), attrs={"units": "1"}
+        values,
+        {"wavelength": ("wavelength", wavelengths, {"units": "nm"})},
+        ("wavelength",),
+        attrs={"units": "1"},
     )
 
 
@@ -182,17 +183,19 @@ def panel_inputs(
     names = [name for name in _STATED if name in dataset.variables]
     stated = {name: slabs.small(array) for name, array in require(dataset, names, "panels").items()}
     return {
-        "panels": [_one_panel(dataset, panel, reflectance) for panel in panels],
+        "panels": [_inputs_of_panel(dataset, panel, reflectance) for panel in panels],
         "stated": stated,
         "has_scale": dataset.attrs.get("absolute_scale") != "unknown",
     }
 
 
-def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.Dataset]) -> dict[str, Any]:
-    # all columns of its lines: masked ones give the pedestal
+def _inputs_of_panel(
+    dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.Dataset]
+) -> dict[str, Any]:
+    # all columns of its lines: masked elements give the pedestal
     region = dataset.isel({ALONG_TRACK: panel.along_track})
     columns = {CROSS_TRACK: panel.cross_track}
-    # the panel cancels the scale of the gain
+    # the scale of the gain cancels in the factor of the panel
     region = without_panels(region).assign_attrs(absolute_scale="of the panel")
     wavelength = slabs.small(dataset["wavelength"])
     expected = (
@@ -210,32 +213,36 @@ def _one_panel(dataset: xr.Dataset, panel: Panel, reflectance: Callable[..., xr.
         "name": f"the panel at lines {min(lines)} to {max(lines)}",
     }
     if "counts" in dataset.variables:
-        full = reflectance(region.assign(counts=_highest_counts(region)), tilt=panel.tilt)
-        inputs["ceiling"] = full["reflectance"].isel(columns).data
+        highest = reflectance(region.assign(counts=_highest_counts(region)), tilt=panel.tilt)
+        inputs["ceiling"] = highest["reflectance"].isel(columns).data
     return inputs
 
 
 def _highest_counts(region: xr.Dataset) -> xr.DataArray:
     counts = region["counts"]
-    top = np.ceil(region["saturation_count"].astype(np.float64) - SATURATION_MARGIN_COUNTS) - 1.0
-    # masked elements receive no light, and a NaN limit never saturates: keep their counts
-    fixed = np.isnan(top)
+    highest_unsaturated = (
+        np.ceil(region["saturation_count"].astype(np.float64) - SATURATION_MARGIN_COUNTS) - 1.0
+    )
+    # keep the counts of masked elements, which receive no light, and of elements without a limit
+    keep_counts = np.isnan(highest_unsaturated)
     if "masked" in region.variables:
-        fixed = fixed | region["masked"]
-    highest = xr.where(fixed, counts, top).transpose(*counts.dims)
-    labelled: xr.DataArray = highest.astype(counts.dtype).assign_attrs(counts.attrs)
-    return labelled
+        keep_counts = keep_counts | region["masked"]
+    highest = xr.where(keep_counts, counts, highest_unsaturated).transpose(*counts.dims)
+    labelled_counts: xr.DataArray = highest.astype(counts.dtype).assign_attrs(counts.attrs)
+    return labelled_counts
 
 
 def closure_variables(plan: Any, panels: int, bands: int, lines: int) -> dict[str, xr.DataArray]:
     """Return the results of a plan's panels as variables, lazily."""
-    words = {"flag_masks": 1 << np.arange(len(PANEL_STATES), dtype=np.uint8)}
-    attrs: dict[str, dict[str, Any]] = {"panel_state": {**words, "flag_meanings": " ".join(PANEL_STATES)}}
+    flag_attrs = {"flag_masks": 1 << np.arange(len(PANEL_STATES), dtype=np.uint8)}
+    attrs: dict[str, dict[str, Any]] = {
+        "panel_state": {**flag_attrs, "flag_meanings": " ".join(PANEL_STATES)}
+    }
     variables = {}
     for name in (*CLOSURE, "panel_weight", "panel_scale_u"):
-        row = VARIABLES[name]
-        shape = tuple({PANEL: panels, BAND: bands, ALONG_TRACK: lines}[dim] for dim in row.dims)
-        part = dask.delayed(slabs.of_panels, pure=True)(plan, name.removeprefix("panel_"))
-        array = xr.DataArray(da.from_delayed(part, shape, np.dtype(row.dtype)), dims=row.dims)
+        spec = VARIABLES[name]
+        shape = tuple({PANEL: panels, BAND: bands, ALONG_TRACK: lines}[dim] for dim in spec.dims)
+        values = dask.delayed(slabs.panel_result, pure=True)(plan, name.removeprefix("panel_"))
+        array = xr.DataArray(da.from_delayed(values, shape, np.dtype(spec.dtype)), dims=spec.dims)
         variables[name] = label(array, name, **attrs.get(name, {}))
     return variables

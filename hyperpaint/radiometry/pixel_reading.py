@@ -28,7 +28,7 @@ from .spectral_axis import bands_at
 
 Place = int | slice
 
-#: Lines that are read and calibrated at once, from the border of a storage chunk on.
+#: Number of lines that are read and calibrated together, beginning at the border of a storage chunk.
 BLOCK_LINES = 2 * CHUNK_LINES
 
 _NO_QUALITY = np.empty((0, 0), np.uint16)
@@ -45,9 +45,9 @@ def pixels(
 ) -> xr.Dataset:
     """Return reflectance of a pixel, a region or a band, with the bits of `reflectance`.
 
-    Eager: the selection is known before anything is calibrated, so that only the storage chunks of the cube
-    that hold it are read, without a scheduler. The calibration and light of a line are read on the first call
-    and serve later ones.
+    Eager: only the storage chunks of the cube
+    that hold the selection are read, without a scheduler. Calibration and light of a line are read on the
+    first call and reused by later calls.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def pixels(
     along_track, cross_track
         Positions: a whole number, which drops the dim, or a slice.
     wavelength
-        The bands nearest to it, as in `at`: a number, which drops the dim ``band``, or several [nm]; by
-        default all.
+        Wavelengths whose nearest bands are returned, as in `at`: a number, which drops the dim ``band``, or
+        several [nm]; by default all.
 
     Returns
     -------
@@ -82,38 +82,38 @@ def pixels(
     ('along_track', 'cross_track')
     """
     line = schema.rename_to_roles(dataset)
-    places: dict[str, Any] = {ALONG_TRACK: along_track, BAND: slice(None), CROSS_TRACK: cross_track}
+    selection: dict[str, Any] = {ALONG_TRACK: along_track, BAND: slice(None), CROSS_TRACK: cross_track}
     entry = None
     if {"counts", "radiance"} & set(line.variables):
         entry = _entry_of(line)
     if wavelength is not None:
-        places[BAND] = bands_at(line if entry is None else entry.labels, wavelength)
-    chosen = {dim: _positions(place, line, dim) for dim, place in places.items()}
+        selection[BAND] = bands_at(line if entry is None else entry.labels, wavelength)
+    positions = {dim: _positions(position, line, dim) for dim, position in selection.items()}
     if entry is None:
         names = [name for name in ("reflectance", "quality") if name in line.variables]
         schema.require(line, names or ["reflectance"], "reflectance of pixels")
-        return line[names].isel(chosen, missing_dims="ignore").compute(scheduler=scheduler_in_force())
-    single = {dim: 0 for dim, place in chosen.items() if isinstance(place, int)}
-    chosen |= {dim: slice(chosen[dim], chosen[dim] + 1) for dim in single}
-    region = _calibrated(line, entry, chosen)
+        return line[names].isel(positions, missing_dims="ignore").compute(scheduler=scheduler_in_force())
+    single = {dim: 0 for dim, position in positions.items() if isinstance(position, int)}
+    positions |= {dim: slice(positions[dim], positions[dim] + 1) for dim in single}
+    region = _calibrated(line, entry, positions)
     return region.isel(single) if single else region
 
 
-def _positions(place: Any, line: xr.Dataset, dim: str) -> Any:
-    # A position from 0, a slice of step 1 where possible, or an array of positions
+def _positions(selection: Any, line: xr.Dataset, dim: str) -> Any:
+    # Return a position from 0, a slice of step 1 if possible, or an array of positions.
     size = line.sizes.get(dim, 0)
-    if isinstance(place, slice):
-        numbers = range(size)[place]
+    if isinstance(selection, slice):
+        numbers = range(size)[selection]
         return slice(numbers.start, numbers.stop) if numbers.step == 1 else np.asarray(numbers)
-    if np.ndim(place):
-        return np.asarray(place)
-    if not -size <= place < size:
+    if np.ndim(selection):
+        return np.asarray(selection)
+    if not -size <= selection < size:
         raise SchemaError(
-            f"{dim} {place} is outside of this line",
+            f"{dim} {selection} is outside of this line",
             expected=f"{-size} to {size - 1}",
             code="pixel-outside-line",
         )
-    return int(place) % size
+    return int(selection) % size
 
 
 def _entry_of(line: xr.Dataset) -> Entry:
@@ -125,35 +125,35 @@ def _entry_of(line: xr.Dataset) -> Entry:
     entry = PLANS.entry(line, options)
     if entry is not None and len(entry.labels.coords):
         return entry
-    scaling = () if stored is None else declared_panels(line)
-    inputs = plan_inputs(line, stored, scaling)[1]
+    scale_panels = () if stored is None else declared_panels(line)
+    inputs = plan_inputs(line, stored, scale_panels)[1]
     if entry is None:
-        (read,) = dask.compute(inputs, scheduler=scheduler_in_force())
-        entry = Entry(Origin(line, options), make_plan(shape, dtype.str, np.zeros(1, np.int64), **read))
-    small = [name for name in line.coords if set(line[name].dims) <= set(CUBE) and line[name].ndim < 2]
+        (values,) = dask.compute(inputs, scheduler=scheduler_in_force())
+        entry = Entry(Origin(line, options), make_plan(shape, dtype.str, np.zeros(1, np.int64), **values))
+    small_names = [name for name in line.coords if set(line[name].dims) <= set(CUBE) and line[name].ndim < 2]
     smile = {"wavelength_shift"} & set(line.coords)
-    notes = {**applied(inputs["cube"]), "panel": "; ".join(map(str, scaling))}
-    labels = line[[]].assign_coords({name: line[name] for name in {*small, *smile}})
+    attributes = {**applied(inputs["cube"]), "panel": "; ".join(map(str, scale_panels))}
+    labels = line[[]].assign_coords({name: line[name] for name in {*small_names, *smile}})
     entry.labels = labels.compute(scheduler=scheduler_in_force())
-    entry.labels.attrs = {name: text for name, text in notes.items() if text}
+    entry.labels.attrs = {name: text for name, text in attributes.items() if text}
     PLANS.add(entry)
     return entry
 
 
 def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Dataset:
-    # Reflectance of a region, `chosen` by dim, and with all bands its quality
+    # Return the reflectance of a region, `chosen` by dim, and with all bands its quality.
     lines, bands, columns = chosen.values()
     plan, sizes = entry.plan, line.sizes
     is_flagged = isinstance(bands, slice) and bands == slice(0, sizes[BAND])
     is_from_counts = "counts" in line.variables
     # stray light and pedestal need all bands and columns of a line
-    read: tuple[Any, Any] = (slice(0, sizes[BAND]), slice(0, sizes[CROSS_TRACK]))
+    ranges_read: tuple[Any, Any] = (slice(0, sizes[BAND]), slice(0, sizes[CROSS_TRACK]))
     selected: tuple[Any, Any] = (bands, columns)
     if plan.stray is None and not len(plan.detector.masked):
-        read = bands, _range_of(columns)
-        selected = slice(None), slice(None) if isinstance(columns, slice) else columns - read[1].start
-        plan = _part(plan, *read)
-    # the cube, which was compared with the plan's
+        ranges_read = bands, _range_of(columns)
+        selected = slice(None), slice(None) if isinstance(columns, slice) else columns - ranges_read[1].start
+        plan = _part_of_plan(plan, *ranges_read)
+    # the cube, which the plan was checked against
     cube = (
         line.variables["counts"].transpose(*CUBE)
         if is_from_counts
@@ -163,35 +163,35 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
     samples = sizes[BAND] * sizes[CROSS_TRACK]
     for numbers in _blocks(np.arange(sizes[ALONG_TRACK])[lines], samples // max(1, plan.gain.size)):
         rows_read = _range_of(numbers)
-        counts = np.ascontiguousarray(_read(cube, (rows_read, *read)))
+        counts = np.ascontiguousarray(_read_part(cube, (rows_read, *ranges_read)))
         if counts.dtype != np.uint16:
             counts = counts.astype(np.float32, copy=False)
         quality = np.empty(counts.shape[::2], np.uint16) if is_flagged else _NO_QUALITY
-        out = SlabOutputs(np.empty(counts.shape, np.float32), quality, _NO_CUBE, _NO_CUBE)
-        calibrate_lines(plan, counts, rows_read.start, out)
+        outputs = SlabOutputs(np.empty(counts.shape, np.float32), quality, _NO_CUBE, _NO_CUBE)
+        calibrate_lines(plan, counts, rows_read.start, outputs)
         rows = slice(None) if isinstance(lines, slice) else numbers - rows_read.start
-        cubes.append(out.cube[rows][:, selected[0]][:, :, selected[1]])
+        cubes.append(outputs.cube[rows][:, selected[0]][:, :, selected[1]])
         if is_flagged:
             flags.append(quality[rows][:, selected[1]])
     labels = entry.labels.isel(chosen, missing_dims="ignore")
     values = schema.label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
     products = {"reflectance": values.variable}
     if is_flagged:
-        before = None
+        earlier_quality = None
         if "quality" in line.variables:
             stored = schema.require(line, ["quality"], "reflectance")["quality"]
-            before = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable.compute(
+            earlier_quality = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable.compute(
                 scheduler=scheduler_in_force()
             )
-        merged = merged_quality("reflectance", _joined(flags), before, anew=is_from_counts)
+        merged = merged_quality("reflectance", _joined(flags), earlier_quality, anew=is_from_counts)
         products["quality"] = merged.variable
     return labels.assign(products).assign_attrs(line.attrs)
 
 
-def _range_of(places: Any) -> slice:
-    if isinstance(places, slice):
-        return places
-    return slice(int(places.min()), int(places.max()) + 1) if len(places) else slice(0, 0)
+def _range_of(positions: Any) -> slice:
+    if isinstance(positions, slice):
+        return positions
+    return slice(int(positions.min()), int(positions.max()) + 1) if len(positions) else slice(0, 0)
 
 
 def _joined(blocks: list[Array]) -> Array:
@@ -199,15 +199,15 @@ def _joined(blocks: list[Array]) -> Array:
 
 
 def _blocks(numbers: Array, times: int) -> list[Array]:
-    # Numbers of lines in blocks that share storage chunks: `times` as many lines as usual
+    # Split numbers of lines into blocks that share storage chunks, of `times` the usual number of lines.
     if not numbers.size:
         return [np.zeros(0, np.int64)]
     block = (numbers - numbers.min() // CHUNK_LINES * CHUNK_LINES) // (BLOCK_LINES * max(1, times))
     return np.split(numbers, np.flatnonzero(np.diff(block)) + 1)
 
 
-def _part(plan: Plan, bands: Any, columns: slice) -> Plan:
-    # Plan of some bands and neighbouring columns; flags hold with all bands only
+def _part_of_plan(plan: Plan, bands: Any, columns: slice) -> Plan:
+    # Return the plan of selected bands and neighbouring columns; flags are only valid with all bands.
     def cut(array: Array) -> Array:
         array = array[..., bands, :] if array.shape[-2] > 1 else array
         return np.ascontiguousarray(array[..., columns] if array.shape[-1] > 1 else array)
@@ -232,15 +232,15 @@ def _part(plan: Plan, bands: Any, columns: slice) -> Plan:
     )
 
 
-def _read(cube: xr.Variable, places: tuple[Any, ...]) -> Array:
-    # A part of a cube; a dask array that wraps a file is read without dask
+def _read_part(cube: xr.Variable, selection: tuple[Any, ...]) -> Array:
+    # Read a part of a cube; a dask array that wraps a file is read without dask.
     if cube.chunks is None:
-        return np.asarray(cube[places].values)
+        return np.asarray(cube[selection].values)
     data = cube.data
-    # the argument of `dask.array.from_array`
+    # the array that was passed to `dask.array.from_array`
     sources = list(data.dask.layers.get(f"original-{data.name}", {}).values())
     if len(sources) == 1 and len(data.dask.layers) == 2:
-        is_whole = getattr(sources[0], "shape", None) == data.shape
-        if is_whole and getattr(sources[0], "dtype", None) == data.dtype:
-            return np.asarray(sources[0][places])
-    return np.asarray(data[places].compute(scheduler=scheduler_in_force()))
+        has_shape = getattr(sources[0], "shape", None) == data.shape
+        if has_shape and getattr(sources[0], "dtype", None) == data.dtype:
+            return np.asarray(sources[0][selection])
+    return np.asarray(data[selection].compute(scheduler=scheduler_in_force()))

@@ -1,8 +1,8 @@
-"""Cache of the plans of recently used lines in this process, so that a further pixel reads only counts.
+"""Cache of the plans of recently used lines in this process, so that later calls for pixels read only counts.
 
 A plan is looked up by its inputs: the line's small variables, its attributes and the options. A variable in
-memory is compared by value with a copy; a lazy one by identity, since the names that dask gives stay the same
-when a store is written anew. So replaced inputs are never mistaken for the old ones, and no cube is held.
+memory is compared by value with a copy; a lazy one by identity, since dask's name of an array stays the same
+when a store is rewritten. So replaced inputs are always noticed, and the cache holds no cube.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from .slabs import Plan
 MAX_PLANS = 8
 #: Largest size of all plans and their origins [byte].
 MAX_BYTES = 64 * 2**20
-#: Largest plan that is embedded in a graph [byte]; larger ones are computed by its tasks from less.
+#: Largest plan that is embedded in a graph [byte]; tasks compute larger plans from smaller inputs.
 MAX_EMBEDDED_BYTES = 8 * 2**20
 MAX_PENDING_PLANS = 16
 
 
-class _State:
+class _VariableState:
     def __init__(self, variable: xr.Variable) -> None:
-        self.form = _form(variable)
+        self.layout = _layout(variable)
         self.attrs = dict(variable.attrs)
         self.values = None if _is_lazy(variable) else np.array(variable.values)
         data = variable._data
-        # values are assigned to a part of a dask array in place, and rename it
+        # assigning to a part of a dask array changes its name
         self.name = getattr(data, "name", None)
         try:
             self.source: Callable[[], Any] = weakref.ref(data)
-        except TypeError:  # of xarray, around a file
+        except TypeError:  # xarray's wrapper of a file has no weak references
             self.source = lambda: data
 
-    def holds(self, variable: xr.Variable) -> bool:
-        if self.form != _form(variable) or not xr.core.utils.dict_equiv(self.attrs, variable.attrs):
+    def matches(self, variable: xr.Variable) -> bool:
+        if self.layout != _layout(variable) or not xr.core.utils.dict_equiv(self.attrs, variable.attrs):
             return False
         if self.values is None:
             data = variable._data
@@ -58,16 +58,16 @@ class _State:
         values = np.asarray(variable.values)
         if values.dtype == object:
             return bool(np.array_equal(self.values, values))
-        # by bytes: NaN equals itself, and the sign of zero counts
-        before, now = (np.ascontiguousarray(a).reshape(-1).view(np.uint8) for a in (self.values, values))
-        return bool(np.array_equal(before, now))
+        # compare bytes: NaN equals NaN, and the sign of zero matters
+        stored, current = (np.ascontiguousarray(a).reshape(-1).view(np.uint8) for a in (self.values, values))
+        return bool(np.array_equal(stored, current))
 
     @property
     def nbytes(self) -> int:
         return 0 if self.values is None else self.values.nbytes
 
 
-def _form(variable: xr.Variable) -> tuple[Any, ...]:
+def _layout(variable: xr.Variable) -> tuple[Any, ...]:
     return variable.dims, variable.shape, variable.dtype
 
 
@@ -79,11 +79,11 @@ def _is_lazy(variable: xr.Variable) -> bool:
 class Origin:
     """Inputs of a plan.
 
-    ``line``: with the dims' names by role; ``options``: compared with ``==``.
+    ``line``: flight line with dims named by role; ``options``: compared with ``==``.
     """
 
     def __init__(self, line: xr.Dataset, options: tuple[Any, ...]) -> None:
-        self._states = {name: _State(variable) for name, variable in _small(line).items()}
+        self._states = {name: _VariableState(variable) for name, variable in _small(line).items()}
         self._attrs = dict(line.attrs)
         self._options = (*options, "counts" in line.variables)
         self.nbytes = sum(state.nbytes for state in self._states.values())
@@ -94,7 +94,7 @@ class Origin:
         return (
             self._options == (*options, "counts" in line.variables)
             and self._states.keys() == small.keys()
-            and all(state.holds(small[name]) for name, state in self._states.items())
+            and all(state.matches(small[name]) for name, state in self._states.items())
             and bool(xr.core.utils.dict_equiv(self._attrs, line.attrs))
         )
 
@@ -113,7 +113,7 @@ class Entry:
 
     origin: Origin
     plan: Plan
-    #: Small coordinates, and as attributes those of its reflectance
+    #: Small coordinates; the attributes are those of reflectance
     labels: xr.Dataset = dataclasses.field(default_factory=xr.Dataset)
 
     @property
@@ -122,11 +122,11 @@ class Entry:
 
 
 class PlanCache:
-    """The last plans by their `Origin`; safe in many threads."""
+    """The most recently used plans by their `Origin`; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._entries: list[Entry] = []  # the last used comes last
+        self._entries: list[Entry] = []  # most recently used last
         self._pending: dict[str, Origin] = {}
 
     def entry(self, line: xr.Dataset, options: tuple[Any, ...]) -> Entry | None:
@@ -140,7 +140,7 @@ class PlanCache:
         return None
 
     def expect(self, line: xr.Dataset, options: tuple[Any, ...]) -> str:
-        """Return the name under which a task will `fulfil` the plan of a line."""
+        """Return the name with which a task will `fulfil` the plan of a line."""
         origin, name = Origin(line, options), uuid.uuid4().hex
         with self._lock:
             if origin.nbytes <= MAX_BYTES // 2:
@@ -150,14 +150,14 @@ class PlanCache:
         return name
 
     def fulfil(self, name: str, plan: Plan) -> None:
-        """Add an expected plan; does nothing in another process, which did not expect it."""
+        """Add an expected plan; does nothing in a process that did not call `expect`."""
         with self._lock:
             origin = self._pending.pop(name, None)
         if origin is not None:
             self.add(Entry(origin, plan))
 
     def add(self, entry: Entry) -> None:
-        """Add a plan or mark it as used; the least recently used ones are dropped."""
+        """Add a plan or mark it as used; the least recently used plans are dropped."""
         with self._lock:
             self._entries = [*(other for other in self._entries if other is not entry), entry]
             while len(self._entries) > MAX_PLANS or sum(e.nbytes for e in self._entries) > MAX_BYTES:
@@ -179,7 +179,7 @@ def bytes_of(value: Any) -> int:
 def lazy_plan(
     line: xr.Dataset, options: tuple[Any, ...] | None, planner: Callable[..., Plan], **inputs: Any
 ) -> Callable[..., Delayed]:
-    """Return a function from a cube's shape, dtype and slabs to its lazy plan, named by its content.
+    """Return a function from a cube's shape, dtype and slabs to its lazy plan, named by a hash of the inputs.
 
     With ``options`` None no cache is used; else a cached plan is embedded in the graph.
     """

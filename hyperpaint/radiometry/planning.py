@@ -1,6 +1,6 @@
 """Compute the `Plan` that all slabs of a line share from its small variables: darks, limits, light.
 
-All of it runs once a line, inside the graph: wrong values are reported when something is computed.
+It runs once per line, as a node of the graph: wrong values are reported when results are computed.
 """
 
 from __future__ import annotations
@@ -43,37 +43,37 @@ from .uncertainty.propagation import error_terms
 _CLEAR, _HAZY, _CONTRADICTORY = (SKY_STATES.index(word) for word in ("clear", "hazy", "contradictory"))
 
 
-#: Largest distance in time of samples that give the sky over a panel, changes over a minute included.
+#: Largest distance in time of irradiance samples that determine the sky over a panel.
 MAX_PANEL_DISTANCE = np.timedelta64(120, "s")
 
 
 def tilt_factors(
-    tilt: Tilt, light: Mapping[str, Any], used: Array, wavelength: Floats, place: tuple[float, float]
+    tilt: Tilt, light: Mapping[str, Any], used: Array, wavelength: Floats, position: tuple[float, float]
 ) -> Floats:
     """Return irradiance on the surface relative to level ground (sample, band) [1], for the ``used`` samples.
 
-    A diffuse fraction of the tilt itself is used first. Else the fraction of the lines, where they have one;
-    else the split by `hyperpaint.light.diffuse_from_record`, which leaves a clear sky to the tilt's own
-    model. Diffuse light is uniform except under a clear or hazy sky.
+    A diffuse fraction of the tilt is used first. Otherwise the fraction of the lines, if they have one;
+    otherwise the split by `hyperpaint.light.diffuse_from_record`, which leaves a clear sky to the model of
+    `Tilt`. Diffuse light is uniform except under a clear or hazy sky.
 
     light: ``irradiance``, its time and wavelengths, and of lines ``time``, ``diffuse_fraction`` and
-        ``sky_state``; place: latitude and longitude [degree].
+        ``sky_state``; position: latitude and longitude [degree].
 
-    Warns PaintWarning: The record fits no sky, and the surface is lit as under a clear one.
+    Warns PaintWarning: The record fits no sky, and a clear sky is assumed.
     """
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
 
     def factor(sky: Tilt, samples: Array) -> Floats:
-        return sky.factor(stamps[used[samples]], *place, wavelength)
+        return sky.factor(stamps[used[samples]], *position, wavelength)
 
     if tilt.diffuse_fraction is not None or tilt.angle == 0.0:
         return factor(tilt, np.arange(used.size))
-    fraction, state = _split(light, stamps, wavelength, place)
+    fraction, state = _split(light, stamps, wavelength, position)
     if fraction is None:
         return factor(tilt, np.arange(used.size))
     factors = np.empty((used.size, wavelength.size))
     fraction, state = fraction[used], state[used]
-    by_model = (state == _CLEAR) | (state == _CONTRADICTORY) | ~np.isfinite(fraction).all(axis=1)
+    is_modelled = (state == _CLEAR) | (state == _CONTRADICTORY) | ~np.isfinite(fraction).all(axis=1)
     if (state == _CONTRADICTORY).any():
         text = (
             f"the irradiance fits no sky at its place and time in {(state == _CONTRADICTORY).sum()} of "
@@ -81,47 +81,56 @@ def tilt_factors(
             "Tilt(diffuse_fraction=)"
         )
         warnings.warn(PaintWarning(text, code="sky-unknown"), stacklevel=2)
-    if by_model.any():
-        factors[by_model] = factor(tilt, np.flatnonzero(by_model))
-    for at in np.flatnonzero(~by_model):
-        sky = "clear" if state[at] == _HAZY else "uniform"
-        factors[at] = factor(replace(tilt, diffuse_fraction=fraction[at], sky=sky), np.array([at]))[0]
+    if is_modelled.any():
+        factors[is_modelled] = factor(tilt, np.flatnonzero(is_modelled))
+    for sample in np.flatnonzero(~is_modelled):
+        sky = "clear" if state[sample] == _HAZY else "uniform"
+        factors[sample] = factor(
+            replace(tilt, diffuse_fraction=fraction[sample], sky=sky), np.array([sample])
+        )[0]
     return factors
 
 
 def direct_share(
-    light: Mapping[str, Any], moment: np.datetime64, wavelength: Floats, place: tuple[float, float]
+    light: Mapping[str, Any], time: np.datetime64, wavelength: Floats, position: tuple[float, float]
 ) -> Floats | None:
     """Return the relative change of a panel's light with its direct part (sky, band) [1].
 
-    1 - f for a diffuse fraction f that is uniform; under a clear sky also with its bright side moving with
-    the sun. None where the split is unknown. The arguments are those of `tilt_factors`.
+    1 - f for a uniform diffuse fraction f; under a clear sky a second row includes the bright side of the sky
+    around the sun. None where the split is unknown. Arguments as of `tilt_factors`.
     """
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
-    away = np.abs(stamps - moment)
-    near = np.flatnonzero(away <= max(MAX_PANEL_DISTANCE, away.min()))
-    nearby = {**light, "irradiance": np.asarray(light["irradiance"])[near], "irradiance_time": stamps[near]}
+    distance = np.abs(stamps - time)
+    nearby_samples = np.flatnonzero(distance <= max(MAX_PANEL_DISTANCE, distance.min()))
+    nearby_light = {
+        **light,
+        "irradiance": np.asarray(light["irradiance"])[nearby_samples],
+        "irradiance_time": stamps[nearby_samples],
+    }
     if "diffuse_fraction" in light and len(np.atleast_2d(light["diffuse_fraction"])) == stamps.size:
-        nearby |= {
-            name: np.asarray(light[name])[near] for name in ("diffuse_fraction", "sky_state") if name in light
+        nearby_light |= {
+            name: np.asarray(light[name])[nearby_samples]
+            for name in ("diffuse_fraction", "sky_state")
+            if name in light
         }
-    fraction, state = _split(nearby, stamps[near], wavelength, place)
+    fraction, state = _split(nearby_light, stamps[nearby_samples], wavelength, position)
     if fraction is None:
         return None
-    at = int(away[near].argmin())
-    zenith = float(solar_position(np.array([moment]), *place)[0][0])
+    nearest = int(distance[nearby_samples].argmin())
+    zenith = float(solar_position(np.array([time]), *position)[0][0])
     if zenith >= MAX_SUN_ZENITH_DEG:
         return None
-    shares = [1.0 - fraction[at]]
-    if state[at] in (_CLEAR, _HAZY, _CONTRADICTORY):
-        shares.append(shares[0] + fraction[at] * sunward_gain(wavelength, zenith))
+    shares = [1.0 - fraction[nearest]]
+    if state[nearest] in (_CLEAR, _HAZY, _CONTRADICTORY):
+        shares.append(shares[0] + fraction[nearest] * sunward_gain(wavelength, zenith))
     return np.stack(shares)
 
 
 def _split(
-    light: Mapping[str, Any], stamps: Array, wavelength: Floats, place: tuple[float, float]
+    light: Mapping[str, Any], stamps: Array, wavelength: Floats, position: tuple[float, float]
 ) -> tuple[Floats | None, Array]:
-    # Diffuse fraction (sample, band) and number of the state (sample,); None where unknown
+    # Return the diffuse fraction (sample, band), None where unknown, and the number of the sky state
+    # (sample,).
     if "diffuse_fraction" in light:
         return _split_of_lines(light, stamps, wavelength.size)
     channels = xr.Variable(
@@ -134,28 +143,30 @@ def _split(
         attrs=VARIABLES["irradiance"].attrs,
     )
     try:
-        # to a kilometre, so that a crop of the line means the same sky
-        at = tuple(round(degrees, 2) for degrees in place)
-        split = diffuse_from_record(record.to_dataset(name="irradiance"), *at, wavelength=wavelength)
+        # rounded to a kilometre, so that a crop of the line gets the same sky
+        rounded_position = tuple(round(degrees, 2) for degrees in position)
+        split = diffuse_from_record(
+            record.to_dataset(name="irradiance"), *rounded_position, wavelength=wavelength
+        )
     except SchemaError:  # a record without channels in the compared intervals
         return None, np.zeros(stamps.size, np.int8)
     return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
 
 
 def _split_of_lines(light: Mapping[str, Any], stamps: Array, bands: int) -> tuple[Floats | None, Array]:
-    # Fraction and state of the line nearest to each sample; None where no line has a time
+    # Return fraction and state of the line nearest to every sample; None if no line has a time.
     fraction = np.atleast_2d(np.asarray(light["diffuse_fraction"], np.float64))
     time = np.asarray(light["time"]).astype("datetime64[ns]")
     if len(fraction) == time.size:
         lines = np.flatnonzero(~np.isnat(time))
         if not lines.size:
             return None, np.zeros(stamps.size, np.int8)
-        # a float64 of seconds orders stamps of a flight to a microsecond
-        at, sampled = (
+        # float64 seconds resolve stamps of a flight to a microsecond
+        line_seconds, sample_seconds = (
             (moments - time[lines[0]]) / np.timedelta64(1, "s") for moments in (time[lines], stamps)
         )
-        rows = lines[np.abs(at[:, None] - sampled).argmin(axis=0)]
-    else:  # one a sample, or one for all
+        rows = lines[np.abs(line_seconds[:, None] - sample_seconds).argmin(axis=0)]
+    else:  # one row per sample, or one row for all samples
         rows = np.minimum(np.arange(stamps.size), len(fraction) - 1)
     state = np.asarray(light.get("sky_state", SKY_STATES.index("overcast"))).ravel()
     state = state[rows] if state.size == len(fraction) else np.broadcast_to(state[:1], rows.shape)
@@ -163,16 +174,16 @@ def _split_of_lines(light: Mapping[str, Any], stamps: Array, bands: int) -> tupl
 
 
 NOISE_MARGIN_SD = 5.0
-#: Spread of a dark count [count] where neither the calibration nor the dark gives it.
+#: Spread of a dark count if neither calibration nor dark give it [count].
 DEFAULT_READ_NOISE_COUNTS = 2.0
 BAD_BAND_SHARE = 0.05
 NEGATIVE_BAND_SHARE = 0.1
-#: Relative difference up to which a dark serves a line's exposure.
+#: Relative difference of exposure times up to which a dark is valid for a line.
 SAME_EXPOSURE_SHARE = 0.01
-#: Extrapolation beyond the exposures of the darks, in widths of the interval between them, above which it is
-#: reported, and refused. Darks of a real camera at 20 to 55 ms extrapolate to 0.3 counts rms inside, 0.7 at a
-#: width and 1.7 at four; the noise of two darks' means grows as sqrt(0.5 + 2 (0.5 + widths)^2), to 15 times
-#: at ten.
+#: Extrapolation beyond the exposures of the darks above which it is reported, and refused [widths of the
+#: interval between them]. Darks of a real camera at 20 to 55 ms extrapolate to 0.3 counts rms inside, 0.7 at
+#: a width and 1.7 at four; the noise of the means of two darks grows as sqrt(0.5 + 2 (0.5 + widths)^2), to 15
+#: times at ten.
 TRUSTED_DARK_SPANS, MAX_DARK_SPANS = 1.0, 10.0
 
 
@@ -202,34 +213,38 @@ def make_plan(
         Values are out of range or contradict one another; all are listed.
     """
     lines, bands, columns = shape
-    from_counts = "dark_counts" in cube
-    no_exposure = np.isnan(np.broadcast_to(np.asarray(cube.get("exposure_time", 1.0), np.float64), lines))
-    if no_exposure.any() and not no_exposure.all():
-        # lines that `where` emptied: fits over exposures need a number
+    is_from_counts = "dark_counts" in cube
+    is_without_exposure = np.isnan(
+        np.broadcast_to(np.asarray(cube.get("exposure_time", 1.0), np.float64), lines)
+    )
+    if is_without_exposure.any() and not is_without_exposure.all():
+        # lines without data after `where`: fits over exposures need a number
         exposures = np.asarray(cube["exposure_time"], np.float64)
-        cube = {**cube, "exposure_time": np.where(no_exposure, np.nanmedian(exposures), exposures)}
+        cube = {**cube, "exposure_time": np.where(is_without_exposure, np.nanmedian(exposures), exposures)}
     _check_values(cube, shape)
     good = np.asarray(cube.get("good", np.ones(bands, bool)), bool)
-    exposure = np.broadcast_to(np.asarray(cube["exposure_time"] if from_counts else 1.0, np.float64), lines)
+    exposure = np.broadcast_to(
+        np.asarray(cube["exposure_time"] if is_from_counts else 1.0, np.float64), lines
+    )
     # dark and gain of every element
     dark, dark_index = np.zeros((1, bands, columns), np.float32), np.zeros(lines, np.int64)
     dark_weight = np.zeros(lines, np.float32)
-    if from_counts:
+    if is_from_counts:
         dark, dark_index, dark_weight = darks_of_lines(cube, exposure)
     masked = _masked(cube, dark)
     gain = np.ones((bands, columns), np.float32)
-    if from_counts:
+    if is_from_counts:
         gain = np.array(cube["radiance_gain"], np.float32)
         gain[tuple(masked.T)] = np.nan
         gain[~np.isfinite(gain) | ~np.isfinite(dark).all(axis=0)] = np.nan
-    bad = np.isnan(gain)
-    seeing = good[:, None] & np.ones_like(bad)
-    seeing[tuple(masked.T)] = False  # masked elements are not bad
-    bad_share = (bad & seeing).sum(axis=0) / np.maximum(seeing.sum(axis=0), 1)
+    is_bad = np.isnan(gain)
+    is_lit = good[:, None] & np.ones_like(is_bad)
+    is_lit[tuple(masked.T)] = False  # masked elements are not bad
+    bad_share = (is_bad & is_lit).sum(axis=0) / np.maximum(is_lit.sum(axis=0), 1)
     # flags of whole lines, and the light of each
     time = np.asarray(cube["time"]).astype("datetime64[ns]") if "time" in cube else None
     line_flags = np.zeros(lines, np.uint16)
-    line_flags[no_exposure] = Quality.NO_DATA
+    line_flags[is_without_exposure] = Quality.NO_DATA
     if time is not None:
         line_flags[np.isnat(time)] = Quality.NO_DATA
     smile = smile_cells(cube.get("wavelength_shift") if light else None, columns)
@@ -239,26 +254,26 @@ def make_plan(
         series, neighbours, misfit = _illuminate(cube, light, time, smile, tilt)
         line_flags |= neighbours.flags
     # scale by panels
-    scale, on_panels = np.ones(bands), _OnPanels()
+    scale, panel_result = np.ones(bands), _PanelResult()
     if panel is not None:
         if "factor" in panel:  # panels that were measured before
             refused = (np.asarray(panel["state"]) & REFUSED) != 0
             scale, weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), refused)
-            on_panels = _OnPanels(None, weights, np.asarray(panel["scale_u"], np.float64))
+            panel_result = _PanelResult(None, weights, np.asarray(panel["scale_u"], np.float64))
         else:
-            scale, on_panels = _panel_scale(panel, cube, light, good, lines)
-        if uncertain is not None and on_panels.u is not None:
-            uncertain = {**uncertain, "panel_u": float(np.nanmax(on_panels.u))}
-    # depth below the dark that noise explains, of good elements only
-    noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE_COUNTS), np.float64)
-    margin = NOISE_MARGIN_SD * np.sqrt(noise**2 + QUANTISATION_VARIANCE_COUNT2)
-    watched = good[:, None] & ~bad & from_counts
+            scale, panel_result = _panel_scale(panel, cube, light, good, lines)
+        if uncertain is not None and panel_result.u is not None:
+            uncertain = {**uncertain, "panel_u": float(np.nanmax(panel_result.u))}
+    # margin below the dark that noise explains, for good elements only
+    read_noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE_COUNTS), np.float64)
+    margin = NOISE_MARGIN_SD * np.sqrt(read_noise**2 + QUANTISATION_VARIANCE_COUNT2)
+    is_flaggable = good[:, None] & ~is_bad & is_from_counts
     terms = None
     if uncertain is not None:
         darks = np.shape(cube.get("dark_counts", 0.0))
-        weights_of_darks = dark_weights(cube, darks[0] if len(darks) == 3 else 1, exposure)
-        dark_share = float(np.sqrt((weights_of_darks**2).sum(axis=1)).max(initial=0.0))
-        terms = error_terms(uncertain, cube, light, dtype, bad, len(masked), dark_share)
+        weights_by_dark = dark_weights(cube, darks[0] if len(darks) == 3 else 1, exposure)
+        dark_share = float(np.sqrt((weights_by_dark**2).sum(axis=1)).max(initial=0.0))
+        terms = error_terms(uncertain, cube, light, dtype, is_bad, len(masked), dark_share)
     return Plan(
         dark=np.nan_to_num(dark, posinf=0.0, neginf=0.0),
         dark_index=dark_index,
@@ -266,22 +281,22 @@ def make_plan(
         gain=gain,
         rate=np.where(line_flags & Quality.NO_DATA, np.nan, 1.0 / exposure),
         scale=scale,
-        closure=on_panels.closure,
-        panel_weights=on_panels.weights,
-        panel_u=on_panels.u,
+        closure=panel_result.closure,
+        panel_weights=panel_result.weights,
+        panel_u=panel_result.u,
         series=series,
         lines=neighbours,
         misfit=misfit,
         smile=smile,
         saturation_limit=_saturation_limit(cube, np.dtype(dtype)),
-        noise_margin=np.ascontiguousarray(np.where(watched, margin, np.nan), np.float32),
-        most_negative=int(NEGATIVE_BAND_SHARE * good.sum()),
+        noise_margin=np.ascontiguousarray(np.where(is_flaggable, margin, np.nan), np.float32),
+        max_negative_bands=int(NEGATIVE_BAND_SHARE * good.sum()),
         line_flags=line_flags,
         column_flags=np.where(bad_share > BAD_BAND_SHARE, Quality.BAD_DETECTOR, 0).astype(np.uint16),
         cleared_bits=0 if keep_bits is None else 23 - keep_bits,
         starts=starts,
-        detector=_linearity(cube).as_kernel_takes_it(_highest_count(cube))._replace(masked=masked),
-        stray=stray_light_of(cube, exposure, gain, masked) if from_counts else None,
+        detector=_linearity(cube).detector_model(_highest_count(cube))._replace(masked=masked),
+        stray=stray_light_of(cube, exposure, gain, masked) if is_from_counts else None,
         error_terms=terms,
     )
 
@@ -296,10 +311,10 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
                 code="length-mismatch",
             )
     exposure = np.asarray(cube.get("exposure_time", 1.0), np.float64)
-    wrong = exposure[~(np.isfinite(exposure) & (exposure > 0))]
-    if wrong.size:
+    invalid = exposure[~(np.isfinite(exposure) & (exposure > 0))]
+    if invalid.size:
         problems.add(
-            f"'exposure_time' is {wrong[0]:g} s", expected="a positive number", code="value-out-of-range"
+            f"'exposure_time' is {invalid[0]:g} s", expected="a positive number", code="value-out-of-range"
         )
     elif (exposure > 60).any():
         problems.add(
@@ -315,10 +330,10 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
         )
     if not np.isfinite(gain).any():
         problems.add("'radiance_gain' holds no finite value", code="not-finite")
-    full = np.asarray(cube.get("saturation_count", np.inf), np.float64)
-    if (full <= 2 * SATURATION_MARGIN_COUNTS).any():
+    saturation = np.asarray(cube.get("saturation_count", np.inf), np.float64)
+    if (saturation <= 2 * SATURATION_MARGIN_COUNTS).any():
         problems.add(
-            f"'saturation_count' is {np.nanmin(full):g}",
+            f"'saturation_count' is {np.nanmin(saturation):g}",
             expected="the highest count of the converter, such as 4095",
             code="saturation-implausible",
         )
@@ -328,7 +343,7 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
 
 
 def _linearity(cube: Mapping[str, Any]) -> Linearity:
-    # Linearity curve of a line's counts; the identity for a radiance cube
+    # Return the linearity curve of a line's counts; the identity for a radiance cube.
     curve: Linearity = cube.get("linearity") or Linearity()
     if "linear_counts" in cube:
         measured, linear = (np.asarray(cube[name], np.float64) for name in TABLE)
@@ -337,25 +352,25 @@ def _linearity(cube: Mapping[str, Any]) -> Linearity:
 
 
 def _masked(cube: Mapping[str, Any], dark: Array) -> Array:
-    # Band and column of masked elements with finite darks (n, 2) int64.
+    # Return band and column of masked elements with finite darks (n, 2) int64.
     # `masked` is (column,), (band, 1) or (band, column).
     if "masked" not in cube:
         return np.empty((0, 2), np.int64)
-    covered = np.asarray(cube["masked"], bool)
+    is_masked = np.asarray(cube["masked"], bool)
     shape = dark.shape[1:]
-    places = np.argwhere(np.broadcast_to(covered, shape) & np.isfinite(dark).all(axis=0)).astype(np.int64)
-    if not len(places):
+    elements = np.argwhere(np.broadcast_to(is_masked, shape) & np.isfinite(dark).all(axis=0)).astype(np.int64)
+    if not len(elements):
         text = (
             "'masked' is declared, but this part of the line has no masked element: no pedestal is "
             "subtracted; compute reflectance of the whole line before cutting it"
         )
         warnings.warn(PaintWarning(text, code="masked-missing"), stacklevel=2)
-    return places
+    return elements
 
 
 def _highest_count(cube: Mapping[str, Any]) -> float:
-    full = np.asarray(cube.get("saturation_count", np.inf), np.float64)
-    return float(full[np.isfinite(full)].max(initial=0.0)) or np.inf
+    saturation = np.asarray(cube.get("saturation_count", np.inf), np.float64)
+    return float(saturation[np.isfinite(saturation)].max(initial=0.0)) or np.inf
 
 
 def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Floats:
@@ -365,34 +380,36 @@ def dark_weights(cube: Mapping[str, Any], count: int, exposure: Floats) -> Float
     """
     if count == 1:
         return np.ones((exposure.size, 1))
-    # the subtracted dark is linear in the references: unit references give their weights
+    # the subtracted dark is linear in the darks: unit darks give their weights
     darks = {**cube, "dark_counts": np.eye(count, dtype=np.float32)[:, :, None]}
     with warnings.catch_warnings():  # the plan warns
         warnings.simplefilter("ignore")
-        ends, index, weight = darks_of_lines(darks, exposure)
-    later = np.minimum(index + 1, len(ends) - 1)
-    shares = ends[index, :, 0] + weight[:, None] * (ends[later, :, 0] - ends[index, :, 0])
+        unit_darks, index, weight = darks_of_lines(darks, exposure)
+    next_index = np.minimum(index + 1, len(unit_darks) - 1)
+    shares = unit_darks[index, :, 0] + weight[:, None] * (
+        unit_darks[next_index, :, 0] - unit_darks[index, :, 0]
+    )
     return np.asarray(shares, np.float64)
 
 
 def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Array, Array]:
     """Return darks (n, band, column), and for every line its earlier dark and the weight of the later.
 
-    Darks at the line's exposure are interpolated in time. Where there is none, or lines differ in exposure,
-    bias and rate are fitted to the darks, and lines lie between two of them in exposure; the bias is never
-    scaled.
+    Darks at the line's exposure are interpolated in time. Without such darks, or if lines differ in exposure,
+    bias and rate are fitted to the darks, and every line is interpolated between two fitted darks; the bias
+    is never scaled.
     """
     dark = np.asarray(cube["dark_counts"], np.float32)
     dark = dark[None] if dark.ndim == 2 else dark
     times = cube.get("dark_time")
-    taken_at = cube.get("dark_exposure_time")
-    if taken_at is not None:
-        taken = np.broadcast_to(np.asarray(taken_at, np.float64), len(dark))
-        usable = np.abs(taken[:, None] / exposure - 1.0) <= SAME_EXPOSURE_SHARE
-        if not usable.all(axis=1).any():
-            return _darks_in_exposure(dark, taken, exposure)
-        dark = dark[usable.all(axis=1)]
-        times = None if times is None else np.asarray(times)[usable.all(axis=1)]
+    dark_exposure_time = cube.get("dark_exposure_time")
+    if dark_exposure_time is not None:
+        dark_exposure = np.broadcast_to(np.asarray(dark_exposure_time, np.float64), len(dark))
+        is_usable = np.abs(dark_exposure[:, None] / exposure - 1.0) <= SAME_EXPOSURE_SHARE
+        if not is_usable.all(axis=1).any():
+            return _darks_in_exposure(dark, dark_exposure, exposure)
+        dark = dark[is_usable.all(axis=1)]
+        times = None if times is None else np.asarray(times)[is_usable.all(axis=1)]
     elif np.ptp(exposure) > SAME_EXPOSURE_SHARE * exposure.max():
         text = "lines differ in exposure and 'dark_exposure_time' is missing: one dark is used for all"
         warnings.warn(PaintWarning(text, code="dark-exposure-missing"), stacklevel=2)
@@ -408,44 +425,47 @@ def darks_of_lines(cube: Mapping[str, Any], exposure: Floats) -> tuple[Array, Ar
         )
     order = np.argsort(stamps, kind="stable")
     dark, ticks = dark[order], stamps[order].astype(np.int64)
-    now = np.asarray(cube["time"]).astype("datetime64[ns]")
-    lines = np.where(np.isnat(now), ticks[0], now.astype(np.int64))
-    # the first and the last dark are held beyond their times: a dark drifts slowly
-    index = np.clip(np.searchsorted(ticks, lines, side="right") - 1, 0, len(dark) - 2)
-    weight = (lines - ticks[index]) / np.maximum(ticks[index + 1] - ticks[index], 1)
+    line_time = np.asarray(cube["time"]).astype("datetime64[ns]")
+    line_ns = np.where(np.isnat(line_time), ticks[0], line_time.astype(np.int64))
+    # beyond their times the first and the last dark are used: a dark drifts slowly
+    index = np.clip(np.searchsorted(ticks, line_ns, side="right") - 1, 0, len(dark) - 2)
+    weight = (line_ns - ticks[index]) / np.maximum(ticks[index + 1] - ticks[index], 1)
     return dark, index.astype(np.int64), np.clip(weight, 0.0, 1.0).astype(np.float32)
 
 
-def _darks_in_exposure(dark: Array, taken: Floats, exposure: Floats) -> tuple[Array, Array, Array]:
-    if np.ptp(taken) <= SAME_EXPOSURE_SHARE * taken.max():
+def _darks_in_exposure(dark: Array, dark_exposure: Floats, exposure: Floats) -> tuple[Array, Array, Array]:
+    if np.ptp(dark_exposure) <= SAME_EXPOSURE_SHARE * dark_exposure.max():
         exposures_ms = np.unique(exposure.round(9)) * 1e3
         raise SchemaError(
-            f"the dark was taken at {taken[0] * 1e3:g} ms, the line at "
+            f"the dark was taken at {dark_exposure[0] * 1e3:g} ms, the line at "
             f"{', '.join(f'{ms:g}' for ms in exposures_ms[:4])} ms",
             mend="take a dark at the line's exposure, or darks at two exposures, for bias and rate",
             code="dark-exposure-differs",
         )
-    _judge_extrapolation(taken, exposure)
-    centred = taken - taken.mean()
+    _check_extrapolation(dark_exposure, exposure)
+    centred = dark_exposure - dark_exposure.mean()
     rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
     shortest, longest = exposure.min(), exposure.max()
-    ends = [dark.mean(axis=0, dtype=np.float64) + rate * (end - taken.mean()) for end in (shortest, longest)]
-    fitted = np.stack(ends).astype(np.float32)
+    darks_at_ends = [
+        dark.mean(axis=0, dtype=np.float64) + rate * (exposure_at_end - dark_exposure.mean())
+        for exposure_at_end in (shortest, longest)
+    ]
+    fitted = np.stack(darks_at_ends).astype(np.float32)
     index = np.zeros(exposure.size, np.int64)
     if longest == shortest:
         return fitted[:1], index, np.zeros(exposure.size, np.float32)
     return fitted, index, ((exposure - shortest) / (longest - shortest)).astype(np.float32)
 
 
-def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
-    # Warn of lines beyond the exposures of the darks; raise SchemaError for those far beyond
-    below, above = taken.min() - exposure.min(), exposure.max() - taken.max()
-    spans = max(below, above) / np.ptp(taken)
+def _check_extrapolation(dark_exposure: Floats, exposure: Floats) -> None:
+    # Warn of lines beyond the exposures of the darks; raise SchemaError for lines far beyond.
+    below, above = dark_exposure.min() - exposure.min(), exposure.max() - dark_exposure.max()
+    spans = max(below, above) / np.ptp(dark_exposure)
     if spans <= TRUSTED_DARK_SPANS * (1.0 + SAME_EXPOSURE_SHARE):
         return
     farthest = exposure.max() if above >= below else exposure.min()
     text = (
-        f"darks at {taken.min() * 1e3:g} to {taken.max() * 1e3:g} ms are extrapolated to "
+        f"darks at {dark_exposure.min() * 1e3:g} to {dark_exposure.max() * 1e3:g} ms are extrapolated to "
         f"{farthest * 1e3:g} ms, {spans:.1f} times the interval between them"
     )
     if spans > MAX_DARK_SPANS:
@@ -462,13 +482,13 @@ def _judge_extrapolation(taken: Floats, exposure: Floats) -> None:
 
 
 def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
-    # Counts from which a sample is saturated, (1, 1) or (band, column)
+    # Return the counts from which a sample is saturated, (1, 1) or (band, column).
     if "dark_counts" not in cube:
         return np.full((1, 1), np.inf, dtype)
     limit = np.asarray(cube["saturation_count"], np.float64) - SATURATION_MARGIN_COUNTS
     limit = np.where(np.isnan(limit), np.inf, limit)
     if np.issubdtype(dtype, np.integer):
-        # an integer reaches a bound exactly when it reaches the bound rounded up
+        # an integer reaches a limit exactly if it reaches the limit rounded up
         limit = np.clip(np.ceil(limit), 0, np.iinfo(dtype).max)
     return np.ascontiguousarray(limit.reshape(1, 1) if limit.ndim == 0 else limit, dtype)
 
@@ -476,27 +496,27 @@ def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
 def _illuminate(
     cube: Mapping[str, Any], light: Mapping[str, Any], time: Array, smile: Smile, tilt: Tilt | None
 ) -> tuple[Floats, LineLight, Array]:
-    # Matched series as cubics over the smile, the spectra around every line, and the misfit
+    # Return the matched series as cubics over the smile, the samples around every line, and the misfit.
     spectra = np.asarray(light["irradiance"], np.float64)
     channels = np.asarray(light["irradiance_wavelength"], np.float64)
     stamps = np.asarray(light["irradiance_time"]).astype("datetime64[ns]")
-    gap, clock = (light.get(name) for name in ("irradiance_max_gap", "irradiance_clock_uncertainty"))
+    max_gap, clock = (light.get(name) for name in ("irradiance_max_gap", "irradiance_clock_uncertainty"))
     lines = line_light(
         time,
         stamps,
         _levels(spectra, channels),
-        None if gap is None else float(gap),
+        None if max_gap is None else float(max_gap),
         cube.get("latitude"),
         cube.get("longitude"),
         None if clock is None else float(clock),
     )
-    # of the record of a day, the samples around the lines alone
-    used, places = np.unique(np.stack([lines.before, lines.after]), return_inverse=True)
-    before, after = places.reshape(2, -1)
-    check_light(cube, spectra[used], channels, stamps[used])
+    # select the samples around the lines from the record of a day
+    used_samples, index = np.unique(np.stack([lines.before, lines.after]), return_inverse=True)
+    before, after = index.reshape(2, -1)
+    check_light(cube, spectra[used_samples], channels, stamps[used_samples])
     imager = imager_of(cube, light["srf_shape"])
     matched, misfit = matched_series(
-        spectra[used],
+        spectra[used_samples],
         channels,
         light["irradiance_fwhm"],
         light["irradiance_srf_shape"],
@@ -504,17 +524,19 @@ def _illuminate(
         smile.nodes,
         light.get("departure"),
     )
-    warn_of_lost_bands(spectra[used], channels, matched, imager["wavelength"])
+    warn_of_lost_bands(spectra[used_samples], channels, matched, imager["wavelength"])
     if tilt is not None:
-        factors = tilt_factors(tilt, {**light, "time": time}, used, imager["wavelength"], _mean_place(cube))
+        factors = tilt_factors(
+            tilt, {**light, "time": time}, used_samples, imager["wavelength"], _mean_position(cube)
+        )
         matched = matched * factors[:, None, :]
     light_of_lines = LineLight(before, after, lines.weight, lines.age, lines.sensitivity, lines.flags)
     return smile.cubics(matched), light_of_lines, misfit.max(axis=0).astype(np.float32)
 
 
-def _mean_place(cube: Mapping[str, Any]) -> tuple[float, float]:
-    # Mean latitude and longitude of the lines [degree]
-    place = []
+def _mean_position(cube: Mapping[str, Any]) -> tuple[float, float]:
+    # Return mean latitude and longitude of the lines [degree].
+    position = []
     for name in ("latitude", "longitude"):
         degrees = np.asarray(cube[name], np.float64)
         degrees = degrees[np.isfinite(degrees)]
@@ -522,28 +544,28 @@ def _mean_place(cube: Mapping[str, Any]) -> tuple[float, float]:
             raise SchemaError(
                 f"tilt= needs the sun's position, but {name!r} is missing on every line", code="place-missing"
             )
-        place.append(float(degrees.mean()))
-    return place[0], place[1]
+        position.append(float(degrees.mean()))
+    return position[0], position[1]
 
 
 def _levels(spectra: Floats, channels: Floats) -> Floats:
-    # Sums of each spectrum over intervals of 100 nm; NaN where a usual channel is missing.
-    # Wavelengths missing in more than a tenth of the spectra that have any do not count: they cost their
-    # bands, not the record.
+    # Return sums of each spectrum over intervals of 100 nm; NaN where a common channel is missing.
+    # Channels that are missing in more than a tenth of the spectra are ignored: only their
+    # bands become NaN, not the record.
     has_values = np.isfinite(spectra).any(axis=1)
-    used = (channels >= 400.0) & (channels <= 1000.0)
-    used = used if used.any() else np.ones(channels.size, bool)
+    is_used = (channels >= 400.0) & (channels <= 1000.0)
+    is_used = is_used if is_used.any() else np.ones(channels.size, bool)
     if has_values.any():
-        used = used & (np.isnan(spectra[has_values]).mean(axis=0) <= 0.1)
-    if not has_values.any() or not used.any():
+        is_used = is_used & (np.isnan(spectra[has_values]).mean(axis=0) <= 0.1)
+    if not has_values.any() or not is_used.any():
         return np.full((len(spectra), 1), np.nan)
     interval = np.floor(np.minimum(channels, 999.0) / 100.0)
     return np.stack(
-        [spectra[:, used & (interval == i)].sum(axis=1) for i in np.unique(interval[used])], axis=1
+        [spectra[:, is_used & (interval == i)].sum(axis=1) for i in np.unique(interval[is_used])], axis=1
     )
 
 
-class _OnPanels(NamedTuple):
+class _PanelResult(NamedTuple):
     closure: PanelClosure | None = None
     weights: Floats | None = None
     u: Floats | None = None
@@ -555,9 +577,9 @@ def _panel_scale(
     light: Mapping[str, Any] | None,
     good: Array,
     lines: int,
-) -> tuple[Floats, _OnPanels]:
-    # Scale by panels, as a `Plan` has it; `inputs` as of `panels.panel_inputs`
-    # uncertainty of gain and irradiance together, stated or usual
+) -> tuple[Floats, _PanelResult]:
+    # Return the scale by panels in the form of a `Plan`; `inputs` as of `panels.panel_inputs`.
+    # combined uncertainty of gain and irradiance, as stated or by default
     wavelength = np.asarray(cube["wavelength"], np.float64)
     stated = {name: np.asarray(value, np.float64) for name, value in inputs["stated"].items()}
     gain = stated.get("radiance_gain_u_systematic", np.asarray(PANEL_RULES.gain_u))
@@ -568,32 +590,35 @@ def _panel_scale(
     line_u = np.broadcast_to(np.hypot(gain, record), wavelength.shape)
     # factor of every panel
     time = np.asarray(cube["time"]).astype("datetime64[ns]")
-    panels = [{**panel, **_at_panel(panel, cube, light, time)} for panel in inputs["panels"]]
+    panels = [{**panel, **_time_and_direct_share(panel, cube, light, time)} for panel in inputs["panels"]]
     closure = judge_panels(tuple(panels), PanelContext(wavelength, good, line_u, inputs["has_scale"]))
     if not inputs["refuses"]:
-        return np.ones(good.size), _OnPanels(closure, u=np.full(lines, np.nan))
-    # scale of all lines, from one panel or between several
-    places = usable_panels(closure)
-    declared_u = max(float(panels[place]["uncertainty"]) for place in places)
-    if places.size == 1:
-        noise = float(np.nanmedian(closure.mean_u[places[0]]))
-        return closure.scale[places[0]], _OnPanels(closure, u=np.full(lines, np.hypot(declared_u, noise)))
-    scale, weights, u = panel_correction(closure.at(places), time)
-    return scale, _OnPanels(closure, weights, np.hypot(declared_u, u))
+        return np.ones(good.size), _PanelResult(closure, u=np.full(lines, np.nan))
+    # scale of all lines, from a single panel or interpolated between several
+    usable = usable_panels(closure)
+    declared_u = max(float(panels[k]["uncertainty"]) for k in usable)
+    if usable.size == 1:
+        noise = float(np.nanmedian(closure.mean_u[usable[0]]))
+        return closure.scale[usable[0]], _PanelResult(closure, u=np.full(lines, np.hypot(declared_u, noise)))
+    scale, weights, u = panel_correction(closure.at(usable), time)
+    return scale, _PanelResult(closure, weights, np.hypot(declared_u, u))
 
 
-def _at_panel(
+def _time_and_direct_share(
     panel: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, time: Array
 ) -> dict[str, Any]:
     stamps = time[slice(*panel["lines"])]
     stamps = stamps[~np.isnat(stamps)]
     if not stamps.size:
         raise TimeError(f"{panel['name']}: its lines have no time", code="time-missing")
-    middle = stamps[0] + (stamps[-1] - stamps[0]) // 2
+    middle_time = stamps[0] + (stamps[-1] - stamps[0]) // 2
     share = None
     is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))
     if light is not None and is_located:
         share = direct_share(
-            {**light, "time": time}, middle, np.asarray(cube["wavelength"], np.float64), _mean_place(cube)
+            {**light, "time": time},
+            middle_time,
+            np.asarray(cube["wavelength"], np.float64),
+            _mean_position(cube),
         )
-    return {"time": middle, "direct_share": share}
+    return {"time": middle_time, "direct_share": share}

@@ -1,4 +1,4 @@
-"""Check that irradiance can be daylight and has all channels, before reflectance is computed from it."""
+"""Check that irradiance is plausible daylight and has all channels, before reflectance is computed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hyperpaint.light.sun import solar_position
 
 @dataclass(frozen=True)
 class LightRules:
-    """Thresholds beyond which a record does not fit the sky over a flight.
+    """Limits of an irradiance record that fits the sky over a flight.
 
     least_share, most_share
         Median of 400-1000 nm over the median of a clear sky at the place and time [1]. A thunderstorm
@@ -27,7 +27,7 @@ class LightRules:
     max_zenith
         Zenith angle of the sun up to which the clear sky is modelled [degree].
     most_low_sun
-        Median where the sun is lower [W m-2 nm-1]: a clear sky has 0.2 at 80 degree.
+        Largest median for a lower sun [W m-2 nm-1]: a clear sky has 0.2 at 80 degree.
     """
 
     least_share: float = 0.015
@@ -40,9 +40,10 @@ RULES = LightRules()
 
 
 class LightLevel(NamedTuple):
-    """Brightness of a record: the brightest sample's median of 400-1000 nm [W m-2 nm-1], NaN without one.
+    """Brightness of a record: median over 400-1000 nm of its brightest sample [W m-2 nm-1], or NaN.
 
-    zenith: of the sun at its highest [degree]; clear: the median of a clear sky then; NaN where unknown.
+    zenith: smallest zenith angle of the sun [degree]; clear: median of a clear sky at that angle; NaN if
+    unknown.
     """
 
     median: float
@@ -51,7 +52,7 @@ class LightLevel(NamedTuple):
 
     @property
     def slip(self) -> str:
-        """Mistaken unit that explains the level, as "A taken for B"; empty where none does."""
+        """Mistaken unit that explains the level, as "A taken for B"; empty without one."""
         return unit_slip(self.median / (self.clear if math.isfinite(self.clear) else 1.0))
 
 
@@ -65,7 +66,7 @@ def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
 def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> None:
     """Check the level of the spectra (sample, channel) that light a line [W m-2 nm-1].
 
-    Raises SchemaError: No daylight is so bright or so dim. Warns PaintWarning: It does not fit place and
+    Raises SchemaError: The level is impossible for daylight. Warns PaintWarning: It does not fit position and
     time.
     """
     light = light_level(cube, spectra, channels, stamps)
@@ -82,50 +83,50 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
             code="irradiance-level",
         )
     if math.isfinite(clear):
-        doubtful = not RULES.least_share <= level / clear <= RULES.most_share
+        is_doubtful = not RULES.least_share <= level / clear <= RULES.most_share
         comparison = f"{level / clear:.2g} times that of a clear sky at its place and time{slip}"
     elif zenith > RULES.max_zenith:
-        doubtful = level > RULES.most_low_sun
+        is_doubtful = level > RULES.most_low_sun
         comparison = f"with the sun {90 - zenith:.0f} degree above the horizon, as with local time for UTC"
     else:
-        doubtful = level < DULL_MEDIAN
+        is_doubtful = level < DULL_MEDIAN
         comparison = f"expected at least {DULL_MEDIAN:g} by day{slip}"
-    if doubtful:
+    if is_doubtful:
         text = f"{found}, {comparison}; check its units, its time, and the line's place"
         warnings.warn(PaintWarning(text, code="irradiance-level"), stacklevel=2)
 
 
 def _highest_sun(cube: Mapping[str, Any], stamps: Array) -> float:
-    # Least zenith angle of the sun [degree]; NaN where the place is unknown
-    places = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
-    if not all(np.isfinite(degrees).any() for degrees in places) or not stamps.size:
+    # Return the smallest zenith angle of the sun [degree]; NaN where the position is unknown.
+    coordinates = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
+    if not all(np.isfinite(degrees).any() for degrees in coordinates) or not stamps.size:
         return math.nan
-    latitude, longitude = (float(degrees[np.isfinite(degrees)].mean()) for degrees in places)
+    latitude, longitude = (float(degrees[np.isfinite(degrees)].mean()) for degrees in coordinates)
     return float(np.min(solar_position(stamps, latitude, longitude)[0]))
 
 
 def _clear_median(zenith: float, channels: Floats) -> float:
-    nm = channels[(channels >= 300.0) & (channels <= 2500.0)][:: max(1, channels.size // 200)]
-    return brightest_median(nm, np.asarray(sum(ClearSky(zenith).irradiance(nm)))[None])
+    wavelengths = channels[(channels >= 300.0) & (channels <= 2500.0)][:: max(1, channels.size // 200)]
+    return brightest_median(wavelengths, np.asarray(sum(ClearSky(zenith).irradiance(wavelengths)))[None])
 
 
 def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:
-    """Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are.
+    """Warn of bands (band,) whose matched irradiance is undefined because channels of a sample are missing.
 
     spectra: (sample, channel); matched: (sample, node, band). A sample without any channel is a gap.
     """
-    sampled = np.isfinite(spectra).any(axis=1)
-    lost = (
-        np.isnan(matched[sampled]).any(axis=(0, 1))
+    has_values = np.isfinite(spectra).any(axis=1)
+    is_lost = (
+        np.isnan(matched[has_values]).any(axis=(0, 1))
         & (wavelength >= channels[0])
         & (wavelength <= channels[-1])
     )
-    missing = np.isnan(spectra[sampled]).any(axis=0)
-    if not (lost.any() and missing.any()):
+    is_missing = np.isnan(spectra[has_values]).any(axis=0)
+    if not (is_lost.any() and is_missing.any()):
         return
     text = (
-        f"irradiance is undefined in {missing.sum()} channels, such as {channels[missing][0]:g} nm: "
-        f"{lost.sum()} of {lost.size} bands become NaN at these times, "
-        f"{wavelength[lost].min():g} to {wavelength[lost].max():g} nm; interpolate the record over them"
+        f"irradiance is undefined in {is_missing.sum()} channels, such as {channels[is_missing][0]:g} nm: "
+        f"{is_lost.sum()} of {is_lost.size} bands become NaN at these times, "
+        f"{wavelength[is_lost].min():g} to {wavelength[is_lost].max():g} nm; interpolate the record over them"
     )
     warnings.warn(PaintWarning(text, code="irradiance-gaps"), stacklevel=2)

@@ -1,8 +1,8 @@
 """Calibrate one slab of lines in one task, and build the lazy graph of such tasks.
 
 A slab is whole lines with all bands and columns. All small inputs (calibration, matched irradiance,
-weights of the lines) are gathered once into a `Plan`, a single node of the graph that every task shares; the
-task then makes one pass over the slab's counts. Nothing is read while the graph is built.
+weights of the lines) are collected once in a `Plan`, a single node of the graph that all tasks share; the
+task then makes one pass over the counts of a slab. No values are read while the graph is built.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from hyperpaint.kernels.arguments import (
     SlabOutputs,
     StrayLight,
     count_limits,
-    given,
     light_cells,
     rounding,
+    without_empty_arrays,
 )
 from hyperpaint.light.illumination import Smile
 from hyperpaint.light.synchrony import LineLight
 
 from .panel_judging import RULES, PanelClosure
 
-# -- Interpolate the scale of panels, seen at some times, to all lines of a flight line.
+# -- Interpolate the scale of panels in time to all lines of a flight line.
 
 
 def usable_panels(closure: PanelClosure) -> Array:
@@ -66,16 +66,15 @@ def usable_panels(closure: PanelClosure) -> Array:
 
 
 def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats, Floats]:
-    r"""Return logarithms of panels' scales (panel, band), weights (line, panel), and the level's uncertainty.
+    r"""Return logarithms of panels' scales (panel, band), weights (line, panel) and uncertainties (line,).
 
-    Last is the relative standard uncertainty of the level of every line (line,) [1], without the uncertainty
-    of the panels' own reflectance. All panels of ``closure`` count; ``time`` is UTC of the lines, NaT for
-    unknown.
+    The third is the relative standard uncertainty of the level of every line (line,) [1], without the
+    uncertainty of the panels' reflectance. All panels of ``closure`` are used; ``time`` is UTC of the lines,
+    NaT for unknown.
 
-    Ordinary kriging: the record's error is modelled as a random walk of variance q a second, observed by
-    panels with an error each. Between two panels the weights are linear in time where the panels differ by
-    more than their errors, and equal where they do not; before the first and after the last panel its scale
-    is held.
+    Ordinary kriging: the error of the record is modelled as a random walk of variance q per second, observed
+    by panels with errors. Between two panels the weights are linear in time where the panels differ by more
+    than their errors, and equal elsewhere; before the first and after the last panel its scale is constant.
 
     .. math:: q = \frac{\sum_j \left[(\Delta_j \ln F)^2 - u_j^2 - u_{j+1}^2\right]_+}{\sum_j \Delta_j t}
     """
@@ -87,23 +86,25 @@ def panel_correction(closure: PanelClosure, time: Array) -> tuple[Floats, Floats
     steps = np.nanmedian(np.abs(np.diff(scale[order], axis=0)), axis=1) ** 2
     span = float(np.ptp(ticks))
     excess = np.maximum(steps - error[order][1:] ** 2 - error[order][:-1] ** 2, 0.0)
-    walk = float(excess.sum()) / span if span > 0.0 else 0.0
+    walk_variance = float(excess.sum()) / span if span > 0.0 else 0.0
     # kriging system, and its solution for every line
     number = len(ticks)
     system = np.ones((number + 1, number + 1))
-    system[:-1, :-1] = -0.5 * walk * np.abs(ticks[:, None] - ticks) + np.diag(error**2)
+    system[:-1, :-1] = -0.5 * walk_variance * np.abs(ticks[:, None] - ticks) + np.diag(error**2)
     system[-1, -1] = 0.0
-    dated = ~np.isnat(time)
-    at = np.where(dated, time - closure.time[0], np.timedelta64(0, "ns")) / np.timedelta64(1, "s")
-    right = np.ones((number + 1, at.size))
-    right[:-1] = -0.5 * walk * np.abs(at - ticks[:, None])
-    solved = np.linalg.inv(system) @ right
-    variance = -(solved * right).sum(axis=0)
-    return scale, np.ascontiguousarray(solved[:-1].T), np.sqrt(np.maximum(variance, 0.0))
+    has_time = ~np.isnat(time)
+    line_seconds = np.where(has_time, time - closure.time[0], np.timedelta64(0, "ns")) / np.timedelta64(
+        1, "s"
+    )
+    right = np.ones((number + 1, line_seconds.size))
+    right[:-1] = -0.5 * walk_variance * np.abs(line_seconds - ticks[:, None])
+    solution = np.linalg.inv(system) @ right
+    variance = -(solution * right).sum(axis=0)
+    return scale, np.ascontiguousarray(solution[:-1].T), np.sqrt(np.maximum(variance, 0.0))
 
 
 def scale_of_factors(factor: Floats, weight: Floats, refused: Array) -> tuple[Floats, Floats | None]:
-    """Return the scale of a line from the stored factors of its panels, as a `Plan` has it.
+    """Return the scale of a line from the stored factors of its panels, in the form of a `Plan`.
 
     ``factor`` (panel, band), ``weight`` (line, panel), ``refused`` (panel,). One usable panel gives its scale
     (band,) and None; several give logarithms of their scales (panel, band) and their weights (line, panel).
@@ -115,12 +116,12 @@ def scale_of_factors(factor: Floats, weight: Floats, refused: Array) -> tuple[Fl
 
 
 def _filled(scale: Floats) -> Floats:
-    # Scales (panel, band) with refused bands filled from other panels, at the panel's own level
+    # Return scales (panel, band) with missing bands filled from other panels, at the level of the panel.
     valid = np.isfinite(scale)
     if valid.all():
         return scale
     number, level = valid.sum(axis=0), np.zeros(len(scale))
-    # alternate between a shape of all panels and a level of each
+    # alternate between the common shape of all panels and the levels of panels
     for _ in range(100):
         shape = np.where(valid, scale - level[:, None], 0.0).sum(axis=0) / np.where(
             number > 0, number, np.nan
@@ -131,7 +132,7 @@ def _filled(scale: Floats) -> Floats:
 
 def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
     """Return the scale of lines (line, band) from logarithms of panels' scales and weights of the lines."""
-    # panel by panel, so that no bit depends on how lines are grouped
+    # panel by panel, so that the bits do not depend on the grouping of lines
     total = np.zeros((len(weights), scale.shape[1]))
     for panel, weight in zip(scale, weights.T, strict=True):
         total += weight[:, None] * panel
@@ -140,50 +141,50 @@ def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Plan:
-    """Inputs of a slab besides its counts."""
+    """Inputs of a slab other than counts."""
 
-    dark: Array  #: (n, band, column) float32: darks, one after the other in time
-    #: dark_index, dark_weight (line,): the dark of a line lies between ``dark[i]`` and ``dark[i + 1]``, at
-    #: this weight of the later
+    dark: Array  #: (n, band, column) float32: darks in the order of time
+    #: dark_index, dark_weight (line,): the dark of a line is between ``dark[i]`` and ``dark[i + 1]``, at
+    #: this weight of the later one
     dark_index: Array
     dark_weight: Array
     #: (band, column) float32: radiance per count rate [W m-2 sr-1 nm-1 s count-1]; NaN marks a bad element
     gain: Array
     #: (line,) float64: inverse exposure time [s-1]; 1 for a radiance cube, NaN for a line without data
     rate: Floats
-    #: (band,) float64: factor of a known panel in the scene, 1 without; of several (panel, band), logarithms
+    #: (band,) float64: scale by a panel in the scene, 1 without panels; with several panels (panel, band),
     scale: Floats
     #: (time, band, cell, 1 or 4) float64, or None: matched irradiance [W m-2 nm-1], as cubics over the smile;
     #: None for radiance
     series: Floats | None
-    lines: LineLight | None  #: The spectra around every line in time; None for radiance
+    lines: LineLight | None  #: Irradiance samples around every line in time; None for radiance
     #: (band,) float32: largest distance of the matched response from the imager's over the smile, relative
     #: [1]
     misfit: Array
-    smile: Smile  #: Cells of the smile, and where columns lie in them
+    smile: Smile  #: Cells of the smile, and positions of columns in them
     #: (1, 1) or (band, column), like the counts: counts from which a sample is saturated
     saturation_limit: Array
-    #: (band, column) float32: how far below the dark noise may take a sample [count]; NaN for elements that
-    #: set no flag, being bad or in a band that is not good
+    #: (band, column) float32: largest depth below the dark by noise [count]; NaN for elements that
+    #: set no flag, because the element is bad or the band is not good
     noise_margin: Array
-    most_negative: int  #: Bands under the dark that a pixel may have before it is flagged
+    max_negative_bands: int  #: Number of bands below the dark above which a pixel is flagged
     #: line_flags (line,), column_flags (column,) uint16: bits of `Quality` that hold for whole lines and
     #: columns
     line_flags: Array
     column_flags: Array
     cleared_bits: int  #: Mantissa bits that rounding clears; 0 rounds nothing
     starts: Array  #: (slab,): first line of every slab
-    detector: DetectorModel  #: What is undone of what the detector does to counts
-    stray: StrayLight | None = None  #: Light of other bands, which is subtracted; None where none is known
-    error_terms: ErrorTerms | None = None  #: None where uncertainties were not asked for
-    closure: PanelClosure | None = None  #: What panels measure; None without
-    panel_weights: Floats | None = None  #: (line, panel) of several panels; None else
-    #: (line,) relative standard uncertainty of the scale that panels give; None without
+    detector: DetectorModel  #: Detector effects that are corrected
+    stray: StrayLight | None = None  #: Light of other bands, which is subtracted; None without stray light
+    error_terms: ErrorTerms | None = None  #: None where uncertainties are not requested
+    closure: PanelClosure | None = None  #: Results of panels; None without panels
+    panel_weights: Floats | None = None  #: (line, panel): weights of several panels; otherwise None
+    #: (line,) relative standard uncertainty of the scale by panels; None without panels
     panel_u: Floats | None = None
 
     @functools.cached_property
     def warning_of_means(self) -> str:
-        """Warn, once a line, of counts that are means; return the text."""
+        """Warn, once per line, of counts that are means; return the text."""
         text = (
             "counts are no whole numbers: means of several readings may hide a saturated one; pixels "
             "above half of the range are flagged 'saturated'; average reflectance instead of counts"
@@ -201,7 +202,7 @@ class Plan:
         )
         if self.series is None or self.lines is None:
             return np.ascontiguousarray(rate * scale, np.float32)
-        # in place: copies would cost half of the kernel's time
+        # in place: copies would take half as long as the kernel
         before = self.series[self.lines.before[start:stop]]
         irradiance = self.series[self.lines.after[start:stop]]
         irradiance -= before
@@ -209,11 +210,11 @@ class Plan:
         irradiance += before
         if self.smile.nodes.size > 1:
             # NaN without light at either end of a cell
-            end = irradiance[..., 0] + irradiance[..., 1] + irradiance[..., 2] + irradiance[..., 3]
-            irradiance[(irradiance[..., 0] <= 0) | (end <= 0)] = np.nan
+            value_at_end = irradiance[..., 0] + irradiance[..., 1] + irradiance[..., 2] + irradiance[..., 3]
+            irradiance[(irradiance[..., 0] <= 0) | (value_at_end <= 0)] = np.nan
             return (irradiance / (np.pi * rate * scale)).astype(np.float32)
-        lit = np.where(irradiance > 0, irradiance, np.nan)
-        return np.ascontiguousarray(np.pi * rate * scale / lit, np.float32)
+        positive = np.where(irradiance > 0, irradiance, np.nan)
+        return np.ascontiguousarray(np.pi * rate * scale / positive, np.float32)
 
 
 def small(array: xr.DataArray) -> Any:
@@ -236,8 +237,8 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
 
 
 def _in_slabs(values: Array, lines: int) -> da.Array:
-    # Values (line, band, column) in memory as a dask array of views.
-    # Its name is new each time: dask names arrays by hashing them, which takes longer than calibrating them.
+    # Return values (line, band, column) in memory as a dask array of views.
+    # Its name is random: dask would hash the values, which takes longer than calibrating them.
     name = f"lines-{uuid.uuid4().hex}"
     starts = range(0, max(len(values), 1), lines)
     slabs = {(name, number, 0, 0): values[start : start + lines] for number, start in enumerate(starts)}
@@ -255,59 +256,61 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
     """
     from hyperpaint.kernels.radiometry import calibrate_slab
 
-    here = slice(start, start + len(counts))
-    one_dark = len(plan.dark) == 1
+    lines = slice(start, start + len(counts))
+    is_single_dark = len(plan.dark) == 1
     calibration = Calibration(
         plan.dark,
-        None if one_dark else plan.dark_index[here],
-        None if one_dark else plan.dark_weight[here],
+        None if is_single_dark else plan.dark_index[lines],
+        None if is_single_dark else plan.dark_weight[lines],
         plan.gain,
-        given(plan.detector),
+        without_empty_arrays(plan.detector),
     )
     light = light_cells(
-        plan.light(here.start, here.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells
+        plan.light(lines.start, lines.stop), plan.smile.shift, plan.smile.edges, plan.smile.cells
     )
-    whole = np.issubdtype(counts.dtype, np.integer)
-    if not whole:
+    is_integer = np.issubdtype(counts.dtype, np.integer)
+    if not is_integer:
         counts = np.where(np.isneginf(counts), np.float32(np.nan), counts)
-    flags = FixedFlags(plan.line_flags[here], plan.column_flags, np.uint16(Quality.NO_DATA))
-    uncertain = plan.error_terms is not None and out.u_random.size > 0
+    flags = FixedFlags(plan.line_flags[lines], plan.column_flags, np.uint16(Quality.NO_DATA))
+    has_uncertainty = plan.error_terms is not None and out.u_random.size > 0
     calibrate_slab(
         counts,
         calibration,
         light,
-        count_limits(plan.saturation_limit, plan.noise_margin, np.uint16(plan.most_negative), whole),
+        count_limits(
+            plan.saturation_limit, plan.noise_margin, np.uint16(plan.max_negative_bands), is_integer
+        ),
         flags if out.quality.size else None,
-        given(plan.error_terms) if plan.error_terms is not None and uncertain else None,
+        without_empty_arrays(plan.error_terms) if plan.error_terms is not None and has_uncertainty else None,
         rounding(plan.cleared_bits) if plan.stray is None else None,
         out,
     )
     if plan.stray is not None:
         from hyperpaint.kernels.stray_light import subtract_stray_light
 
-        stray = plan.stray._replace(smear=plan.stray.smear[here])
+        stray = plan.stray._replace(smear=plan.stray.smear[lines])
         subtract_stray_light(counts, calibration, light, stray, rounding(plan.cleared_bits), out)
-    if not whole and out.quality.size:
-        _flag_floats(plan, counts, here, out.quality)
+    if not is_integer and out.quality.size:
+        _flag_floats(plan, counts, lines, out.quality)
 
 
-def _flag_floats(plan: Plan, counts: Array, here: slice, quality: Array) -> None:
-    # Flag pixels without counts, and those whose counts, being means, may hide a saturated reading.
-    # Of at least two readings one may have been full where their mean is half way from the dark to the limit.
-    # All bands of a pixel are judged together, since a mean may be a whole number.
-    watched = np.isfinite(plan.noise_margin)
-    if not watched.any():  # radiance
+def _flag_floats(plan: Plan, counts: Array, lines: slice, quality: Array) -> None:
+    # Flag pixels without counts, and pixels whose counts are means that may include a saturated reading.
+    # One of two or more readings may be saturated where their mean is halfway from the dark to the limit.
+    # All bands of a pixel are judged together, since a mean can be an integer.
+    is_flaggable = np.isfinite(plan.noise_margin)
+    if not is_flaggable.any():  # radiance
         return
-    for line, (row, number) in enumerate(zip(counts, range(here.start, here.stop), strict=False)):
+    for line, (row, number) in enumerate(zip(counts, range(lines.start, lines.stop), strict=False)):
         if plan.line_flags[number] & Quality.NO_DATA:
             continue
-        quality[line, (np.isnan(row) & watched).any(axis=0)] |= np.uint16(Quality.NO_DATA)
-        is_mean = ((np.rint(row) != row) & np.isfinite(row) & watched).any(axis=0)
+        quality[line, (np.isnan(row) & is_flaggable).any(axis=0)] |= np.uint16(Quality.NO_DATA)
+        is_mean = ((np.rint(row) != row) & np.isfinite(row) & is_flaggable).any(axis=0)
         if is_mean.any():
-            half_way = 0.5 * (plan.dark[plan.dark_index[number]] + plan.saturation_limit)
-            hides = is_mean & ((row >= half_way) & watched).any(axis=0)
-            quality[line, hides] |= np.uint16(Quality.SATURATED)
-            if hides.any():
+            halfway = 0.5 * (plan.dark[plan.dark_index[number]] + plan.saturation_limit)
+            may_be_saturated = is_mean & ((row >= halfway) & is_flaggable).any(axis=0)
+            quality[line, may_be_saturated] |= np.uint16(Quality.SATURATED)
+            if may_be_saturated.any():
                 plan.warning_of_means  # noqa: B018
 
 
@@ -316,13 +319,13 @@ def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Arra
 
     With the plan's `ErrorTerms`, the random and the systematic uncertainty follow, shaped as the slab.
     """
-    certain = plan.error_terms is None
+    is_certain = plan.error_terms is None
     cube = np.empty(counts.shape, np.float32)
     quality = np.empty((counts.shape[0], counts.shape[2]), np.uint16)
-    cubes = (_NO_CUBE, _NO_CUBE) if certain else (np.empty_like(cube), np.empty_like(cube))
+    cubes = (_NO_CUBE, _NO_CUBE) if is_certain else (np.empty_like(cube), np.empty_like(cube))
     out = SlabOutputs(cube, quality, *cubes)
     calibrate_lines(plan, np.ascontiguousarray(counts), int(plan.starts[block_id[0]]), out)
-    return out[:2] if certain else tuple(out)
+    return out[:2] if is_certain else tuple(out)
 
 
 def light_of_lines(plan: Plan, name: str) -> Array:
@@ -330,10 +333,10 @@ def light_of_lines(plan: Plan, name: str) -> Array:
     return np.full(plan.rate.shape, np.nan, np.float32) if plan.lines is None else getattr(plan.lines, name)
 
 
-def of_panels(plan: Plan, name: str) -> Array:
+def panel_result(plan: Plan, name: str) -> Array:
     """Return a result of panels by its name, ``weight`` (line, panel), or ``scale_u`` (line,).
 
-    In the types of the table of variables.
+    Results have the dtypes of the table of variables.
     """
     if plan.closure is None or plan.panel_u is None:
         raise SchemaError("reflectance without panels", mend="pass panel=", code="argument-missing")
@@ -353,7 +356,7 @@ def calibrated(
 ) -> tuple[tuple[da.Array, ...], da.Array, Any]:
     """Return the calibrated cubes and their quality, lazily, and the plan they share.
 
-    One task a slab computes all; alone, each costs one fused task a slab.
+    One task per slab computes all outputs.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Operations along the spectral axis: bands by wavelength, removal of smile, smoothing.
 
-The paper smooths with a box. It is available, off by default: it moves a red edge much further than a
-Savitzky-Golay filter of the same width does (see docs/figures.md).
+The paper smooths with a box. It is available, but not the default: it shifts a red edge much more than a
+Savitzky-Golay filter of the same width (see docs/figures.md).
 """
 
 from __future__ import annotations
@@ -27,15 +27,17 @@ METHODS = ("savitzky-golay", "box")
 class NominalAxis(NamedTuple):
     """Interpolation of columns to nominal wavelengths."""
 
-    first: Array  #: (band, column) int64: first of the bands that a band is interpolated from
-    weights: Array  #: (band, column, tap): their weights; NaN where a column does not reach the band
+    first: Array  #: (band, column) int64: first of the four bands that a band is interpolated from
+    weights: (
+        Array  #: (band, column, tap): weights of the four bands; NaN where a column does not cover the band
+    )
 
 
 @takes_quantities(wavelength="nm")
 def at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> xr.Dataset:
     """Return the bands nearest to one or several wavelengths.
 
-    Serves axes that are not sorted, as at the joins of detectors, where an index cannot.
+    Also for axes that are not sorted, as at detector joins, where an index fails.
 
     Parameters
     ----------
@@ -72,11 +74,11 @@ def bands_at(dataset: xr.Dataset, wavelength: npt.ArrayLike) -> Any:
         As `at`.
     """
     centres = schema.require(dataset, ["wavelength"], "the bands at a wavelength")["wavelength"].values
-    wanted = np.asarray(wavelength, np.float64)
-    nearest = np.abs(centres - wanted[..., None]).argmin(axis=-1)
-    away = np.abs(centres[nearest] - wanted)
-    if (away > band_spacing(np.sort(centres)).max()).any() or not np.isfinite(wanted).all():
-        worst = np.atleast_1d(wanted)[np.atleast_1d(away).argmax()]
+    targets = np.asarray(wavelength, np.float64)
+    nearest = np.abs(centres - targets[..., None]).argmin(axis=-1)
+    distances = np.abs(centres[nearest] - targets)
+    if (distances > band_spacing(np.sort(centres)).max()).any() or not np.isfinite(targets).all():
+        worst = np.atleast_1d(targets)[np.atleast_1d(distances).argmax()]
         raise SchemaError(
             f"no band at {worst:g} nm",
             expected=f"{centres.min():g} to {centres.max():g} nm",
@@ -110,7 +112,7 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     Notes
     -----
     Cubic (Lagrange) over the four nearest bands. Nothing is extrapolated: the outermost bands are NaN in
-    columns that do not reach the nominal wavelength, and so is a value one of whose four bands is missing.
+    columns that do not cover the nominal wavelength, and so is a value if one of its four bands is missing.
 
     Examples
     --------
@@ -140,7 +142,7 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
     first, weights = nominal_axis(dataset)
     nominal = dataset[_without_bands(dataset)].drop_vars("wavelength_shift", errors="ignore")
     for name in products:
-        flat = xr.apply_ufunc(
+        resampled = xr.apply_ufunc(
             _resample,
             line_chunked(arrays[name]),
             kwargs={"first": first, "weights": weights},
@@ -149,7 +151,7 @@ def to_nominal(dataset: xr.Dataset) -> xr.Dataset:
             dask="parallelized",
             output_dtypes=[np.float32],
         ).drop_vars("wavelength_shift", errors="ignore")
-        nominal[name] = schema.label(flat, name, spectral_axis="nominal wavelengths")
+        nominal[name] = schema.label(resampled, name, spectral_axis="nominal wavelengths")
     return nominal
 
 
@@ -179,34 +181,36 @@ def _resample(values: Array, *, first: Array, weights: Array) -> Array:
 
 
 def _lagrange_weights(wavelength: Array, shift: Array) -> tuple[Array, Array]:
-    # First of four bands and their weights, (band, column[, 4])
+    # Return the first of four bands and their weights, (band, column[, 4]).
     bands, columns = wavelength.size, shift.shape[1]
     if bands < 4:
         raise SchemaError(f"{bands} bands to interpolate between", expected="4 or more", code="bands-too-few")
     axis = wavelength[:, None] + np.broadcast_to(shift, (bands, columns))
-    descending = wavelength[0] > wavelength[-1]
-    axis = axis[::-1] if descending else axis
+    is_descending = wavelength[0] > wavelength[-1]
+    axis = axis[::-1] if is_descending else axis
     if not (np.diff(axis, axis=0) > 0).all():
         raise SchemaError(
             "wavelengths are not in order",
             mend="split the cube at detector joins before interpolating between bands",
             code="wavelength-unordered",
         )
-    nominal = wavelength[::-1] if descending else wavelength
+    nominal = wavelength[::-1] if is_descending else wavelength
     first = np.empty((bands, columns), np.int64)
     weights = np.empty((bands, columns, 4))
     for column in range(columns):
         nodes = axis[:, column]
         start = np.clip(np.searchsorted(nodes, nominal, side="right") - 2, 0, bands - 4)
-        taps = nodes[start[:, None] + np.arange(4)]
+        tap_nodes = nodes[start[:, None] + np.arange(4)]
         for k in range(4):
-            others = [j for j in range(4) if j != k]
+            other_taps = [j for j in range(4) if j != k]
             weights[:, column, k] = np.prod(
-                (nominal[:, None] - taps[:, others]) / (taps[:, [k]] - taps[:, others]), axis=1
+                (nominal[:, None] - tap_nodes[:, other_taps])
+                / (tap_nodes[:, [k]] - tap_nodes[:, other_taps]),
+                axis=1,
             )
         first[:, column] = start
         weights[(nominal < nodes[0]) | (nominal > nodes[-1]), column] = np.nan
-    if descending:
+    if is_descending:
         first, weights = bands - 4 - first[::-1], weights[::-1, :, ::-1]
     return np.ascontiguousarray(first), np.ascontiguousarray(weights, np.float32)
 
@@ -235,7 +239,7 @@ def smooth(
     -------
     Dataset
         The dataset with ``reflectance`` replaced, float32 [1], and its attribute ``smoothing`` set; without
-        ``reflectance_u_random``, which does not hold for filtered noise.
+        ``reflectance_u_random``, which is not valid for filtered noise.
 
     Raises
     ------
@@ -288,13 +292,13 @@ def smooth(
         )
     problems.raise_if_any()
     array = convert(dataset["reflectance"], "1")
-    cube = set(schema.CUBE) == set(array.dims)
-    source = line_chunked(array) if cube else array
-    options: dict[str, Any] = {"cube": cube, "window": window}
+    is_cube = set(schema.CUBE) == set(array.dims)
+    source = line_chunked(array) if is_cube else array
+    options: dict[str, Any] = {"cube": is_cube, "window": window}
     if method != "box":
         options["polynomials"] = _window_polynomials(window, order, array.sizes[schema.BAND])
     arrays = [source.chunk({schema.BAND: -1}) if source.chunks else source]
-    core = [schema.BAND, schema.CROSS_TRACK] if cube else [schema.BAND]
+    core = [schema.BAND, schema.CROSS_TRACK] if is_cube else [schema.BAND]
     if "good" in dataset.variables:
         arrays.append(dataset["good"].reset_coords(drop=True))
     filtered = xr.apply_ufunc(
@@ -328,7 +332,7 @@ class WindowPolynomials(NamedTuple):
 
     first: Array  #: (band,) int64: first band of the window
     weights: Array  #: (band, width) float32
-    fallback: Array  #: (band, width, width) float32: in row ``k`` those without the ``k``-th value
+    fallback: Array  #: (band, width, width) float32: row ``k`` has the weights without the ``k``-th value
 
 
 def _filter(
@@ -337,24 +341,24 @@ def _filter(
     *,
     window: int,
     polynomials: WindowPolynomials | None = None,
-    cube: bool,
+    is_cube: bool,
 ) -> Array:
     from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
 
-    shaped = values.astype(np.float32, copy=False)
+    spectra = values.astype(np.float32, copy=False)
     # spectra without a cross-track dim are lines one column wide, whatever their other dims
-    if not cube:
-        shaped = shaped.reshape(-1, values.shape[-1], 1)
-    out = np.empty(shaped.shape, np.float32)
-    bad = None if good is None or good.all() else ~good
-    filtered = shaped if bad is None else np.where(bad[:, None], np.float32(np.nan), shaped)
+    if not is_cube:
+        spectra = spectra.reshape(-1, values.shape[-1], 1)
+    out = np.empty(spectra.shape, np.float32)
+    is_bad = None if good is None or good.all() else ~good
+    filtered = spectra if is_bad is None else np.where(is_bad[:, None], np.float32(np.nan), spectra)
     filtered = np.ascontiguousarray(filtered)
     if polynomials is None:
         average_slab(filtered, window, out)
     else:
         filter_slab(filtered, polynomials.weights, polynomials.first, polynomials.fallback, out)
-    if bad is not None:
-        out[:, bad] = shaped[:, bad]
+    if is_bad is not None:
+        out[:, is_bad] = spectra[:, is_bad]
     return out.reshape(values.shape)
 
 
@@ -362,16 +366,18 @@ def _window_polynomials(window: int, order: int, bands: int) -> WindowPolynomial
     first = np.clip(np.arange(bands) - window // 2, 0, bands - window)
     centres = np.arange(bands) - first
     place = np.arange(window)
-    whole = np.stack([_polynomial_weights(place - centre, order) for centre in place])
-    without = np.zeros((window, window, window))
+    complete_weights = np.stack([_polynomial_weights(place - centre, order) for centre in place])
+    gap_weights = np.zeros((window, window, window))
     for centre in place:
         for gap in place:
-            left = place != gap
-            without[centre, gap, left] = _polynomial_weights(place[left] - centre, order)
-    return WindowPolynomials(first, whole[centres].astype(np.float32), without[centres].astype(np.float32))
+            is_used = place != gap
+            gap_weights[centre, gap, is_used] = _polynomial_weights(place[is_used] - centre, order)
+    return WindowPolynomials(
+        first, complete_weights[centres].astype(np.float32), gap_weights[centres].astype(np.float32)
+    )
 
 
 def _polynomial_weights(distance: Array, order: int) -> Array:
-    # Weights of values at `distance` in their least-squares polynomial at 0
+    # Return the weights of values at `distance` in their least-squares polynomial at 0.
     powers = np.vander(distance.astype(np.float64), order + 1, increasing=True)
     return np.asarray(np.linalg.pinv(powers)[0])

@@ -1,9 +1,9 @@
 r"""Stray light and smear between the bands of a column, and their removal.
 
 Counts above dark, made linear, are :math:`s = (1 + \epsilon 1 1^T)(1 + D)\,c`: scattered light, D (band,
-source band) of a lab sweep, and the smear of a detector whose frames are shifted under the light, where a
+source band) of a lab sweep, and the smear of a detector whose frames are shifted during exposure, where a
 band receives :math:`\epsilon = t_{shift} / t` of each other band. Both are inverted as sums over all bands, D
-by its largest singular values, since scattered light is smooth.
+by its largest singular values, because scattered light is smooth.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.arguments import StrayLight
 
-#: Variables that declare it.
+#: Variables that declare stray light and smear.
 STRAY_LIGHT = STRAY, STRAY_U, SHIFT_TIME = "stray_light", "stray_light_u", "band_shift_time"
-#: Largest sum of a row of the inverse [1], beyond which most light would be stray.
+#: Largest row sum of absolute values of the inverse [1]; above, most light would be stray.
 MAX_ROW_SUM = 10.0
 #: Largest share of a frame's light that is smear [1]: bands times shift time over exposure.
 MAX_SMEAR_SHARE = 0.5
@@ -64,10 +64,10 @@ def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, pro
             mend="select bands after computing reflectance, or drop the variable",
             code="bands-selected",
         )
-    shifted = cube.get("shifted_bands") or bands
-    if shifted != bands:
+    shifted_bands = cube.get("shifted_bands") or bands
+    if shifted_bands != bands:
         problems.add(
-            f"{SHIFT_TIME!r} holds for {shifted} bands, this line has {bands}",
+            f"{SHIFT_TIME!r} belongs to {shifted_bands} bands, this line has {bands}",
             mend="select bands after computing reflectance, or drop the variable",
             code="bands-selected",
         )
@@ -95,15 +95,15 @@ def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, maske
     if STRAY not in cube and SHIFT_TIME not in cube:
         return None
     bands = len(gain)
-    give, take = np.zeros((bands, 0)), np.zeros((0, bands))
+    band_terms, source_terms = np.zeros((bands, 0)), np.zeros((0, bands))
     if STRAY in cube:
-        give, take = _terms(np.asarray(cube[STRAY], np.float64))
+        band_terms, source_terms = _terms(np.asarray(cube[STRAY], np.float64))
     return StrayLight(
-        _filled(give, 1),
-        _filled(_filled(take, 0), 1),
+        _padded(band_terms, 1),
+        _padded(_padded(source_terms, 0), 1),
         smear_of(float(cube.get(SHIFT_TIME, 0.0)), exposure, bands).astype(np.float32),
-        _stand_ins(np.isnan(gain), masked),
-        _levels(gain),
+        _replacements(np.isnan(gain), masked),
+        _element_levels(gain),
         np.float32(cube.get(STRAY_U, 0.0)),
     )
 
@@ -128,7 +128,7 @@ def described(cube: Mapping[Any, Any]) -> str | None:
 
 
 def _terms(matrix: Floats) -> tuple[Array, Array]:
-    # `1 - (1 + D)^{-1}` as a product (band, term), (term, band), of as few terms as suffice
+    # Return `1 - (1 + D)^{-1}` as a product (band, term), (term, band), of the fewest sufficient terms.
     residual = np.eye(len(matrix)) - inverse_of(matrix, STRAY)
     left, size, right = np.linalg.svd(residual)
     for term in range(len(size) + 1):
@@ -138,33 +138,39 @@ def _terms(matrix: Floats) -> tuple[Array, Array]:
     return left[:, :term] * size[:term], right[:term]
 
 
-def _filled(values: Array, axis: int) -> Array:
+def _padded(values: Array, axis: int) -> Array:
     pad = [(0, 0)] * values.ndim
     pad[axis] = (0, -values.shape[axis] % _PAD)
     return np.ascontiguousarray(np.pad(values, pad), np.float32)
 
 
-def _stand_ins(bad: Bools, masked: Ints) -> Ints:
-    # Column, band and replacement band of every bad element (n, 3); -1 without a replacement
-    lit = ~bad
-    dark = np.zeros(bad.shape, bool)
-    dark[tuple(masked.T)] = True
+def _replacements(is_bad: Bools, masked: Ints) -> Ints:
+    # Return column, band and replacement band of every bad element (n, 3); -1 without a replacement.
+    is_good = ~is_bad
+    is_masked = np.zeros(is_bad.shape, bool)
+    is_masked[tuple(masked.T)] = True
     rows = []
-    for band, column in np.argwhere(bad):
-        good = np.flatnonzero(lit[:, column])
-        nearest = int(good[np.argmin(np.abs(good - band))]) if good.size and not dark[band, column] else -1
+    for band, column in np.argwhere(is_bad):
+        good_bands = np.flatnonzero(is_good[:, column])
+        nearest = (
+            int(good_bands[np.argmin(np.abs(good_bands - band))])
+            if good_bands.size and not is_masked[band, column]
+            else -1
+        )
         rows.append((column, band, nearest))
     return np.array(rows, np.int64).reshape(-1, 3)
 
 
-def _levels(gain: Array) -> Array:
-    # Gains relative to their trend along the columns (band, column) [1].
-    # The trend, a parabola, belongs to the smile, and so to the light.
-    place = np.linspace(-1.0, 1.0, gain.shape[1])
-    terms = np.stack([np.ones_like(place), place, place * place], axis=1)
+def _element_levels(gain: Array) -> Array:
+    # Return gains relative to their trend along the columns (band, column) [1].
+    # The trend, a parabola, is caused by smile, and so belongs to the light.
+    position = np.linspace(-1.0, 1.0, gain.shape[1])
+    terms = np.stack([np.ones_like(position), position, position * position], axis=1)
     level = np.ones(gain.shape)
     for row, band in zip(level, gain.astype(np.float64), strict=True):
-        good = np.isfinite(band)
-        if good.sum() > terms.shape[1]:
-            row[good] = (band / (terms @ np.linalg.lstsq(terms[good], band[good], rcond=None)[0]))[good]
+        is_finite = np.isfinite(band)
+        if is_finite.sum() > terms.shape[1]:
+            row[is_finite] = (
+                band / (terms @ np.linalg.lstsq(terms[is_finite], band[is_finite], rcond=None)[0])
+            )[is_finite]
     return np.asarray(np.where(level > 0.0, level, 1.0), np.float32)

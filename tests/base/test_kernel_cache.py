@@ -149,8 +149,8 @@ def test_a_part_is_compiled_once_and_kept_in_the_whole_alone(
     spec.loader.exec_module(module)
     assert module.whole(5) == 5 * (2 + 3) + 5 * 5 * 4
     assert len(_files(tmp_path, "nbc")) == 1
-    # a number in a call is no type of its own
-    assert len(module.times._part.overloads) == 1
+    # a constant argument does not make a type of its own
+    assert len(module.times._inner.overloads) == 1
     # what is part of a whole is a kernel of its own for Python
     assert module.times(7, 6) == 42
     assert len(_files(tmp_path, "nbc")) == 2

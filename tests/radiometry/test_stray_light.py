@@ -142,7 +142,7 @@ def test_masked_elements_see_no_light_of_others() -> None:
     masked = np.argwhere(np.broadcast_to(np.arange(3) == 2, gain.shape))
     stray = stray_light_of({"stray_light": wings(4)}, np.ones(2), gain, masked)
     assert stray is not None
-    rows = {(int(x), int(band)): int(other) for x, band, other in stray.stands_in}
+    rows = {(int(x), int(band)): int(other) for x, band, other in stray.replacements}
     assert rows == {(0, 1): 0} | {(2, band): -1 for band in range(4)}
 
 
@@ -152,11 +152,11 @@ def test_few_terms_stand_for_all() -> None:
         {"stray_light": matrix}, np.ones(1), np.ones((272, 2), np.float32), np.empty((0, 2), int)
     )
     assert stray is not None
-    rest = (stray.give.astype(float) @ stray.take.astype(float)[:, :272]) - (
+    rest = (stray.band_terms.astype(float) @ stray.source_terms.astype(float)[:, :272]) - (
         np.eye(272) - inverse_of(matrix, "stray_light")
     )
     assert np.abs(rest).sum(axis=1).max() < 4e-4
-    assert stray.take.shape[0] < 100
+    assert stray.source_terms.shape[0] < 100
 
 
 @pytest.mark.parametrize(

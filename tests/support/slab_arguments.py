@@ -13,9 +13,9 @@ from hyperpaint.kernels.arguments import (
     FixedFlags,
     SlabOutputs,
     count_limits,
-    given,
     light_cells,
     rounding,
+    without_empty_arrays,
 )
 from hyperpaint.kernels.bit_rounding import round_row
 from hyperpaint.kernels.radiometry import calibrate_slab
@@ -119,7 +119,7 @@ def calibrate(
         p["dark_index"] if own else None,
         p["dark_weight"] if own else None,
         p["gain"],
-        given(p.get("detector", NO_MODEL)),
+        without_empty_arrays(p.get("detector", NO_MODEL)),
     )
     calibrate_slab(
         p["counts"],
@@ -127,7 +127,7 @@ def calibrate(
         light_cells(p["light"], p["shift"], p["edges"], p["cells"]),
         count_limits(p["limit"], p["noise_margin"], p["most_negative"], p["whole"]),
         FixedFlags(p["line_flags"], p["column_flags"], p["no_data"]) if out.quality.size else None,
-        None if terms is None else given(terms),
+        None if terms is None else without_empty_arrays(terms),
         rounding(cleared_bits),
         out,
     )

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 
-_MIN_ARC_RAD = 1e-8  # half angle between rotations below which the arc is its chord
+_MIN_ARC_RAD = 1e-8  # half angle between rotations below which the arc is replaced by its chord
 
 
 def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLike) -> Floats:
@@ -30,7 +30,7 @@ def quaternions(roll: npt.ArrayLike, pitch: npt.ArrayLike, heading: npt.ArrayLik
 
 
 def matrices(rotation: Floats) -> Floats:
-    """Return quaternions as matrices (..., 3, 3), which turn body into north, east, down."""
+    """Return quaternions as matrices (..., 3, 3) from the body's frame to north, east, down."""
     w, x, y, z = np.moveaxis(rotation, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -46,7 +46,7 @@ def angles_of(rotation: Floats) -> tuple[Floats, Floats, Floats]:
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
     heading = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    # twice, because an angle just below 0 gives 360 itself
+    # twice: the first mod turns a tiny negative angle into 360
     return np.degrees(roll), np.degrees(pitch), np.mod(np.mod(np.degrees(heading), 360.0), 360.0)
 
 
@@ -58,11 +58,11 @@ def slerp(first: Floats, second: Floats, weight: Floats) -> Floats:
     Shoemake (1985), "Animating rotation with quaternion curves".
     """
     second = np.where(((first * second).sum(axis=-1) < 0)[..., None], -second, second)
-    # by the chord: an arc cosine near 1 loses half of its digits
+    # from the chord: an arc cosine near 1 loses half of its digits
     angle = 2.0 * np.arcsin(np.clip(np.linalg.norm(second - first, axis=-1) / 2.0, 0.0, 1.0))
-    near = angle < _MIN_ARC_RAD
-    sine = np.where(near, 1.0, np.sin(angle))
-    left = np.where(near, 1.0 - weight, np.sin((1.0 - weight) * angle) / sine)
-    right = np.where(near, weight, np.sin(weight * angle) / sine)
-    blend = left[..., None] * first + right[..., None] * second
-    return np.asarray(blend / np.linalg.norm(blend, axis=-1, keepdims=True))
+    is_near = angle < _MIN_ARC_RAD
+    sine = np.where(is_near, 1.0, np.sin(angle))
+    first_weight = np.where(is_near, 1.0 - weight, np.sin((1.0 - weight) * angle) / sine)
+    second_weight = np.where(is_near, weight, np.sin(weight * angle) / sine)
+    rotation = first_weight[..., None] * first + second_weight[..., None] * second
+    return np.asarray(rotation / np.linalg.norm(rotation, axis=-1, keepdims=True))

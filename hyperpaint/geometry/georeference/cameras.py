@@ -14,7 +14,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert, takes_quantities
 
-_MAX_LOOK_ANGLE_DEG = 89.0  # from the optical axis
+_MAX_LOOK_ANGLE_DEG = 89.0  # angle from the optical axis
 
 
 @takes_quantities(pixel_pitch="m", focal_length="m", field_of_view="degree")
@@ -22,12 +22,12 @@ _MAX_LOOK_ANGLE_DEG = 89.0  # from the optical axis
 class PinholeCamera:
     """A line camera whose columns are evenly spaced behind one projection centre.
 
-    Columns are then even in the tangent of the angle, not in the angle.
+    Columns are evenly spaced in the tangent of the angle, not in the angle.
 
     Attributes
     ----------
     columns
-        Number of columns; the axis runs through the middle of them.
+        Number of columns; the axis runs through their middle.
     pixel_pitch, focal_length
         Distance of columns on the detector, and of the detector from the projection centre [m].
     field_of_view
@@ -127,19 +127,19 @@ def look_angles(
         column: ``look_across`` [degree], positive to the right, and, for a slit that is seen bent or turned,
         ``look_along``, positive forward.
     convention
-        Declares ``column_order``. A table needs none, having its signs.
+        Declares ``column_order``; not needed for a table, whose angles have signs.
 
     Raises
     ------
     SchemaError
-        No camera, one of other columns, or an order of columns that is not declared.
+        No camera, a camera with another number of columns, or an undeclared order of columns.
     UnitsError
         The angles of a table have no units.
     """
     if isinstance(camera, PinholeCamera):
         if convention.column_order is None:
             raise SchemaError(
-                "whether column 0 looks left or right is not declared",
+                "the order of columns is not declared: whether column 0 looks left or right",
                 mend="give convention=Convention(column_order='left_to_right') or 'right_to_left'",
                 code="column-order-missing",
             )
@@ -177,7 +177,7 @@ def directions(across: Floats, along: Floats) -> Floats:
     Raises
     ------
     SchemaError
-        Angles that are not finite, or do not look down at all.
+        Angles that are not finite, or point to the horizon or above it.
     """
     if not (np.abs(across) < _MAX_LOOK_ANGLE_DEG).all() or not (np.abs(along) < _MAX_LOOK_ANGLE_DEG).all():
         raise SchemaError(

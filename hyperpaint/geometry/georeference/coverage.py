@@ -33,21 +33,21 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     Returns
     -------
     dict
-        Feature with a Polygon, or a MultiPolygon where lines without a pose part it, through the centres of
-        the outermost pixels. Properties: ``area`` [m2], of the map the line is located on; ``lines`` that are
-        placed; ``crs``.
+        Feature with a Polygon through the centres of
+        the outermost pixels; a MultiPolygon where lines without a pose divide it. Properties: ``area`` on the
+        map of the line [m2]; ``lines``, the number of located lines; ``crs``.
 
     Raises
     ------
     SchemaError
-        The line is not located, or has no two lines in a row that are.
+        The line is not located, or no two successive lines are.
     MissingExtraError
         shapely or pyproj is not installed (extra ``geo``).
 
     Notes
     -----
-    The union of the quadrilaterals between the ends of neighbouring lines: ground that a wobble shows twice
-    is counted once. Bends of less than half the spacing of the pixels are left out.
+    The outline is the union of the quadrilaterals between the ends of neighbouring lines: ground that a
+    wobble shows twice is counted once. Bends of less than half the spacing of the pixels are left out.
 
     Examples
     --------
@@ -66,31 +66,33 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     """
     with needs_extra("shapely", "geo", "the outline of a line"):
         import shapely
-    east, north, source = _places(located)
+    east, north, source = _positions(located)
     # the outermost located pixels of every line (line, end, 2)
-    is_known = np.isfinite(east) & np.isfinite(north)
-    outermost = is_known.argmax(axis=1), is_known.shape[1] - 1 - is_known[:, ::-1].argmax(axis=1)
+    is_located = np.isfinite(east) & np.isfinite(north)
+    outermost = is_located.argmax(axis=1), is_located.shape[1] - 1 - is_located[:, ::-1].argmax(axis=1)
     rows = np.arange(len(east))
-    ends = np.stack([np.stack([east[rows, at], north[rows, at]], axis=-1) for at in outermost], axis=1)
+    ends = np.stack(
+        [np.stack([east[rows, columns], north[rows, columns]], axis=-1) for columns in outermost], axis=1
+    )
     is_placed = np.all(np.isfinite(ends), axis=(1, 2))
-    follows = np.flatnonzero(is_placed[1:] & is_placed[:-1])
-    if not follows.size:
+    pairs = np.flatnonzero(is_placed[1:] & is_placed[:-1])
+    if not pairs.size:
         raise SchemaError(
-            "no two neighbouring lines are placed on the ground",
+            "no two neighbouring lines have ground positions",
             mend="look at poses and at the quality's off_swath",
             code="ground-not-seen",
         )
-    corners = np.concatenate([ends[follows], ends[follows + 1]], axis=1)
+    corners = np.concatenate([ends[pairs], ends[pairs + 1]], axis=1)
     quads = shapely.convex_hull(shapely.multipoints(corners))
     across, along = _steps(east, north)
     bend = 0.5 * float(np.nanmedian(np.concatenate([across.ravel(), along.ravel()])))
-    whole = shapely.simplify(shapely.union_all(quads), bend)
-    wanted = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)
-    outline = shapely.transform(whole, lambda xy: between_maps(xy, source, wanted))
+    covered = shapely.simplify(shapely.union_all(quads), bend)
+    target = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)
+    outline = shapely.transform(covered, lambda xy: between_maps(xy, source, target))
     return {
         "type": "Feature",
         "geometry": json.loads(shapely.to_geojson(outline)),
-        "properties": {"area": float(whole.area), "lines": int(is_placed.sum()), "crs": wanted},
+        "properties": {"area": float(covered.area), "lines": int(is_placed.sum()), "crs": target},
     }
 
 
@@ -108,7 +110,7 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
         ``across`` and ``along``: median distance of neighbouring columns and lines [m]; with ``_p05`` and
         ``_p95`` their 5th and 95th percentiles. ``gsd``: the larger of the medians, the default of maps.
         ``reversed``: share of the steps from line to line that go back against the flight [1]. ``off_swath``:
-        share of the pixels without a place [1].
+        share of the pixels without a ground position [1].
 
     Raises
     ------
@@ -130,33 +132,33 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     >>> round(distances["across"]), round(distances["along"], 1)  # [m]
     (100, 11.1)
     """
-    east, north, _ = _places(located)
+    east, north, _ = _positions(located)
     across, along = _steps(east, north)
     distances: dict[str, float] = {}
     for name, steps in (("across", across), ("along", along)):
         finite = steps[np.isfinite(steps)]
-        # one column, or one line, has no neighbour
+        # a single column or line has no neighbour
         distances[name] = float(np.median(finite)) if finite.size else np.nan
         for percent in _PERCENTILES:
             value = float(np.percentile(finite, percent)) if finite.size else np.nan
             distances[f"{name}_p{percent:02.0f}"] = value
     if np.isnan([distances["across"], distances["along"]]).all():
         raise SchemaError(
-            "no two neighbouring pixels are placed on the ground",
+            "no two neighbouring pixels have ground positions",
             mend="look at poses and at the quality's off_swath",
             code="ground-not-seen",
         )
     distances["gsd"] = float(np.nanmax([distances["across"], distances["along"]]))
     # steps from line to line at the middle column, against the mean direction of flight
-    middle = east.shape[1] // 2
-    steps = np.stack([np.diff(east[:, middle]), np.diff(north[:, middle])], axis=-1)
+    middle_column = east.shape[1] // 2
+    steps = np.stack([np.diff(east[:, middle_column]), np.diff(north[:, middle_column])], axis=-1)
     steps = steps[np.isfinite(steps).all(axis=1)]
     distances["reversed"] = float((steps @ steps.mean(axis=0) < 0.0).mean()) if steps.size else np.nan
     distances["off_swath"] = float(np.isnan(east).mean())
     return distances
 
 
-def _places(located: xr.Dataset) -> tuple[Floats, Floats, str]:
+def _positions(located: xr.Dataset) -> tuple[Floats, Floats, str]:
     coordinates = require(located, ["east", "north"], "the outline of a line")
     crs = coordinates["east"].attrs.get("crs")
     if not isinstance(crs, str):

@@ -15,9 +15,9 @@ from hyperpaint.base.errors import SchemaError, needs_extra
 if TYPE_CHECKING:
     import pyproj
 
-GEODETIC = "EPSG:4979"  # of positions: latitude, longitude, height above the ellipsoid of WGS 84
+GEODETIC = "EPSG:4979"  # latitude, longitude, height above the ellipsoid of WGS 84
 _GEOCENTRIC = "EPSG:4978"
-_MAX_LATITUDE_DEG = 89.9  # nearer to a pole east and north turn too fast for a polynomial
+_MAX_LATITUDE_DEG = 89.9  # nearer to a pole, east and north rotate too fast for a polynomial
 
 
 def _pyproj() -> Any:
@@ -34,8 +34,8 @@ def _crs(text: str) -> pyproj.CRS:
 
 @functools.lru_cache(maxsize=64)
 def _transformer(source: str, target: str) -> pyproj.Transformer:
-    # x or longitude come first; only `GEODETIC` and geocentric X, Y, Z [m] have heights [m], other systems
-    # are taken as horizontal
+    # x or longitude come first; only `GEODETIC` and geocentric X, Y, Z [m] have heights [m]; other systems
+    # are reduced to two dimensions
     systems = (name if name in (GEODETIC, _GEOCENTRIC) else _crs(name) for name in (source, target))
     transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(*systems, always_xy=True)
     return transformer
@@ -47,7 +47,8 @@ def crs_of(crs: Any) -> str:
     Parameters
     ----------
     crs
-        Whatever pyproj reads: ``"EPSG:32617"``, 32617, WKT, a CRS of pyproj or rasterio.
+        A reference system in a form that pyproj reads: ``"EPSG:32617"``, 32617, WKT, a CRS of pyproj or
+        rasterio.
 
     Raises
     ------
@@ -159,18 +160,18 @@ def grid_mapping_attrs(crs: str) -> dict[str, Any]:
     return {**attrs, "spatial_ref": system.to_wkt()}
 
 
-def between_maps(places: Floats, source: str, target: str) -> Floats:
-    """Return places (n, 2) converted between reference systems, x or longitude first."""
+def between_maps(positions: Floats, source: str, target: str) -> Floats:
+    """Return positions (n, 2) converted between reference systems, x or longitude first."""
     if source == target:
-        return places
-    x, y = _transformer(source, target).transform(places[:, 0], places[:, 1])
+        return positions
+    x, y = _transformer(source, target).transform(positions[:, 0], positions[:, 1])
     return np.stack([x, y], axis=-1)
 
 
 def is_in_metres(crs: str) -> bool:
     """Return whether a reference system is a map with coordinates in metres to the east and north.
 
-    Axes to the west or south (EPSG:2053) would turn every map over.
+    Axes to the west or south (EPSG:2053) would mirror every map.
     """
     system = _crs(crs)
     directions = {axis.direction.lower() for axis in system.axis_info}
@@ -181,9 +182,9 @@ def is_in_metres(crs: str) -> bool:
 
 
 def near_turns(x: Floats, middle: float, crs: str) -> Floats:
-    """Return the shift that brings x nearest to ``middle`` without changing its meaning.
+    """Return the shift in full turns that brings x nearest to ``middle``.
 
-    Whole turns of longitude [degree], where the reference system is geographic; 0 on a map.
+    Multiples of 360 where x is a longitude [degree]; 0 on a map.
     """
     if not _crs(crs).is_geographic:
         return np.zeros_like(x)
@@ -201,7 +202,7 @@ _OFFSETS = np.array(
         for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
     ],
     dtype=np.float64,
-)  # places around the camera, whose differences give a polynomial of second degree
+)  # points around the camera, whose differences give a polynomial of second degree
 
 
 def polynomials(
@@ -214,40 +215,44 @@ def polynomials(
     latitude, longitude, altitude : (line,)
         Position of every camera [degree, m above the ellipsoid].
     reach : (line,)
-        How far from the camera they are to hold [m].
+        Distance from the camera up to which the polynomials are accurate [m].
     crs
         Map, as `crs_of` returns it.
 
     Returns
     -------
     x, y, height : (line, 10), float64
-        Coefficients in the order of `hyperpaint.kernels.rays`; NaN where the position is.
+        Coefficients in the order of `hyperpaint.kernels.rays`; NaN where the position is NaN.
 
     Notes
     -----
-    A map is not flat: its north turns and its scale changes from place to place. Terms beyond the second
+    Direction of north and scale of a map change from place to place. Terms beyond the second
     degree are of the order of d (d / R)^2, for a distance d on an earth of radius R: 25 nm at 100 m, 0.2 mm
     at 2 km.
     """
     coefficients = np.full((3, latitude.size, 10), np.nan)
-    good = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(altitude) & np.isfinite(reach)
-    good &= np.abs(latitude) < _MAX_LATITUDE_DEG
-    if good.any():
-        coefficients[:, good] = _fit(latitude[good], longitude[good], altitude[good], reach[good], crs)
+    is_valid = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(altitude) & np.isfinite(reach)
+    is_valid &= np.abs(latitude) < _MAX_LATITUDE_DEG
+    if is_valid.any():
+        coefficients[:, is_valid] = _fitted_coefficients(
+            latitude[is_valid], longitude[is_valid], altitude[is_valid], reach[is_valid], crs
+        )
     return coefficients[0], coefficients[1], coefficients[2]
 
 
-def _fit(latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, crs: str) -> Floats:
+def _fitted_coefficients(
+    latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, crs: str
+) -> Floats:
     geocentric = _transformer(GEODETIC, _GEOCENTRIC)
     origin = np.stack(geocentric.transform(longitude, latitude, altitude), axis=-1)
-    around = origin[:, None] + (_OFFSETS * reach[:, None, None]) @ _east_north_up(latitude, longitude)
-    x, y, z = np.moveaxis(around, -1, 0)
+    points = origin[:, None] + (_OFFSETS * reach[:, None, None]) @ _east_north_up(latitude, longitude)
+    x, y, z = np.moveaxis(points, -1, 0)
     lon, lat, height = geocentric.transform(x, y, z, direction="INVERSE")
     x, y, *_ = _transformer(GEODETIC, crs).transform(lon, lat, height)
     if _crs(crs).is_geographic:
         x = x[:, :1] + (x - x[:, :1] + 180.0) % 360.0 - 180.0
     coefficients = np.stack([_coefficients(np.asarray(value), reach) for value in (x, y, height)])
-    coefficients[~np.isfinite(coefficients)] = np.nan  # PROJ returns infinity outside of the map
+    coefficients[~np.isfinite(coefficients)] = np.nan  # PROJ returns infinity outside the map
     return coefficients
 
 
@@ -263,13 +268,19 @@ def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:
 
 
 def _coefficients(value: Floats, reach: Floats) -> Floats:
-    # ten coefficients (line, 10) from values at `_OFFSETS` times the reach (line, 19)
-    centre, ends, corners = value[:, 0], value[:, 1:7].reshape(-1, 3, 2), value[:, 7:].reshape(-1, 3, 4)
-    slope = (ends[..., 0] - ends[..., 1]) / (2.0 * reach[:, None])
-    square = (ends[..., 0] + ends[..., 1] - 2.0 * centre[:, None]) / (2.0 * reach[:, None] ** 2)
-    same, crossed = corners[..., 0] + corners[..., 3], corners[..., 1] + corners[..., 2]
-    mixed = (same - crossed) / (4.0 * reach[:, None] ** 2)
-    return np.concatenate([centre[:, None], slope, square, mixed], axis=1)
+    # Return ten coefficients (line, 10) from values at `_OFFSETS` times the reach (line, 19).
+    centre, axis_points, corners = (
+        value[:, 0],
+        value[:, 1:7].reshape(-1, 3, 2),
+        value[:, 7:].reshape(-1, 3, 4),
+    )
+    linear_terms = (axis_points[..., 0] - axis_points[..., 1]) / (2.0 * reach[:, None])
+    square_terms = (axis_points[..., 0] + axis_points[..., 1] - 2.0 * centre[:, None]) / (
+        2.0 * reach[:, None] ** 2
+    )
+    equal_signs, opposite_signs = corners[..., 0] + corners[..., 3], corners[..., 1] + corners[..., 2]
+    mixed_terms = (equal_signs - opposite_signs) / (4.0 * reach[:, None] ** 2)
+    return np.concatenate([centre[:, None], linear_terms, square_terms, mixed_terms], axis=1)
 
 
 def turn_of_north(latitude: Floats) -> Floats:

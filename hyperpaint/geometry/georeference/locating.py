@@ -45,7 +45,7 @@ from .poses import (
 )
 from .terrain import Terrain, grid_of, terrain_of
 
-# turns north, east, down into east, north, up
+# converts north, east, down to east, north, up
 _MAP_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _MIN_REACH_M, _MAX_REACH_M = 10.0, 20_000.0  # distances over which the map around a camera is fitted
 
@@ -59,7 +59,7 @@ class Swath:
     boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
     #: From the reference point of positions to the projection centre: forward, right, down [m]
     lever_arm: tuple[float, float, float]
-    ground: float | Terrain  #: Height of level ground above the ellipsoid [m], or a raster of heights
+    ground: float | Terrain  #: Height of level ground above the ellipsoid [m], or height raster
     crs: str  #: Map
     starts: Ints  #: (slab + 1,): first line of every slab, and the number of lines
 
@@ -86,17 +86,17 @@ def places_of(swath: Swath, block_id: tuple[int, ...]) -> Floats:
     col, row = x.copy(), y.copy()
     if grid.crs != swath.crs:
         col, row, _ = polynomials(latitude, longitude, altitude, reach, grid.crs)
-    # longitude of rasters begins at -180 or 0, or runs across 180
+    # longitudes of rasters begin at -180 or 0, or cross 180
     col[:, 0] += near_turns(col[:, 0], grid.x[0] + grid.x[1] * (terrain.heights.shape[1] - 1) / 2, grid.crs)
-    for place, (first, step) in ((col, grid.x), (row, grid.y)):
-        place[:, 0] -= first
-        place /= step
-    raster = Raster(row, col, terrain.heights, terrain.tops, terrain.lowest, terrain.highest)
+    for coefficients, (first_centre, step) in ((col, grid.x), (row, grid.y)):
+        coefficients[:, 0] -= first_centre
+        coefficients /= step
+    raster = Raster(row, col, terrain.heights, terrain.block_max, terrain.lowest, terrain.highest)
     raster_places(rays, frames, raster, out)
     return out
 
 
-# coordinates added, in the order in which the kernels write them
+# coordinates that `locate` adds, in the order in which the kernels write them
 _PLACES = ("east", "north", "ground_height", "view_zenith", "view_azimuth")
 
 
@@ -117,7 +117,7 @@ def locate(
     max_gap_s: float | None = None,
     interpolation: Interpolation = "linear",
 ) -> xr.Dataset:
-    """Add the ground position of every pixel, and the direction it is seen from.
+    """Add the ground position of every pixel, and the direction from there to the camera.
 
     Parameters
     ----------
@@ -207,36 +207,36 @@ def locate(
     >>> located.view_azimuth.values.round().tolist()
     [[90.0, 0.0, 270.0]]
     """
-    # arguments come before declarations of the line
-    level: Sequence[float] = (0.0, 0.0, 0.0)
-    boresight = line.attrs.get("boresight", level) if boresight is None else boresight
-    lever_arm = line.attrs.get("lever_arm", level) if lever_arm is None else lever_arm
+    # arguments take precedence over declarations of the line
+    zero: Sequence[float] = (0.0, 0.0, 0.0)
+    boresight = line.attrs.get("boresight", zero) if boresight is None else boresight
+    lever_arm = line.attrs.get("lever_arm", zero) if lever_arm is None else lever_arm
     ground = line.attrs.get("ground") if ground is None and dem is None else ground
     if dem is not None and "units" in dem.attrs:
         dem = convert(dem, "m", "dem")
     _check(line, boresight, lever_arm, ground, dem, clock_offset_s)
     check_interpolation(interpolation, max_gap_s)
-    meaning = convention_of_line(line, navigation, convention)
-    across, along = look_angles(line, camera, meaning)
-    columns = _pose_inputs(line, navigation, meaning, clock_offset_s)
+    declared = convention_of_line(line, navigation, convention)
+    across, along = look_angles(line, camera, declared)
+    columns = _pose_inputs(line, navigation, declared, clock_offset_s)
     grid = None if dem is None else grid_of(dem)
     if crs is None and _is_lazy(*columns.values()):
         (columns,) = dask.compute(columns)
     options = {"clock_offset_s": clock_offset_s, "max_gap_s": max_gap_s, "interpolation": interpolation}
-    poses = _call(_poses, convention=meaning, crs=crs, **columns, **options)
+    poses = _call(_poses, convention=declared, crs=crs, **columns, **options)
     crs = _map_of(poses, crs)
-    surface = None if ground is None else float(ground)
+    terrain = None if ground is None else float(ground)
     if dem is not None:
-        surface = _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
+        terrain = _call(terrain_of, heights=dem.squeeze(drop=True).transpose("y", "x").data, grid=grid)
     chunks = _line_chunks(line)
-    turn, arm = tuple(map(float, boresight)), tuple(map(float, lever_arm))
+    boresight_angles, lever_arm_m = tuple(map(float, boresight)), tuple(map(float, lever_arm))
     swath = _call(
         Swath,
         poses=poses,
         look=_call(directions, across=across, along=along),
-        boresight=turn,
-        lever_arm=arm,
-        ground=surface,
+        boresight=boresight_angles,
+        lever_arm=lever_arm_m,
+        ground=terrain,
         crs=crs,
         starts=np.concatenate([[0], np.cumsum(chunks)]),
     )
@@ -248,7 +248,7 @@ def locate(
         meta=np.empty((0, 0, 0)),
         name=None,
     )
-    # the poses used, in chunks of the cube where they are lazy
+    # store the poses used; lazy ones in chunks of the cube
     if not isinstance(poses, np.ndarray):
         shape = (len(POSE), line.sizes[ALONG_TRACK])
         poses = da.from_delayed(poses, shape, np.float64).rechunk((1, chunks))
@@ -258,13 +258,13 @@ def locate(
     located = line.drop_vars(POSE, errors="ignore").assign_coords(columns_used)
     located = _with_places(located, places, crs)
     settings = {
-        "boresight": list(turn),
-        "lever_arm": list(arm),
+        "boresight": list(boresight_angles),
+        "lever_arm": list(lever_arm_m),
         "ground": "dem" if ground is None else float(ground),
         "clock_offset_s": float(clock_offset_s),
         "pose_interpolation": interpolation if "recorded" in columns else "none",
     }
-    located.attrs = with_convention({**line.attrs, **settings}, meaning.of_canonical)
+    located.attrs = with_convention({**line.attrs, **settings}, declared.of_canonical)
     return located
 
 
@@ -287,13 +287,13 @@ def _check(
                 mend=f"isel({dim}=[5]) keeps it, dims= names it",
                 code="dim-missing",
             )
-    for name, triple in (("boresight", boresight), ("lever_arm", lever_arm)):
+    for name, vector in (("boresight", boresight), ("lever_arm", lever_arm)):
         try:
-            is_valid = np.shape(triple) == (3,) and bool(np.isfinite(np.asarray(triple, np.float64)).all())
+            is_valid = np.shape(vector) == (3,) and bool(np.isfinite(np.asarray(vector, np.float64)).all())
         except (TypeError, ValueError):
             is_valid = False
         if not is_valid:
-            problems.add(f"{name} {triple!r:.80}", expected="three finite numbers", code="type-wrong")
+            problems.add(f"{name} {vector!r:.80}", expected="three finite numbers", code="type-wrong")
     if (ground is None) == (dem is None):
         problems.add(
             "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
@@ -308,16 +308,16 @@ def _check(
 
 
 def _map_of(poses: Any, crs: Any) -> str:
-    # by default the UTM zone of the middle of the lines that have a pose
+    # default: the UTM zone of the middle line among the lines with a pose
     if crs is None:
-        with_pose = np.flatnonzero(np.isfinite(poses[0]))
-        if not with_pose.size:
+        lines_with_pose = np.flatnonzero(np.isfinite(poses[0]))
+        if not lines_with_pose.size:
             raise SchemaError(
-                "no line has a pose, and so no UTM zone",
+                "no line has a pose, so the UTM zone is unknown",
                 mend="check the navigation and its times, or give crs=",
                 code="pose-missing",
             )
-        latitude, longitude = poses[:2, with_pose[with_pose.size // 2]]
+        latitude, longitude = poses[:2, lines_with_pose[lines_with_pose.size // 2]]
         crs = utm_zone(float(latitude), float(longitude))
     code = crs_of(crs)
     if not is_in_metres(code):
@@ -340,15 +340,15 @@ def _pose_inputs(
     inputs = {name: column.data for name, column in pose_columns(source, convention, dim).items()}
     if navigation is None and clock_offset_s == 0.0:
         return inputs
-    wanted = require(line, ["time"], "poses")["time"].data
+    line_times = require(line, ["time"], "poses")["time"].data
     if navigation is None:
-        return {**inputs, "recorded": wanted, "wanted": wanted}
+        return {**inputs, "recorded": line_times, "wanted": line_times}
     if NAVIGATION_TIME not in navigation.variables:
         raise SchemaError(
             f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]",
             code="variable-missing",
         )
-    return {**inputs, "recorded": navigation[NAVIGATION_TIME].data, "wanted": wanted}
+    return {**inputs, "recorded": navigation[NAVIGATION_TIME].data, "wanted": line_times}
 
 
 def _poses(
@@ -362,7 +362,7 @@ def _poses(
     wanted: Any = None,
     **columns: Any,
 ) -> Floats:
-    # (6, line), float64; a pose is complete or all NaN
+    # Return canonical poses (6, line), float64; an incomplete pose is NaN in all six.
     values = canonical_values(*(columns[name] for name in POSE), convention=convention, crs=crs)
     if recorded is None:
         values[:, ~np.isfinite(values).all(axis=0)] = np.nan
@@ -396,7 +396,7 @@ def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
 
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
-    # as the line is chunked, else as radiometry will chunk it
+    # Return the chunks of the line, or else the chunks that radiometry will use.
     pixels = [v for v in line.variables.values() if {ALONG_TRACK, CROSS_TRACK} <= set(v.dims)]
     for array in sorted(pixels, key=lambda v: -v.ndim):
         if array.chunks is not None:
@@ -406,9 +406,9 @@ def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:
 
 
 def line_slabs(lines: int, slab: int) -> tuple[int, ...]:
-    """Return the lines of every slab, the last one being the rest."""
-    full, rest = divmod(lines, slab)
-    return (slab,) * full + ((rest,) if rest else ())
+    """Return the number of lines of every slab; the last slab has the remainder."""
+    full_slabs, remainder = divmod(lines, slab)
+    return (slab,) * full_slabs + ((remainder,) if remainder else ())
 
 
 def is_located(line: xr.Dataset) -> bool:
@@ -424,5 +424,5 @@ def _is_lazy(*values: Any) -> bool:
 
 
 def _call(function: Any, **inputs: Any) -> Any:
-    # at once from arrays in memory, else as a node of the graph
+    # Call a function at once if all inputs are in memory, else as a node of the graph.
     return dask.delayed(function, pure=True)(**inputs) if _is_lazy(*inputs.values()) else function(**inputs)

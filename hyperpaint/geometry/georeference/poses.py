@@ -29,7 +29,10 @@ ANGLES = ("roll", "pitch", "heading")
 
 _NS_PER_S = 1e9
 _NAT = np.iinfo(np.int64).min
-_GAP_INTERVALS, _MIN_GAP_S = 2.5, 0.1  # longer intervals between rows are gaps
+_GAP_INTERVALS, _MIN_GAP_S = (
+    2.5,
+    0.1,
+)  # an interval between rows above both is a gap: median intervals, and seconds
 
 #: Units of the arguments of `locate`.
 LOCATION_UNITS = {
@@ -92,8 +95,8 @@ def canonical_navigation(
 
 def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[Any, Any]:
     """Return attributes that declare this convention and no other."""
-    others = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
-    return {**others, **convention.to_attrs()}
+    rest = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
+    return {**rest, **convention.to_attrs()}
 
 
 def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
@@ -112,9 +115,9 @@ def convention_of_line(
     """
     source, subject = (line, "this line") if navigation is None else (navigation, "this navigation record")
     declared = convention_of(source, convention, subject)
-    of_line = Convention.from_attrs(line.attrs)
-    if declared.column_order is None and of_line is not None:
-        declared = declared.replace(column_order=of_line.column_order)
+    line_convention = Convention.from_attrs(line.attrs)
+    if declared.column_order is None and line_convention is not None:
+        declared = declared.replace(column_order=line_convention.column_order)
     return declared
 
 
@@ -125,7 +128,7 @@ def convention_of(
     declared = convention or Convention.from_attrs(dataset.attrs)
     if declared is None:
         raise SchemaError(
-            f"{subject} does not declare its angles and heights, and makers differ",
+            f"{subject} does not declare its angles and heights, which differ between makers",
             mend="give convention=Convention(...), by default roll positive with the right wing down, pitch "
             "with the nose up, heading clockwise from true north [degree], heights above the ellipsoid",
             code="convention-missing",
@@ -153,9 +156,9 @@ def pose_columns(
             continue
         column = dataset[name].reset_coords(drop=True)
         if column.ndim != 1 or (dim or column.dims[0]) != column.dims[0]:
-            held = ", ".join(map(str, column.dims))
+            dims = ", ".join(map(str, column.dims))
             problems.add(
-                f"{name!r} has dims ({held})", expected=f"({dim or NAVIGATION_TIME})", code="dim-missing"
+                f"{name!r} has dims ({dims})", expected=f"({dim or NAVIGATION_TIME})", code="dim-missing"
             )
             continue
         units = column.attrs.get("units")
@@ -276,21 +279,21 @@ def poses_at(
 ) -> Floats:
     """Return poses (6, line) at given times from canonical ones (6, row); see `interpolate_pose`."""
     check_interpolation(interpolation, max_gap_s)
-    knots = _nanoseconds(recorded)
-    wanted = _nanoseconds(time)
-    wanted = np.where(wanted == _NAT, _NAT, wanted + np.int64(round(clock_offset_s * _NS_PER_S)))
-    keep = _increasing(knots)
-    knots, values = knots[keep], values[:, keep]
-    steps = np.diff(knots) / _NS_PER_S
+    knot_ns = _nanoseconds(recorded)
+    wanted_ns = _nanoseconds(time)
+    wanted_ns = np.where(wanted_ns == _NAT, _NAT, wanted_ns + np.int64(round(clock_offset_s * _NS_PER_S)))
+    is_later = _increasing(knot_ns)
+    knot_ns, values = knot_ns[is_later], values[:, is_later]
+    steps = np.diff(knot_ns) / _NS_PER_S
     gap = max_gap_s or max(_GAP_INTERVALS * float(np.median(steps)) if steps.size else 0.0, _MIN_GAP_S)
-    poses = np.full((len(POSE), wanted.size), np.nan)
-    for part, between in ((slice(0, 3), _positions_between), (slice(3, 6), _attitudes_between)):
+    poses = np.full((len(POSE), wanted_ns.size), np.nan)
+    for part, interpolate in ((slice(0, 3), _positions_between), (slice(3, 6), _attitudes_between)):
         is_recorded = np.isfinite(values[part]).all(axis=0)
         if is_recorded.any():
-            poses[part] = between(
-                knots[is_recorded], values[part][:, is_recorded], wanted, gap, interpolation
+            poses[part] = interpolate(
+                knot_ns[is_recorded], values[part][:, is_recorded], wanted_ns, gap, interpolation
             )
-    # an incomplete pose is no pose
+    # an incomplete pose becomes NaN in all six
     poses[:, np.isnan(poses).any(axis=0)] = np.nan
     return poses
 
@@ -314,32 +317,32 @@ def _nanoseconds(time: Array) -> Ints:
 
 
 def _increasing(knots: Ints) -> Bools:
-    # rows whose time is later than all before (row,)
-    dated = np.flatnonzero(knots != _NAT)
-    steps = np.diff(knots[dated])
+    # Return which rows are later than all rows before them (row,).
+    rows_with_time = np.flatnonzero(knots != _NAT)
+    steps = np.diff(knots[rows_with_time])
     if np.any(steps < 0):
-        rows = dated[1:][steps < 0]
-        shown = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
+        rows = rows_with_time[1:][steps < 0]
+        listed = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
         raise TimeError(
-            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({shown})",
+            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({listed})",
             mend="sort the record by time, or remove these rows",
             code="time-backwards",
         )
-    keep = np.zeros(knots.size, bool)
-    keep[dated[np.concatenate([[True], steps > 0])[: dated.size]]] = True
-    return keep
+    is_later = np.zeros(knots.size, bool)
+    is_later[rows_with_time[np.concatenate([[True], steps > 0])[: rows_with_time.size]]] = True
+    return is_later
 
 
 def _bracket(knots: Ints, wanted: Ints, gap: float) -> tuple[Ints, Floats, Bools]:
-    # the row before each time, the weight of the row after, and whether interpolation is allowed
+    # Return the row before each time, the weight of the next row, and whether interpolation is allowed.
     before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
     after = np.minimum(before + 1, knots.size - 1)
-    inside = (wanted >= knots[0]) & (wanted <= knots[-1])
+    is_inside = (wanted >= knots[0]) & (wanted <= knots[-1])
     step = knots[after] - knots[before]
-    since = np.where(inside, wanted - knots[before], 0)
-    weight = since / np.maximum(step, 1)
-    # a time equal to a row needs no interpolation, however far the next row is
-    return before, weight, inside & ((step / _NS_PER_S <= gap) | (since == 0) | (since == step))
+    elapsed = np.where(is_inside, wanted - knots[before], 0)
+    weight = elapsed / np.maximum(step, 1)
+    # a time equal to that of a row needs no interpolation, whatever the distance of the next row
+    return before, weight, is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
 
 
 def _positions_between(knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str) -> Floats:
@@ -367,28 +370,28 @@ def _attitudes_between(knots: Ints, values: Floats, wanted: Ints, gap: float, in
         from scipy.spatial.transform import Rotation, RotationSpline
 
         def spline(rows: slice, s: Floats, t: Floats) -> Floats:
-            turned = RotationSpline(s, Rotation.from_quat(rotation[rows], scalar_first=True))(t)
-            return np.asarray(turned.as_quat(scalar_first=True)).T
+            spline_rotation = RotationSpline(s, Rotation.from_quat(rotation[rows], scalar_first=True))(t)
+            return np.asarray(spline_rotation.as_quat(scalar_first=True)).T
 
-        between = _by_stretch(knots, wanted, is_covered, gap, spline, size=4).T
+        rotations = _by_stretch(knots, wanted, is_covered, gap, spline, size=4).T
     else:
-        between = slerp(rotation[before], rotation[np.minimum(before + 1, knots.size - 1)], weight)
-    return np.where(is_covered, np.stack(angles_of(between)), np.nan)
+        rotations = slerp(rotation[before], rotation[np.minimum(before + 1, knots.size - 1)], weight)
+    return np.where(is_covered, np.stack(angles_of(rotations)), np.nan)
 
 
 def _by_stretch(
     knots: Ints, wanted: Ints, is_covered: Bools, gap: float, spline: Any, size: int = 3
 ) -> Floats:
-    # splines (size, line) end at every gap; a stretch of one row is that row
+    # Evaluate splines (size, line), which end at every gap; a stretch of a single row is constant.
     ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
     splined = np.full((size, wanted.size), np.nan)
     for start, stop in itertools.pairwise(ends):
-        here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
-        if not here.any():
+        is_here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
+        if not is_here.any():
             continue
         first = max(start - 1, 0) if stop - start == 1 else start
         last = min(start + 2, knots.size) if stop - start == 1 and first == start else stop
         rows = slice(first, last)
         s = (knots[rows] - knots[start]) / _NS_PER_S
-        splined[:, here] = spline(rows, s, (wanted[here] - knots[start]) / _NS_PER_S)
+        splined[:, is_here] = spline(rows, s, (wanted[is_here] - knots[start]) / _NS_PER_S)
     return splined

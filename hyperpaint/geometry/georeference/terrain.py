@@ -34,12 +34,12 @@ class TerrainGrid:
 class Terrain:
     """A height raster, prepared for the kernel."""
 
-    grid: TerrainGrid  #: Where its cells lie
+    grid: TerrainGrid  #: Position of its cells
     heights: Floats  #: (row, col) float64: above the ellipsoid [m]; NaN in holes
     #: (block, block) float64: highest point of every block of `hyperpaint.kernels.arguments.BLOCK` cells;
     #: minus infinity in holes
-    tops: Floats
-    lowest: float  #: Of all [m]
+    block_max: Floats
+    lowest: float  #: Lowest height of the raster [m]
     highest: float
 
 
@@ -64,22 +64,22 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
             try:
                 axes[name] = _axis(dem, name)
             except SchemaError as error:
-                problems.add_error("cells", error)
+                problems.add_error("grid", error)
     if _is_turned(dem, axes):
         problems.add(
-            "the GeoTransform of spatial_ref turns it on its map, so x and y are no map coordinates",
-            mend="bring it to a grid with north up, by rioxarray's reproject or "
+            "the GeoTransform of spatial_ref rotates the raster, so x and y are not map coordinates",
+            mend="resample it to a grid with north up, by rioxarray's reproject or "
             "hyperpaint.geometry.orthorectify",
             code="grid-turned",
         )
-    # as rioxarray declares it, or an attribute of the raster
-    declared_crs = [
+    # declared by rioxarray's coordinate, or by an attribute of the raster
+    crs_texts = [
         str(attrs[name])
         for attrs in (dem.attrs, _mapping_attrs(dem))
         for name in ("crs", "crs_wkt", "spatial_ref")
         if attrs.get(name)
     ]
-    if not declared_crs:
+    if not crs_texts:
         problems.add(
             "no crs",
             mend="open it with rioxarray, or declare it: dem.assign_attrs(crs='EPSG:32617')",
@@ -103,10 +103,10 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
         except SchemaError as error:
             problems.add_error("heights", error)
     problems.raise_if_any()
-    # in rasters that xarray decoded (mark in `encoding`) holes are NaN already
-    marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
-    holes = {float(mark) for mark in marks if np.ndim(mark) == 0 and np.isfinite(float(mark))}
-    return TerrainGrid(crs_of(declared_crs[0]), axes["x"], axes["y"], heights, tuple(holes))
+    # where xarray decoded the raster (fill value in `encoding`), holes are already NaN
+    hole_marks = [dem.attrs[name] for name in ("_FillValue", "missing_value", "nodata") if name in dem.attrs]
+    holes = {float(mark) for mark in hole_marks if np.ndim(mark) == 0 and np.isfinite(float(mark))}
+    return TerrainGrid(crs_of(crs_texts[0]), axes["x"], axes["y"], heights, tuple(holes))
 
 
 def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
@@ -128,20 +128,22 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
     filled = np.where(np.isnan(elevation), -np.inf, elevation)
     rows, cols = (range(0, size - 1, BLOCK) for size in filled.shape)
     strips = [filled[r : r + BLOCK + 1].max(axis=0) for r in rows]
-    tops = np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
-    return Terrain(grid, elevation, tops, float(np.nanmin(elevation)), float(np.nanmax(elevation)))
+    block_max = np.array([[strip[c : c + BLOCK + 1].max() for c in cols] for strip in strips])
+    return Terrain(grid, elevation, block_max, float(np.nanmin(elevation)), float(np.nanmax(elevation)))
 
 
 def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
-    # first coordinate and step
+    # Return the first coordinate and the step.
     if name not in dem.coords:
-        raise SchemaError(f"no coordinate {name!r} of their centres", code="variable-missing")
+        raise SchemaError(f"no coordinate {name!r} of cell centres", code="variable-missing")
     values = dem[name].values.astype(np.float64)
     if values.size < 2:
-        raise SchemaError(f"{values.size} along {name!r}", expected="two or more", code="length-mismatch")
+        raise SchemaError(
+            f"{values.size} cells along {name!r}", expected="two or more", code="length-mismatch"
+        )
     step = (values[-1] - values[0]) / (values.size - 1)
-    uneven = np.abs(values - (values[0] + step * np.arange(values.size)))
-    if not (np.isfinite(step) and step != 0.0 and uneven.max() <= _MAX_UNEVENNESS_CELLS * abs(step)):
+    deviation = np.abs(values - (values[0] + step * np.arange(values.size)))
+    if not (np.isfinite(step) and step != 0.0 and deviation.max() <= _MAX_UNEVENNESS_CELLS * abs(step)):
         raise SchemaError(
             f"coordinate {name!r} is not evenly spaced",
             mend="bring the DEM to a regular grid",
@@ -151,7 +153,7 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
 
 
 def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bool:
-    # rows that do not run east or west by the GeoTransform; its origin may be stale in a cropped raster, so
+    # Return whether the GeoTransform rotates the raster; its origin may be stale in a cropped raster, so
     # only directions are used
     try:
         numbers = [float(part) for part in str(_mapping_attrs(dem).get("GeoTransform", "")).split()]
@@ -159,9 +161,9 @@ def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bo
         return False
     if len(numbers) != 6:
         return False
-    _, right, right_by_row, _, up_by_column, _ = numbers
-    # on the grid of a flight to the south, x grows to the west
-    return bool(right_by_row or up_by_column) or (right < 0.0 < axes.get("x", (0.0, 0.0))[1])
+    _, x_step_by_column, x_step_by_row, _, y_step_by_column, _ = numbers
+    # on the grid of a flight to the south, x increases to the west
+    return bool(x_step_by_row or y_step_by_column) or (x_step_by_column < 0.0 < axes.get("x", (0.0, 0.0))[1])
 
 
 def _mapping_attrs(dem: xr.DataArray) -> Mapping[Any, Any]:

@@ -33,7 +33,7 @@ _RANKED_BY = {
     "unflagged": ("quality", "view_zenith"),
     "newest": ("line_time",),
 }
-_EMPTY_PIXEL = int(Quality.OFF_SWATH | Quality.NO_DATA)  # pixels of any other line are better
+_EMPTY_PIXEL = int(Quality.OFF_SWATH | Quality.NO_DATA)  # such pixels rank below pixels of any other line
 _LOCATION = (*LOCATION_UNITS, "navigation", "dem", "crs", "camera", "convention", "interpolation")
 NO_LINE = np.int16(-1)
 Place = tuple[int, int]
@@ -69,7 +69,8 @@ def mosaic(
         The line shown where several cover a cell: the line that looks down most steeply (``"nadir"``, by
         ``view_zenith``); the same, but pixels without any flag of ``quality`` first (``"unflagged"``); or
         the line flown last (``"newest"``, by ``line_time``). Under every rule pixels without data
-        (``no_data``, ``off_swath``) come last. Between equals the first name in alphabetical order is shown.
+        (``no_data``, ``off_swath``) rank last. Among equal ranks, the first line in alphabetical order is
+        shown.
     levelling
         ``"overlap"`` multiplies the spectra of every line by one factor a band, so that lines agree where
         unflagged cells of two overlap: robust least squares on the logarithm of their ratio, which keeps the
@@ -123,25 +124,27 @@ def mosaic(
     >>> both.red.values[0], both.flightline.values[0], both.flightline.attrs["flag_meanings"]
     (array([0., 2., 2., 2.]), array([0, 1, 1, 1], dtype=int16), 'first second')
     """
-    named = named_lines(lines)
-    _check(rule, gsd, tile, levelling)
-    named = located_lines(named, {name: options.pop(name) for name in _LOCATION if name in options})
-    shared = shared_grid(named, gsd, progress)
-    strips = strips_of(named, shared, variables, tile, **options)
-    needed = _RANKED_BY[rule]
-    lacking = [s.name for s in strips if not set(needed) <= set(s.map.variables)]
-    if lacking:
+    lines_by_name = named_lines(lines)
+    _check_options(rule, gsd, tile, levelling)
+    lines_by_name = located_lines(
+        lines_by_name, {name: options.pop(name) for name in _LOCATION if name in options}
+    )
+    shared = shared_grid(lines_by_name, gsd, progress)
+    strips = strips_of(lines_by_name, shared, variables, tile, **options)
+    rank_variables = _RANKED_BY[rule]
+    names_lacking = [s.name for s in strips if not set(rank_variables) <= set(s.map.variables)]
+    if names_lacking:
         raise SchemaError(
-            f"rule {rule!r} chooses by {' and '.join(needed)}, which {', '.join(lacking)} lack",
+            f"rule {rule!r} chooses by {' and '.join(rank_variables)}, which {', '.join(names_lacking)} lack",
             mend="locate the lines, add it to variables=, or choose another rule",
             option="choose another --rule",
             code="variable-missing",
         )
-    return _composed(strips, _aligned(shared.grid), rule, tile, levelling)
+    return _composed_map(strips, _aligned_grid(shared.grid), rule, tile, levelling)
 
 
-def _check(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
-    problems = Problems("these lines make no mosaic", SchemaError)
+def _check_options(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
+    problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
     if rule not in RULES:
         problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)), code="choice-unknown")
     if levelling not in (None, "overlap"):
@@ -155,57 +158,59 @@ def _check(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
     problems.raise_if_any()
 
 
-def _planes(
+def _planes_of_tile(
     rule: str, names: list[str], fills: list[Any], size: int, recipes: dict[int, Recipe], gaps: list[Recipe]
 ) -> dict[str, Array]:
-    # the choice of lines for a tile, and the planes ``names`` of the chosen lines (row, col); ``recipes`` by
-    # the number of the line
+    # Choose the line of every cell of a tile; return the planes ``names`` of the chosen lines (row, col).
+    # The keys of ``recipes`` are line numbers.
     shape = size, size
-    line, shown = np.full(shape, NO_LINE), np.zeros(shape, np.uint8)
+    line, line_count = np.full(shape, NO_LINE), np.zeros(shape, np.uint8)
     out = {name: np.full(shape, fill) for name, fill in zip(names, fills, strict=True)}
-    best: list[Array] = []
+    best_ranks: list[Array] = []
     for number, recipe in recipes.items():
         plane = dict(zip(names, recipe.values(), strict=True))
-        ranks = _ranks(rule, plane)
-        if not best:
-            best = [np.zeros(shape, rank.dtype) for rank in ranks]
-        # the first rank that differs decides; equal ranks stay with the line that came first
-        better, equal = np.zeros(shape, bool), np.ones(shape, bool)
-        for rank, least in zip(ranks, best, strict=True):
-            better |= equal & (rank < least)
-            equal &= rank == least
+        ranks = _ranks_of(rule, plane)
+        if not best_ranks:
+            best_ranks = [np.zeros(shape, rank.dtype) for rank in ranks]
+        # the first rank that differs decides; with equal ranks the earlier line stays
+        is_better, is_equal = np.zeros(shape, bool), np.ones(shape, bool)
+        for rank, best_rank in zip(ranks, best_ranks, strict=True):
+            is_better |= is_equal & (rank < best_rank)
+            is_equal &= rank == best_rank
         is_shown = plane["hits"] > 0
-        shown += is_shown
-        wins = is_shown & (better | (line == NO_LINE))
-        line[wins] = number
-        for rank, least in zip(ranks, best, strict=True):
-            least[wins] = rank[wins]
+        line_count += is_shown
+        is_chosen = is_shown & (is_better | (line == NO_LINE))
+        line[is_chosen] = number
+        for rank, best_rank in zip(ranks, best_ranks, strict=True):
+            best_rank[is_chosen] = rank[is_chosen]
         for name, values in plane.items():
-            out[name][wins] = values[wins]
-    within = np.zeros(shape, bool)
+            out[name][is_chosen] = values[is_chosen]
+    is_within = np.zeros(shape, bool)
     for recipe in gaps:
-        within |= recipe.values()[0]
-    return {**out, "flightline": line, "line_count": shown, "gap": within & (line == NO_LINE)}
+        is_within |= recipe.values()[0]
+    return {**out, "flightline": line, "line_count": line_count, "gap": is_within & (line == NO_LINE)}
 
 
-def _spectra(line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], factors: Array | None) -> Array:
-    # (row, col, band) from the chosen lines; other lines are not read; ``factors`` (line, band)
+def _spectra_of_tile(
+    line: Array, fill: Any, bands: int, recipes: dict[int, Recipe], factors: Array | None
+) -> Array:
+    # Return (row, col, band) of the chosen lines, without reading other lines; ``factors`` is (line, band).
     out = np.full((*line.shape, bands), fill)
     for number, recipe in recipes.items():
-        here = line == number
-        if here.any():
+        is_line = line == number
+        if is_line.any():
             (tile,) = recipe.values()
-            out[here] = tile[here] if factors is None else tile[here] * factors[number]
+            out[is_line] = tile[is_line] if factors is None else tile[is_line] * factors[number]
     return out
 
 
-def _ranks(rule: str, plane: Mapping[str, Array]) -> list[Array]:
-    # the most important rank first; the smallest rank wins
+def _ranks_of(rule: str, plane: Mapping[str, Array]) -> list[Array]:
+    # Return the ranks of cells, most important rank first; the line of lowest rank is shown.
     quality = plane.get("quality", np.zeros_like(plane["hits"]))
     ranks = [(quality & _EMPTY_PIXEL) != 0]
     if rule == "newest":
         time = plane["line_time"].astype("datetime64[ns]").astype(np.int64)
-        # NaT is the least integer, and the oldest
+        # NaT is the lowest integer: make it the oldest time
         return [*ranks, -np.maximum(time, -np.iinfo(np.int64).max)]
     if rule == "unflagged":
         ranks.append(quality != 0)
@@ -220,10 +225,15 @@ class _Tiles:
     size: int  #: Rows and columns of a tile
 
     def _array(
-        self, name: str, tasks: Mapping[Any, Any], dtype: Any, bands: tuple[int, ...], of: list[da.Array]
+        self,
+        name: str,
+        tasks: Mapping[Any, Any],
+        dtype: Any,
+        bands: tuple[int, ...],
+        dependencies: list[da.Array],
     ) -> da.Array:
         layer = {(name, *place, *(0 for _ in bands)): task for place, task in tasks.items()}
-        graph = HighLevelGraph.from_collections(name, layer, dependencies=of)
+        graph = HighLevelGraph.from_collections(name, layer, dependencies=dependencies)
         rows, cols = ((1 if dtype is object else self.size,) * count for count in self.count)
         chunks = (rows, cols, *((size,) for size in bands))
         return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
@@ -232,14 +242,18 @@ class _Tiles:
         first = self.strips[0].map[variable]
         tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
         wavelength = first.coords.get("wavelength")
-        nm = None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
-        levelling = overlap_factors(tiles, len(self.strips), first.shape[2], nm)
+        wavelength_nm = (
+            None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
+        )
+        levelling = overlap_factors(tiles, len(self.strips), first.shape[2], wavelength_nm)
         return levelling._replace(factors=levelling.factors.astype(first.dtype))
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
-        at = self.first[0] + place[0], self.first[1] + place[1]
+        tile_index = self.first[0] + place[0], self.first[1] + place[1]
         strips = enumerate(self.strips)
-        return {number: strip.recipe(names, at) for number, strip in strips if strip.reaches(at)}
+        return {
+            number: strip.recipe(names, tile_index) for number, strip in strips if strip.reaches(tile_index)
+        }
 
     def planes(self, rule: str, names: list[str]) -> da.Array:
         # one dict per tile
@@ -247,10 +261,10 @@ class _Tiles:
         fills = [fill_of(name, first[name].dtype) for name in names]
         tasks = {}
         for place in np.ndindex(self.count):
-            at = self.first[0] + place[0], self.first[1] + place[1]
-            gaps = [strip.recipe(["gap"], at) for strip in self.strips if strip.covers(at)]
+            tile_index = self.first[0] + place[0], self.first[1] + place[1]
+            gaps = [strip.recipe(["gap"], tile_index) for strip in self.strips if strip.covers(tile_index)]
             arguments = (rule, names, fills, self.size, self._recipes(names, place), gaps)
-            tasks[place] = (partial(_planes, *arguments),)
+            tasks[place] = (partial(_planes_of_tile, *arguments),)
         sources = [[strip.map[name].data.name for name in names] for strip in self.strips]
         name = f"mosaic-planes-{tokenize(sources, rule, self.first, self.count, self.size)}"
         return self._array(name, tasks, object, (), [])
@@ -266,16 +280,16 @@ class _Tiles:
         for place in np.ndindex(self.count):
             options = {"fill": fill, "bands": bands, "factors": factors}
             recipes = self._recipes([variable], place)
-            tasks[place] = (partial(_spectra, recipes=recipes, **options), (lines.name, *place))
+            tasks[place] = (partial(_spectra_of_tile, recipes=recipes, **options), (lines.name, *place))
         name = f"mosaic-{variable}-{tokenize(lines.name, variable, factors)}"
         return self._array(name, tasks, first.dtype, (bands,), [lines])
 
 
-def _aligned(grid: MapGrid) -> MapGrid:
+def _aligned_grid(grid: MapGrid) -> MapGrid:
     """Return a grid whose longer sides begin at a chunk of a store.
 
     Tiles begin at whole multiples of their size on the map. If a mosaic of several tiles began between two
-    chunks of a store, every chunk would be written from up to four tiles, which are held until then.
+    chunks of a store, every chunk would be written from up to four tiles, which stay in memory until then.
     """
     starts = [
         first - first % STORE_TILE if size > 2 * STORE_TILE else first
@@ -285,13 +299,15 @@ def _aligned(grid: MapGrid) -> MapGrid:
     return replace(grid, first=(starts[0], starts[1]), shape=(sizes[0], sizes[1]))
 
 
-def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levelling: str | None) -> xr.Dataset:
+def _composed_map(
+    strips: list[Strip], grid: MapGrid, rule: str, tile: int, levelling: str | None
+) -> xr.Dataset:
     first = strips[0].map
     starts = [start // tile for start in grid.first]
     ends = [-(-(start + size) // tile) for start, size in zip(grid.first, grid.shape, strict=True)]
     tiles = _Tiles(strips, (starts[0], starts[1]), (ends[0] - starts[0], ends[1] - starts[1]), tile)
-    common = [str(name) for name in first.data_vars if name != "gap"]
-    flat = [name for name in common if first[name].ndim == 2]
+    names_of_all = [str(name) for name in first.data_vars if name != "gap"]
+    flat = [name for name in names_of_all if first[name].ndim == 2]
     planes = tiles.planes(rule, flat)
     numbers = np.arange(len(strips), dtype=np.int16)
     meanings = " ".join(strip.name.replace(" ", "_") for strip in strips)
@@ -321,14 +337,14 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
             )
         variables["levelling_factor"] = (("source", BAND), factors, attributes)
         variables["source"] = ("source", [strip.name for strip in strips], {"long_name": "Flight line"})
-    for name in common:
+    for name in names_of_all:
         lazy = (
             tiles.plane(planes, name, first[name].dtype)
             if name in flat
             else tiles.spectra(variables["flightline"][1], name, factors)
         )
         variables[name] = (first[name].dims, lazy, {**first[name].attrs, "grid_mapping": "spatial_ref"})
-    of_bands = {
+    band_coordinates = {
         name: coordinate.variable
         for name, coordinate in first.coords.items()
         if coordinate.dims == (BAND,)
@@ -341,11 +357,11 @@ def _composed(strips: list[Strip], grid: MapGrid, rule: str, tile: int, levellin
     }
     attrs |= {"gsd": grid.gsd, "grid": "north", "mosaic_rule": rule, "levelling": levelling or "none"}
     attrs["flightlines"] = [strip.name for strip in strips]
-    whole = xr.Dataset(variables, of_bands, attrs)
+    tiled = xr.Dataset(variables, band_coordinates, attrs)
     # cut the tiles to the extent of the lines
     offset = [start - k * tile for start, k in zip(grid.first, starts, strict=True)]
     rows, cols = (slice(k, k + size) for k, size in zip(offset, grid.shape, strict=True))
-    return whole.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))
+    return tiled.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))
 
 
 def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:

@@ -23,7 +23,7 @@ LEVELLED_BY = ("hits", "quality")  # planes needed besides the spectra
 class Rules:
     """Thresholds of the factors, and their origin."""
 
-    step: int = 2  #: step of the rows and columns used: neighbouring cells are redundant
+    step: int = 2  #: every second row and column is used: neighbouring cells are redundant
     min_cells: int = 20  #: cells of a tile in which two lines must overlap
     #: Standard deviations beyond which a tile counts less: 95 % efficient for normal errors (Huber 1964).
     huber_sd: float = 1.345
@@ -57,7 +57,7 @@ def overlap_factors(
     the logarithm of the medians of tiles, over unflagged cells. Lines connected by overlaps keep their mean
     logarithm; lines without enough overlap have the factor 1. Two lines do not overlap in a band that is 0
     or less in one of them; a factor of 1 there would be a step in the spectrum, so the logarithm is
-    interpolated over ``wavelength`` (band,), or band numbers, line by line, and held beyond the outermost
+    interpolated line by line over ``wavelength`` (band,), or band numbers, and constant beyond the outermost
     bands.
 
     Raises
@@ -65,14 +65,14 @@ def overlap_factors(
     SchemaError
         No two lines overlap.
     """
-    # as part of the callable: in arguments dask would search the recipes for tasks
-    looks = [
+    # recipes are bound to the callable: dask would search arguments for tasks
+    tasks = [
         dask.delayed(partial(_ratios, tile), pure=False, traverse=False)() for tile in tiles if len(tile) > 1
     ]
-    ratios = [ratio for part in dask.compute(*looks) for ratio in part]
+    ratios = [ratio for part in dask.compute(*tasks) for ratio in part]
     if not ratios:
         raise SchemaError(
-            "lines cannot be levelled where no two overlap in unflagged cells",
+            "lines cannot be levelled: no two lines overlap in unflagged cells",
             mend="leave out levelling=",
             code="overlap-missing",
         )
@@ -82,28 +82,30 @@ def overlap_factors(
     observed = np.stack([ratio.log_ratio for ratio in ratios])
     weights = np.sqrt(np.stack([ratio.cells for ratio in ratios]))
     # lines connected by overlaps in any band must be connected in this band too
-    whole = _parts(incidence)
+    parts_of_all = _connected_parts(incidence)
     logs = np.zeros((lines, bands))
     is_tied = np.zeros((lines, bands), bool)
     for band in range(bands):
-        there = np.isfinite(observed[:, band])
-        if there.any():
-            logs[:, band] = _robust(incidence[there], observed[there, band], weights[there, band])
-            parts = _parts(incidence[there])
-            is_tied[:, band] = [np.unique(parts[whole == number]).size == 1 for number in whole]
+        is_observed = np.isfinite(observed[:, band])
+        if is_observed.any():
+            logs[:, band] = _robust_fit(
+                incidence[is_observed], observed[is_observed, band], weights[is_observed, band]
+            )
+            parts = _connected_parts(incidence[is_observed])
+            is_tied[:, band] = [np.unique(parts[parts_of_all == number]).size == 1 for number in parts_of_all]
     overlapping: Bools = np.any(incidence != 0.0, axis=0)
     interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1, keepdims=True)
-    place = np.arange(bands, dtype=np.float64) if wavelength is None else wavelength
+    position = np.arange(bands, dtype=np.float64) if wavelength is None else wavelength
     for line in np.flatnonzero(interpolated.any(axis=1)):
-        known = np.flatnonzero(~interpolated[line])
-        known = known[np.argsort(place[known], kind="stable")]
-        wanted = interpolated[line]
-        logs[line, wanted] = np.interp(place[wanted], place[known], logs[line, known])
+        tied_bands = np.flatnonzero(~interpolated[line])
+        tied_bands = tied_bands[np.argsort(position[tied_bands], kind="stable")]
+        gap_bands = interpolated[line]
+        logs[line, gap_bands] = np.interp(position[gap_bands], position[tied_bands], logs[line, tied_bands])
     return Levelling(np.exp(logs), interpolated)
 
 
-def _parts(incidence: Floats) -> Ints:
-    # the smallest line number in the connected part of each line (line,)
+def _connected_parts(incidence: Floats) -> Ints:
+    # Return the lowest line number in the connected part of each line (line,).
     parts = np.arange(incidence.shape[1])
     pairs = np.argsort(-np.abs(incidence), axis=1, kind="stable")[:, :2]
     for _ in range(parts.size):
@@ -119,27 +121,27 @@ def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
     logs = {}
     for number, recipe in recipes.items():
         hits, quality, cube = (values[:: RULES.step, :: RULES.step] for values in recipe.values())
-        fine = ((hits > 0) & (quality == 0))[..., None] & (cube > 0.0)
-        logs[number] = np.log(np.where(fine, cube, np.nan))
+        is_good = ((hits > 0) & (quality == 0))[..., None] & (cube > 0.0)
+        logs[number] = np.log(np.where(is_good, cube, np.nan))
     ratios = []
     for first, second in itertools.combinations(logs, 2):
-        apart = (logs[first] - logs[second]).reshape(-1, logs[first].shape[2])
-        cells = np.isfinite(apart).sum(axis=0)
-        enough = cells >= RULES.min_cells
-        if enough.any():
+        difference = (logs[first] - logs[second]).reshape(-1, logs[first].shape[2])
+        cells = np.isfinite(difference).sum(axis=0)
+        is_enough = cells >= RULES.min_cells
+        if is_enough.any():
             median = np.full(cells.shape, np.nan)
-            median[enough] = np.nanmedian(apart[:, enough], axis=0)
+            median[is_enough] = np.nanmedian(difference[:, is_enough], axis=0)
             ratios.append(_Ratio(first, second, cells.astype(np.float64), median))
     return ratios
 
 
-def _robust(incidence: Floats, observed: Floats, weights: Floats) -> Floats:
-    # logarithms of factors (line,); their mean is 0 over connected lines
-    trust = np.ones_like(observed)
+def _robust_fit(incidence: Floats, observed: Floats, weights: Floats) -> Floats:
+    # Return logarithms of factors (line,), whose mean is 0 over connected lines.
+    huber_weights = np.ones_like(observed)
     for _ in range(RULES.rounds):
-        scaled = (weights * np.sqrt(trust))[:, None]
+        scaled = (weights * np.sqrt(huber_weights))[:, None]
         solution = np.linalg.lstsq(scaled * incidence, scaled[:, 0] * observed, rcond=1e-9)[0]
-        away = np.abs(observed - incidence @ solution)
-        limit = RULES.huber_sd * max(1.4826 * float(np.median(away)), 1e-6)
-        trust = limit / np.maximum(away, limit)
+        residuals = np.abs(observed - incidence @ solution)
+        limit = RULES.huber_sd * max(1.4826 * float(np.median(residuals)), 1e-6)
+        huber_weights = limit / np.maximum(residuals, limit)
     return np.asarray(solution)

@@ -16,12 +16,12 @@ def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
     Parameters
     ----------
     mosaic
-        What `hyperpaint.geometry.mosaic` returns.
+        Result of `hyperpaint.geometry.mosaic`.
 
     Returns
     -------
     dict
-        A FeatureCollection in map coordinates, whose ``crs`` is that of the map: a MultiPolygon a line, with
+        A FeatureCollection in map coordinates, with the ``crs`` of the map: a MultiPolygon per line, with
         the property ``flightline`` and the area in cells, ``cells``. Outlines follow the edges of cells.
 
     Raises
@@ -46,7 +46,7 @@ def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
     transform = mosaic["spatial_ref"].attrs.get("GeoTransform") if "spatial_ref" in mosaic.variables else None
     if "flag_meanings" not in attrs or transform is None:
         raise SchemaError(
-            "this is no mosaic: flightline with flag_meanings, or spatial_ref with GeoTransform, is missing",
+            "not a mosaic: flightline with flag_meanings, or spatial_ref with GeoTransform, is missing",
             mend="compose one with hyperpaint.geometry.mosaic",
             code="variable-missing",
         )

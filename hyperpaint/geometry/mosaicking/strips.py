@@ -1,7 +1,7 @@
 """Several flight lines as maps on one grid, each cut into the tiles of the mosaic.
 
-The extent of a line is surveyed once; then the line is orthorectified over the tiles of the mosaic that it
-touches, so that nothing has to be cut again.
+The extent of a line is surveyed once. Then the line is orthorectified over the tiles of the mosaic that it
+touches, so that no tile is cut again.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from hyperpaint.geometry.orthorectification.grids import Survey, covering, north
 from hyperpaint.geometry.orthorectification.indexing import needed_slabs
 from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, tile_windows
 
-_ON_GRID_CELLS = 1e-3  # largest offset between two grids that count as one
-_SAME_WAVELENGTH_NM = 1e-6
-_NEEDED = ("hits", "gap")  # variables of every map from `orthorectify`
+_MAX_GRID_OFFSET_CELLS = 1e-3  # largest offset between two grids that are taken as equal
+_WAVELENGTH_TOLERANCE_NM = 1e-6
+_MAP_VARIABLES = ("hits", "gap")  # variables of every map from `orthorectify`
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,17 @@ class Strip:
     name: str
     map: xr.Dataset  #: Variables (y, x[, band]), lazy, in chunks of the tiles of the mosaic
     corner: tuple[int, int]  #: Row and column of its first tile
-    touched: Array  #: (tile row, tile column) bool: whether the line shows any cell of a tile
+    touched: Array  #: (tile row, tile column) bool: whether the line covers any cell of a tile
 
     def covers(self, place: tuple[int, int]) -> bool:
-        """Return whether the map has a tile at a place in the mosaic."""
+        """Return whether the map has a tile at an index (row, column) of the mosaic."""
         return all(
             0 <= k - first < size
             for k, first, size in zip(place, self.corner, self.touched.shape, strict=True)
         )
 
     def reaches(self, place: tuple[int, int]) -> bool:
-        """Return whether the line may show a cell of a tile."""
+        """Return whether the line may cover a cell of a tile."""
         return self.covers(place) and bool(self.touched[place[0] - self.corner[0], place[1] - self.corner[1]])
 
     def recipe(self, names: Sequence[str], place: tuple[int, int]) -> Recipe:
@@ -71,8 +71,8 @@ class Recipe:
     """The tasks of one tile of one line, which run one after another within a task of the mosaic.
 
     As separate tasks they would be shared between neighbouring tiles, and dask would hold the slabs of all
-    lines of a row of tiles until the row is done: memory would grow with the number of lines. The price is
-    that a slab is computed again for every tile it reaches into.
+    lines of a row of tiles until the row is done: memory would grow with the number of lines. In exchange,
+    a slab is computed again for every tile that it touches.
     """
 
     graph: dict[Any, Any]
@@ -116,8 +116,8 @@ class SharedGrid:
     """The grid of a mosaic, and the part of it that each line covers."""
 
     grid: MapGrid
-    surveys: dict[str, Survey]  #: Of lines that are no maps yet
-    grids: dict[str, MapGrid]  #: Of every line: the cells it covers
+    surveys: dict[str, Survey]  #: Surveys of lines that are not maps yet
+    grids: dict[str, MapGrid]  #: Cells that every line covers
 
 
 def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Progress | None) -> SharedGrid:
@@ -131,15 +131,15 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     problems = Problems("these lines make no mosaic", SchemaError)
     crs = {name: _crs(line) for name, line in lines.items()}
     if len(set(crs.values())) > 1:
-        listed = ", ".join(f"{name}: {code}" for name, code in crs.items())
+        crs_list = ", ".join(f"{name}: {code}" for name, code in crs.items())
         problems.add(
-            f"lines on different maps ({listed})",
+            f"lines on different maps ({crs_list})",
             mend="give crs=",
             option="give --set crs=",
             code="crs-conflict",
         )
     surveys = {
-        name: survey_lines(*_places(line), north_axes(), progress)
+        name: survey_lines(*_positions(line), north_axes(), progress)
         for name, line in lines.items()
         if not is_map(line)
     }
@@ -150,19 +150,19 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     size = float(next((transform[1] for transform in transforms.values()), largest) if gsd is None else gsd)
     axes = north_axes()
     if transforms:
-        # maps of other programs begin anywhere, maps of hyperpaint at whole multiples of a cell
+        # maps of hyperpaint begin at multiples of the cell size, maps of other programs anywhere
         east, *_, north, _, _ = next(iter(transforms.values()))
-        phase = [way - size * round(way / size) for way in (east, north)]
-        if max(map(abs, phase)) > _ON_GRID_CELLS * size:
+        phase = [coordinate - size * round(coordinate / size) for coordinate in (east, north)]
+        if max(map(abs, phase)) > _MAX_GRID_OFFSET_CELLS * size:
             axes = type(axes)(axes.right, (phase[0], phase[1]))
     grids = {name: covering(axes, size, survey.box, whole=False) for name, survey in surveys.items()}
     for name, transform in transforms.items():
         col, row = (transform[0] - axes.anchor[0]) / size, -(transform[3] - axes.anchor[1]) / size
-        off = max(abs(col - round(col)), abs(row - round(row)), abs(transform[1] / size - 1.0) * 1e4)
-        if off > _ON_GRID_CELLS:
+        max_offset = max(abs(col - round(col)), abs(row - round(row)), abs(transform[1] / size - 1.0) * 1e4)
+        if max_offset > _MAX_GRID_OFFSET_CELLS:
             problems.add(
                 f"{name} has cells of {transform[1]:.9g} m from ({transform[0]:.9g}, {transform[3]:.9g})",
-                expected=f"cells of {size:.9g} m on the grid of the others",
+                expected=f"cells of {size:.9g} m on the grid of the other lines",
                 mend="orthorectify all lines with one gsd and grid='north', or give the lines",
                 code="grid-mismatch",
             )
@@ -194,39 +194,48 @@ def strips_of(
     for name, line in lines.items():
         # Tiles are counted from the anchor of the grid, like cells: the tiles of a line do not move when
         # another line joins the mosaic, so its rounding does not change either.
-        part = shared.grids[name]
-        row, col = (first // tile for first in part.first)
-        end_row, end_col = (-(-(k + count) // tile) for k, count in zip(part.first, part.shape, strict=True))
+        covered = shared.grids[name]
+        row, col = (first // tile for first in covered.first)
+        end_row, end_col = (
+            -(-(k + count) // tile) for k, count in zip(covered.first, covered.shape, strict=True)
+        )
         corner = row, col
         rows, cols = ([k * tile for k in range(*ends)] for ends in ((row, end_row + 1), (col, end_col + 1)))
         if is_map(line):
-            strips.append(_cut(name, line, part, (corner, rows, cols), variables))
+            strips.append(_cut_map(name, line, covered, (corner, rows, cols), variables))
             continue
-        own = replace(shared.grid, first=(rows[0], cols[0]), shape=(rows[-1] - rows[0], cols[-1] - cols[0]))
-        west, _, _, north, _, _ = own.transform
-        bounds = (west, north - own.shape[0] * own.gsd, west + own.shape[1] * own.gsd, north)
+        line_grid = replace(
+            shared.grid, first=(rows[0], cols[0]), shape=(rows[-1] - rows[0], cols[-1] - cols[0])
+        )
+        west, _, _, north, _, _ = line_grid.transform
+        bounds = (
+            west,
+            north - line_grid.shape[0] * line_grid.gsd,
+            west + line_grid.shape[1] * line_grid.gsd,
+            north,
+        )
         strip = orthorectify(
-            line, own.gsd, grid="north", variables=variables, tile=tile, bounds=bounds, **options
+            line, line_grid.gsd, grid="north", variables=variables, tile=tile, bounds=bounds, **options
         )
         survey = shared.surveys[name]
-        windows = tile_windows(own.shape, tile)
+        windows = tile_windows(line_grid.shape, tile)
         touched = np.zeros((len(windows), len(windows[0])), bool)
-        for place, slabs in needed_slabs(survey, own, [len(survey.boxes)], windows).items():
+        for place, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
             touched[place] = bool(slabs)
         strips.append(Strip(name, strip, corner, touched))
-    _check_alike(strips)
+    _check_equal_variables(strips)
     return strips
 
 
-def _cut(
+def _cut_map(
     name: str,
     line: xr.Dataset,
-    own: MapGrid,
+    map_grid: MapGrid,
     tiles: tuple[tuple[int, int], list[int], list[int]],
     variables: Iterable[str] | None,
 ) -> Strip:
-    # along the tiles of the mosaic, padded to whole tiles
-    missing = [needed for needed in _NEEDED if needed not in line.variables]
+    # Cut a map into the tiles of the mosaic, padded to complete tiles.
+    missing = [needed for needed in _MAP_VARIABLES if needed not in line.variables]
     if missing:
         raise SchemaError(
             f"the map {name} lacks {', '.join(missing)}",
@@ -234,25 +243,27 @@ def _cut(
             code="variable-missing",
         )
     corner, *edges = tiles
-    spans = zip(own.first, own.shape, edges, strict=True)
+    spans = zip(map_grid.first, map_grid.shape, edges, strict=True)
     pads = [(start - edge[0], edge[-1] - (start + count)) for start, count, edge in spans]
     sizes = [tuple(np.diff(edge).tolist()) for edge in edges]
-    names = list(line.data_vars) if variables is None else [*dict.fromkeys([*_NEEDED, *variables])]
+    names = list(line.data_vars) if variables is None else [*dict.fromkeys([*_MAP_VARIABLES, *variables])]
     cut = {}
-    for variable in (held for held in names if {"y", "x"} <= set(line[held].dims)):
+    for variable in (variable_name for variable_name in names if {"y", "x"} <= set(line[variable_name].dims)):
         array = line[variable].transpose("y", "x", ...)
         data = array.chunk(dict(zip(("y", "x"), map(max, sizes), strict=True))).data
         if any(map(any, pads)):
-            rest = [(0, 0)] * (data.ndim - 2)
-            data = da.pad(data, [*pads, *rest], constant_values=fill_of(str(variable), data.dtype))
+            other_pads = [(0, 0)] * (data.ndim - 2)
+            data = da.pad(data, [*pads, *other_pads], constant_values=fill_of(str(variable), data.dtype))
         data = data.rechunk((*sizes, *(-1,) * (data.ndim - 2)))
         cut[variable] = xr.DataArray(data, dims=array.dims, attrs=array.attrs)
-    of_bands = {key: line[key].variable for key in line.coords if line[key].dims == (BAND,)}
-    named = {
+    band_coordinates = {key: line[key].variable for key in line.coords if line[key].dims == (BAND,)}
+    axis_coordinates = {
         axis: (axis, np.zeros(sum(size)), line[axis].attrs)
         for axis, size in zip(("y", "x"), sizes, strict=True)
     }
-    strip = xr.Dataset(cut, coords={**of_bands, **named, **_reference(line)}, attrs=line.attrs)
+    strip = xr.Dataset(
+        cut, coords={**band_coordinates, **axis_coordinates, **_reference(line)}, attrs=line.attrs
+    )
     return Strip(name, strip, corner, np.ones([len(size) for size in sizes], bool))
 
 
@@ -261,39 +272,43 @@ def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
     return dtype.type(0) if name == "hits" else empty_value(name, dtype)
 
 
-def _check_alike(strips: Sequence[Strip]) -> None:
+def _check_equal_variables(strips: Sequence[Strip]) -> None:
     problems = Problems("these lines make no mosaic", SchemaError)
     first = strips[0]
     for strip in strips[1:]:
         for name in first.map.data_vars:
-            ours, theirs = first.map[name], strip.map.variables.get(name)
-            if theirs is None:
+            first_array, array = first.map[name], strip.map.variables.get(name)
+            if array is None:
                 problems.add(
                     f"{strip.name} has no {name}, which {first.name} has",
                     mend="give variables=",
                     code="variable-missing",
                 )
                 continue
-            for property_name, new, old in (
-                ("type", theirs.dtype, ours.dtype),
-                ("size", theirs.shape[2:], ours.shape[2:]),
-                ("units", theirs.attrs.get("units"), ours.attrs.get("units")),
+            for property_name, found, expected in (
+                ("type", array.dtype, first_array.dtype),
+                ("size", array.shape[2:], first_array.shape[2:]),
+                ("units", array.attrs.get("units"), first_array.attrs.get("units")),
             ):
-                if new != old:
+                if found != expected:
                     problems.add(
-                        f"{property_name} of {name} of {strip.name} {new}",
-                        expected=f"{old} of {first.name}",
+                        f"{property_name} of {name} of {strip.name} {found}",
+                        expected=f"{expected} of {first.name}",
                         code="variable-mismatch",
                     )
-        one, two = (np.asarray(s.map.coords.get("wavelength", ())) for s in (first, strip))
-        if one.shape != two.shape or not np.allclose(one, two, rtol=0, atol=_SAME_WAVELENGTH_NM):
+        first_wavelength, wavelength = (
+            np.asarray(s.map.coords.get("wavelength", ())) for s in (first, strip)
+        )
+        if first_wavelength.shape != wavelength.shape or not np.allclose(
+            first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM
+        ):
             problems.add(
                 f"wavelengths of {strip.name} differ from those of {first.name}", code="wavelength-mismatch"
             )
     problems.raise_if_any()
 
 
-def _places(line: xr.Dataset) -> tuple[da.Array, da.Array]:
+def _positions(line: xr.Dataset) -> tuple[da.Array, da.Array]:
     chunks = line["east"].variable.chunksizes.get(ALONG_TRACK)
     slabs = chunks or line_slabs(line.sizes[ALONG_TRACK], CHUNK_LINES)
     east, north = (line[axis].transpose(ALONG_TRACK, CROSS_TRACK) for axis in ("east", "north"))

@@ -20,7 +20,7 @@ from hyperpaint.geometry.orthorectification import orthorectify
 
 from .strips import is_map, located_lines, named_lines, shared_grid
 
-_PICTURED = ("counts", "radiance", "reflectance")
+_CUBE_NAMES = ("counts", "radiance", "reflectance")
 _FIELDS = ("glt_line", "glt_sample", "ground_height")
 
 
@@ -63,7 +63,7 @@ def find_tie_points(
     progress: Progress | None = None,
     **location: Any,
 ) -> xr.Dataset:
-    """Find places that two overlapping lines show, for `hyperpaint.geometry.solve_boresight` (eager).
+    """Find ground points that two overlapping lines show, for `hyperpaint.geometry.solve_boresight` (eager).
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def find_tie_points(
     gsd
         Edge of a cell in which pictures are compared [m]; by default twice the largest spacing of pixels.
     search_m
-        Largest distance on the map between the two positions of one place [m]; by default 16 cells. It should
+        Largest distance on the map between the two positions of a point [m]; by default 16 cells. It should
         be less than half the distance at which the ground repeats itself.
     band
         Number of the band to compare, of counts, else radiance, else reflectance; by default the middle one.
@@ -112,18 +112,18 @@ def find_tie_points(
     >>> ties.sizes["point"] > 30, float(abs(ties["shift"]).max()) < 0.01  # [m]
     (True, True)
     """
-    named = named_lines(lines)
-    if len(named) < 2 or any(map(is_map, named.values())):
+    lines_by_name = named_lines(lines)
+    if len(lines_by_name) < 2 or any(map(is_map, lines_by_name.values())):
         raise SchemaError(
             "tie points need two flight lines or more, in the geometry of the camera", code="line-number"
         )
-    named = located_lines(named, location)
+    lines_by_name = located_lines(lines_by_name, location)
     if gsd is None:
-        gsd = 2.0 * shared_grid(named, None, None).grid.gsd
-    shared = shared_grid(named, gsd, None)
-    pictures = {name: _picture(line, shared.grids[name], gsd, band) for name, line in named.items()}
+        gsd = 2.0 * shared_grid(lines_by_name, None, None).grid.gsd
+    shared = shared_grid(lines_by_name, gsd, None)
+    pictures = {name: _picture(line, shared.grids[name], gsd, band) for name, line in lines_by_name.items()}
     reach = 16 if search_m is None else max(1, round(search_m / gsd))
-    pairs = list(itertools.combinations(named, 2))
+    pairs = list(itertools.combinations(lines_by_name, 2))
     rows, names = [], []
     for count, (first, second) in enumerate(pairs, start=1):
         ties = _ties_of(pictures[first], pictures[second], reach, rules)
@@ -134,7 +134,7 @@ def find_tie_points(
     table = np.concatenate(rows)
     if not len(table):
         raise SchemaError(
-            f"no tie points between {', '.join(named)}",
+            f"no tie points between {', '.join(lines_by_name)}",
             expected=f"lines that overlap by more than {2 * rules.half_patch * gsd:.3g} m",
             mend="give a larger search_m=, another band= or gsd=",
             code="tie-points-missing",
@@ -154,12 +154,12 @@ def find_tie_points(
             "shift": (side, np.stack([shift_right, -shift_down], axis=-1) * gsd, {"units": "m"}),
             "quality": ("point", quality, {"units": "1", "long_name": "Correlation of the two pictures"}),
         },
-        attrs={"crs": next(iter(named.values()))["east"].attrs.get("crs"), "gsd": gsd},
+        attrs={"crs": next(iter(lines_by_name.values()))["east"].attrs.get("crs"), "gsd": gsd},
     )
 
 
 def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Picture:
-    cubes = [name for name in _PICTURED if name in line.variables and set(line[name].dims) == set(CUBE)]
+    cubes = [name for name in _CUBE_NAMES if name in line.variables and set(line[name].dims) == set(CUBE)]
     if not cubes or "ground_height" not in line.variables:
         raise SchemaError(
             "a line has no counts, radiance or reflectance, or no ground_height",
@@ -179,88 +179,95 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
     return _Picture(grid.first, orthomap["picture"].values.astype(np.float64), fields)
 
 
-def _ties_of(one: _Picture, other: _Picture, reach: int, rules: Rules) -> Floats:
-    # row, col, shift down and right, correlation, height and pixels of ties (tie, 10)
+def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rules: Rules) -> Floats:
+    # Return row, col, shift down and right, correlation, height and pixels of ties (tie, 10).
     half = rules.half_patch
-    first = np.maximum(one.corner, other.corner)
-    last = np.minimum(np.add(one.corner, one.image.shape), np.add(other.corner, other.image.shape))
-    if (last - first <= 2 * half).any():
+    low = np.maximum(first_picture.corner, second_picture.corner)
+    high = np.minimum(
+        np.add(first_picture.corner, first_picture.image.shape),
+        np.add(second_picture.corner, second_picture.image.shape),
+    )
+    if (high - low <= 2 * half).any():
         return np.empty((0, 10))
     centres = [
         (row, col)
-        for row in range(first[0] + half, last[0] - half, half)
-        for col in range(first[1] + half, last[1] - half, half)
+        for row in range(low[0] + half, high[0] - half, half)
+        for col in range(low[1] + half, high[1] - half, half)
     ]
-    textures = np.array([_texture(_window(one, place, half)) for place in centres])
+    textures = np.array([_texture(_window(first_picture, centre, half)) for centre in centres])
     order = np.argsort(-textures, kind="stable")[: rules.max_patches]
     ties = []
-    for place in (centres[k] for k in order if textures[k] > rules.min_texture):
-        shift, quality = _match(_window(one, place, half), _window(other, place, half + reach), rules)
+    for centre in (centres[k] for k in order if textures[k] > rules.min_texture):
+        shift, quality = _match(
+            _window(first_picture, centre, half), _window(second_picture, centre, half + reach), rules
+        )
         if quality < rules.min_correlation:
             continue
-        in_one = _at(one, np.array(place, float))
-        in_other = _at(other, np.array(place) + shift)
-        tie = [*place, *shift, quality, in_one[2], *in_one[:2], *in_other[:2]]
+        pixel_first = _fields_at(first_picture, np.array(centre, float))
+        pixel_second = _fields_at(second_picture, np.array(centre) + shift)
+        tie = [*centre, *shift, quality, pixel_first[2], *pixel_first[:2], *pixel_second[:2]]
         if np.isfinite(tie).all():
             ties.append(tie)
     table = np.array(ties, np.float64).reshape(-1, 10)
-    return table[_on_a_plane(table, rules)]
+    return table[_near_plane(table, rules)]
 
 
 def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
-    # NaN beyond the picture
+    # Return the part of the picture around a cell; NaN beyond the picture.
     out = np.full((2 * half + 1,) * 2, np.nan)
     low = [k - half - c for k, c in zip(place, picture.corner, strict=True)]
     begin = [max(k, 0) for k in low]
     end = [min(k + 2 * half + 1, size) for k, size in zip(low, picture.image.shape, strict=True)]
     if begin[0] < end[0] and begin[1] < end[1]:
-        inside = tuple(slice(b - k, e - k) for b, e, k in zip(begin, end, low, strict=True))
-        out[inside] = picture.image[begin[0] : end[0], begin[1] : end[1]]
+        covered = tuple(slice(b - k, e - k) for b, e, k in zip(begin, end, low, strict=True))
+        out[covered] = picture.image[begin[0] : end[0], begin[1] : end[1]]
     return out
 
 
 def _texture(patch: Floats) -> float:
-    # root of the lesser eigenvalue of the mean product of gradients, relative to the mean
+    # Return the root of the smaller eigenvalue of the mean product of gradients, relative to the mean.
     if np.isnan(patch).any() or not patch.mean() > 0.0:
         return 0.0
     down, right = np.gradient(patch / patch.mean())
-    across = float((down * right).mean())
-    matrix = np.array([[float((down**2).mean()), across], [across, float((right**2).mean())]])
+    mixed = float((down * right).mean())
+    matrix = np.array([[float((down**2).mean()), mixed], [mixed, float((right**2).mean())]])
     return float(np.sqrt(max(np.linalg.eigvalsh(matrix)[0], 0.0)))
 
 
 def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
-    # offset of a patch from the middle of a window (rows, columns), and its correlation
+    # Return the offset of a patch from the middle of a window (rows, columns), and its correlation.
     from scipy.ndimage import maximum_filter
     from scipy.signal import fftconvolve
 
-    none = np.zeros(2), 0.0
+    no_match = np.zeros(2), 0.0
     is_shown = np.isfinite(window)
     if is_shown.mean() < 0.25:
-        return none
-    size, middle = patch.size, float(window[is_shown].mean())
-    filled = np.where(is_shown, window - middle, 0.0)
+        return no_match
+    size, mean = patch.size, float(window[is_shown].mean())
+    filled = np.where(is_shown, window - mean, 0.0)
     weights = patch - patch.mean()
     box = np.ones(patch.shape)
-    sums, squares, counts = (fftconvolve(of, box, "valid") for of in (filled, filled**2, is_shown * 1.0))
-    spread = np.sqrt(np.maximum(squares - sums**2 / size, 1e-12 * middle**2)) * np.linalg.norm(weights)
+    sums, squares, counts = (
+        fftconvolve(values, box, "valid") for values in (filled, filled**2, is_shown * 1.0)
+    )
+    spread = np.sqrt(np.maximum(squares - sums**2 / size, 1e-12 * mean**2)) * np.linalg.norm(weights)
     score = fftconvolve(filled, weights[::-1, ::-1], "valid") / spread
     score[counts < size - 0.5] = -1.0  # only complete patches are compared
     peak = np.unravel_index(int(np.argmax(score)), score.shape)
     best, reach = float(score[peak]), score.shape[0] // 2
     if not all(0 < k < n - 1 for k, n in zip(peak, score.shape, strict=True)):
-        return none
-    near = score[peak[0] - 1 : peak[0] + 2, peak[1] - 1 : peak[1] + 2]
+        return no_match
+    neighbourhood = score[peak[0] - 1 : peak[0] + 2, peak[1] - 1 : peak[1] + 2]
     # the highest local maximum other than the peak
-    others = np.where(score == maximum_filter(score, 5), score, -1.0)
-    others[tuple(peak)] = -1.0
-    if near.min() <= -1.0 or float(others.max()) > rules.max_rival * best:
-        return none
-    return np.array(peak) - reach + _summit(near), best
+    rivals = np.where(score == maximum_filter(score, 5), score, -1.0)
+    rivals[tuple(peak)] = -1.0
+    if neighbourhood.min() <= -1.0 or float(rivals.max()) > rules.max_rival * best:
+        return no_match
+    return np.array(peak) - reach + _summit(neighbourhood), best
 
 
 def _summit(near: Floats) -> Floats:
-    # offset of the summit of the paraboloid through 3 x 3 values from their middle
+    # Return the offset of the maximum of the paraboloid through 3 x 3 values from the middle one.
     y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
     terms = np.stack([np.ones(9), y.ravel(), x.ravel(), y.ravel() ** 2, x.ravel() ** 2, (x * y).ravel()], 1)
     _, a, b, aa, bb, ab = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
@@ -271,31 +278,31 @@ def _summit(near: Floats) -> Floats:
     return np.asarray(np.clip(summit, -1.0, 1.0))
 
 
-def _at(picture: _Picture, place: Array) -> Floats:
-    # fields at a fractional row and column; NaN beyond the picture
-    at = place - picture.corner
-    low = np.floor(at).astype(int)
+def _fields_at(picture: _Picture, cell: Array) -> Floats:
+    # Interpolate the fields at a fractional row and column; NaN beyond the picture.
+    position = cell - picture.corner
+    low = np.floor(position).astype(int)
     if (low < 0).any() or (low + 1 >= picture.image.shape).any():
         return np.full(len(_FIELDS), np.nan)
-    (y, x), (row, col) = at - low, low
-    four = picture.fields[:, row : row + 2, col : col + 2]
+    (y, x), (row, col) = position - low, low
+    neighbours = picture.fields[:, row : row + 2, col : col + 2]
     weights = np.array([[(1 - y) * (1 - x), (1 - y) * x], [y * (1 - x), y * x]])
-    return np.asarray((four * weights).sum(axis=(1, 2)))
+    return np.asarray((neighbours * weights).sum(axis=(1, 2)))
 
 
-def _on_a_plane(table: Floats, rules: Rules) -> Bools:
-    # ties whose shifts lie on a plane through all shifts of the pair
-    good = np.ones(len(table), bool)
+def _near_plane(table: Floats, rules: Rules) -> Bools:
+    # Return which ties have shifts near a plane through all shifts of the pair.
+    is_near = np.ones(len(table), bool)
     if not len(table):
-        return good
+        return is_near
     terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)])
     for _ in range(10):
-        if good.sum() < 6:
-            return good
-        plane = np.linalg.lstsq(terms[good], table[good, 2:4], rcond=None)[0]
-        away = np.linalg.norm(table[:, 2:4] - terms @ plane, axis=1)
-        limit = rules.outlier_sd * max(float(np.median(away[good])) / 1.1774, 0.05)
-        if (good == (away < limit)).all():
-            return good
-        good = away < limit
-    return good
+        if is_near.sum() < 6:
+            return is_near
+        plane = np.linalg.lstsq(terms[is_near], table[is_near, 2:4], rcond=None)[0]
+        distance = np.linalg.norm(table[:, 2:4] - terms @ plane, axis=1)
+        limit = rules.outlier_sd * max(float(np.median(distance[is_near])) / 1.1774, 0.05)
+        if (is_near == (distance < limit)).all():
+            return is_near
+        is_near = distance < limit
+    return is_near

@@ -11,7 +11,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
-from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
+from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK
@@ -35,13 +35,13 @@ class Finding:
     field
         Field of the `hyperpaint.Convention`; or ``"positions"``, ``"clock"``.
     declared
-        What is declared.
+        Declared value.
     verdict
         ``"right"``, ``"wrong"``, or ``"undecided"``: neither the track nor the picture decides.
     likely
-        What it looks like instead; empty where it is right.
+        More likely value; empty where the declaration is right.
     evidence
-        Why, in figures.
+        Reason, with numbers.
     """
 
     field: str
@@ -58,11 +58,11 @@ class ConventionCheck:
     Attributes
     ----------
     findings
-        One for everything that is declared.
+        One finding per declaration.
     suggested
-        The convention declared, with what is wrong replaced where one alternative is left; it is not applied.
+        The declared convention, with wrong fields replaced where a single alternative remains; not applied.
     lines
-        First line looked at, and the one after the last.
+        First line of the check, and the line after the last.
     """
 
     findings: tuple[Finding, ...]
@@ -72,16 +72,16 @@ class ConventionCheck:
     @property
     def wrong(self) -> tuple[str, ...]:
         """Fields that look wrong."""
-        return tuple(one.field for one in self.findings if one.verdict == "wrong")
+        return tuple(finding.field for finding in self.findings if finding.verdict == "wrong")
 
     @property
     def undecided(self) -> tuple[str, ...]:
         """Fields that could not be decided."""
-        return tuple(one.field for one in self.findings if one.verdict == "undecided")
+        return tuple(finding.field for finding in self.findings if finding.verdict == "undecided")
 
     def __getitem__(self, field: str) -> Finding:
         """Return the finding on a field."""
-        return next(one for one in self.findings if one.field == field)
+        return next(finding for finding in self.findings if finding.field == field)
 
     def table(self) -> str:
         """Return the findings as text."""
@@ -101,10 +101,10 @@ class Rules:
     min_parts: int = 500  #: parts of rows that must be comparable
     #: Logarithm of the likelihood ratio beyond which a meaning is ruled out: 22,000 to 1.
     log_odds: float = 10.0
-    #: Ratio of heights above ground from which one is called wrong; what leans on the ground biases the fit.
+    #: Ratio of fitted and recorded height above which the record is wrong; leaning structures bias the fit.
     height_ratio: float = 1.4
-    clock_sd: float = 3.0  #: standard deviations from which a clock is off
-    #: How far, and how finely, another clock is looked for where another meaning seems better.
+    clock_sd: float = 3.0  #: standard deviations of a fitted offset above which the clock is wrong
+    #: Range and step of the search for another clock offset, where another convention fits better.
     clock_search_s: float = 1.0
     clock_step_s: float = 0.02
 
@@ -129,10 +129,10 @@ def check_conventions(
 ) -> ConventionCheck:
     """Test the declared convention of a navigation record against the track and the picture (eager).
 
-    A platform that rolls shifts the rows of a picture sideways, and one that pitches makes them more or less
-    alike; what positions and angles mean decides which shifts are to be expected. All combinations of signs,
+    Roll of the platform shifts the rows of a picture sideways, and pitch makes neighbouring rows more or less
+    alike; the convention of positions and angles determines the expected shifts. All combinations of signs,
     units, orders of rotation and of columns, and of latitude and longitude, are compared by how well they
-    explain the picture. Nothing is changed: what looks wrong is named, and so is what cannot be decided.
+    explain the picture. The data are not changed: wrong and undecided declarations are reported.
 
     Parameters
     ----------
@@ -141,17 +141,18 @@ def check_conventions(
     navigation
         See `hyperpaint.open_navigation`.
     convention
-        What is declared; by default what the attributes say.
+        Declared convention; by default that of the attributes.
     camera, boresight, lever_arm
-        See `hyperpaint.geometry.locate`; a boresight may be left out where it is about a degree or less: one
-        of several degrees, not given, leaves everything undecided.
+        See `hyperpaint.geometry.locate`; a boresight of about a degree or less may be omitted; without one
+        of several degrees everything is undecided.
     ground
-        Height of the ground above the ellipsoid, to some tenths of the height above it [m]; by default
+        Height of the ground above the ellipsoid, accurate to some tenths of the flight height [m]; by default
         that of a located line.
     image
         Picture (along_track, cross_track) to be used instead of a mean of bands.
     lines
-        Lines to look at; by default 4000 in the middle. They should hold the wobbliest part.
+        Lines to compare; by default 4000 in the middle. They should contain the part with the strongest
+        wobble.
     crs
 
     Returns
@@ -162,16 +163,16 @@ def check_conventions(
     Raises
     ------
     SchemaError
-        No convention, camera, ground, pose or picture; or no two lines whose motion is known of both.
+        No convention, camera, ground, pose or picture; or too few successive lines with poses and texture.
 
     Notes
     -----
-    What one line cannot decide: which north headings count from, since a heading that is off by a
-    constant looks like wind, or like structures that lean on the ground; ``"ZYX"`` from ``"ZXY"``, which
-    differ by the product of roll and pitch; a wrong stamp from a clock that is off by as much. Where the
+    A single line cannot decide which north headings count from, since a heading with a constant error
+    looks like wind, or like leaning structures on the ground; nor ``"ZYX"`` from ``"ZXY"``, which
+    differ by the product of roll and pitch; nor a wrong stamp from a clock offset of the same size. Where the
     platform does not wobble signs cannot be decided.
 
-    The shift between rows is `hyperpaint.geometry.navigation_checks.picture_motion`, what is to be expected
+    Shifts between rows: `hyperpaint.geometry.navigation_checks.picture_motion`; expected shifts:
     `hyperpaint.geometry.navigation_checks.pose_motion`.
 
     Examples
@@ -189,101 +190,117 @@ def check_conventions(
     )  # fmt: skip
     findings = _findings(setting)
     source = line if navigation is None else navigation
-    labelled, *others = {str(source[name].attrs.get("units")) for name in ANGLES}
-    is_labelled = not others and labelled != "None"
+    labelled, *other_units = {str(source[name].attrs.get("units")) for name in ANGLES}
+    is_labelled = not other_units and labelled != "None"
     if is_labelled and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
-        evidence = f"the variables are labelled {labelled!r}"
-        wrong = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
-        findings = [wrong if one.field == "angle_unit" else one for one in findings]
+        evidence = f"the variables have units {labelled!r}"
+        finding_of_units = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
+        findings = [finding_of_units if one.field == "angle_unit" else one for one in findings]
     first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
     return ConventionCheck(tuple(findings), _suggested(setting.declared, findings), (first, stop))
 
 
 def _findings(setting: Setting) -> list[Finding]:
     declared = Hypothesis(setting.declared)
-    given = _height(declared, setting)
-    if given <= 0.0:
-        # any height does for signs: one at which pixels are square, as flights are planned
-        setting = _at_height(setting, declared, _square(declared, setting))
-    scored, used = _scores(setting)
+    recorded_height = _median_height(declared, setting)
+    if recorded_height <= 0.0:
+        # signs can be tested at any height: use the height of square pixels, as flights are planned
+        setting = _at_height(setting, declared, _square_pixel_height(declared, setting))
+    scored, compared = _scores(setting)
     if not scored or scored[0].over_rest < RULES.log_odds:
         evidence = (
-            "the picture does not follow the attitude: no wobble, little to see, clocks far apart, or a "
-            "boresight of some degrees that was not given"
+            "the picture does not follow the attitude: no wobble, low contrast, a large clock offset, or a "
+            "boresight of some degrees that was not passed"
         )
-        silent = {**fields_of(declared), "height_reference": setting.declared.height_reference}
-        silent |= {"stamp_reference": str(setting.declared.stamp_reference)}
-        return [Finding(n, str(v), "undecided", "", evidence) for n, v in silent.items()] + [
-            _north(declared, setting)
+        declarations = {**fields_of(declared), "height_reference": setting.declared.height_reference}
+        declarations |= {"stamp_reference": str(setting.declared.stamp_reference)}
+        return [Finding(n, str(v), "undecided", "", evidence) for n, v in declarations.items()] + [
+            _north_finding(declared, setting)
         ]
-    best = _best(scored, declared)
+    best = _nearest_plausible(scored, declared)
     poses, view = best.poses(setting.recorded), best.view(setting.view)
-    fitted = fit_height(setting.seen, poses, view, used, setting.interval, _height(best, setting))
-    if given > 0.0 and _is_off(fitted, given):
+    fitted = fit_height(
+        setting.observed, poses, view, compared, setting.interval, _median_height(best, setting)
+    )
+    if recorded_height > 0.0 and _is_off(fitted, recorded_height):
         setting = _at_height(setting, best, fitted.value)
-        scored, used = _scores(setting)
-        best = _best(scored, declared)
-    findings = _senses(setting, scored, declared, used)
-    findings += [_north(best, setting), _heights(setting.declared.height_reference, given, fitted)]
-    return [*findings, _stamps(setting, best, used)]
+        scored, compared = _scores(setting)
+        best = _nearest_plausible(scored, declared)
+    findings = _sign_findings(setting, scored, declared, compared)
+    findings += [
+        _north_finding(best, setting),
+        _height_finding(setting.declared.height_reference, recorded_height, fitted),
+    ]
+    return [*findings, _stamp_finding(setting, best, compared)]
 
 
-# --- which meaning -----------------------------------------------------------------------------------------
+# --- convention -----------------------------------------------------------------------------------------
 
 
 def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
-    # all conventions by fit, and the compared parts of the picture
-    plain = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
-    used = setting.comparable(setting.view.motion(plain.poses(setting.recorded)))
-    if used.sum() < RULES.min_parts:
+    # Return all conventions ordered by fit, and which parts of the picture are compared.
+    plain_hypothesis = Hypothesis(setting.declared.replace(angle_unit="degree", column_order="left_to_right"))
+    compared = setting.comparable(setting.view.motion(plain_hypothesis.poses(setting.recorded)))
+    if compared.sum() < RULES.min_parts:
         raise SchemaError(
-            f"{int(used.sum())} parts of rows show a motion and have poses",
+            f"{int(compared.sum())} parts of rows show a motion and have poses",
             expected=f"{RULES.min_parts}",
             mend="check the times of line and record, and the contrast of the line",
             code="motion-not-seen",
         )
     scored = score(
-        setting.seen, setting.recorded, setting.view, Hypothesis(setting.declared),
-        columns_matter=setting.columns_matter, used=used, interval=setting.interval,
+        setting.observed, setting.recorded, setting.view, Hypothesis(setting.declared),
+        columns_matter=setting.columns_matter, compared=compared, interval=setting.interval,
     )  # fmt: skip
-    return scored, used
+    return scored, compared
 
 
-def _best(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
-    # among equal fits the one nearest to the declared one
-    own = fields_of(declared)
-    near = [one.hypothesis for one in scored if one.odds > -RULES.log_odds]
-    return min(near, key=lambda h: sum(own[n] != v for n, v in fields_of(h).items()))
+def _nearest_plausible(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
+    # Return, of the hypotheses that fit equally well, the nearest to the declared one.
+    declared_fields = fields_of(declared)
+    plausible = [one.hypothesis for one in scored if one.odds > -RULES.log_odds]
+    return min(plausible, key=lambda h: sum(declared_fields[n] != v for n, v in fields_of(h).items()))
 
 
-def _senses(setting: Setting, scored: list[Scored], declared: Hypothesis, used: Bools) -> list[Finding]:
-    near = [fields_of(one.hypothesis) for one in scored if one.odds > -RULES.log_odds]
-    late = "" if fields_of(declared) in near else _late(setting, declared, scored[0].hypothesis, used)
+def _sign_findings(
+    setting: Setting, scored: list[Scored], declared: Hypothesis, compared: Bools
+) -> list[Finding]:
+    plausible = [fields_of(one.hypothesis) for one in scored if one.odds > -RULES.log_odds]
+    clock_reason = (
+        ""
+        if fields_of(declared) in plausible
+        else _clock_alternative(setting, declared, scored[0].hypothesis, compared)
+    )
     findings = []
-    for name, own in fields_of(declared).items():
-        fits = [v for v in dict.fromkeys(fields[name] for fields in near) if v is not None]
-        others = [one.odds for one in scored if fields_of(one.hypothesis)[name] != own]
-        mine = [one.odds for one in scored if fields_of(one.hypothesis)[name] == own]
-        likely = " or ".join(v for v in fits if v != own)
+    for name, declared_value in fields_of(declared).items():
+        fitting_values = [v for v in dict.fromkeys(fields[name] for fields in plausible) if v is not None]
+        other_odds = [one.odds for one in scored if fields_of(one.hypothesis)[name] != declared_value]
+        own_odds = [one.odds for one in scored if fields_of(one.hypothesis)[name] == declared_value]
+        likely = " or ".join(v for v in fitting_values if v != declared_value)
         verdict: Verdict = "right"
-        if own in (None, "None"):
+        if declared_value in (None, "None"):
             verdict, evidence = "undecided", "not declared"
-        elif late:
-            verdict, evidence = "undecided", late
-        elif own not in fits:
-            verdict, evidence = "wrong", f"log odds {min(-max(mine, default=-9999.0), 9999.0):.0f} against it"
-        elif len(fits) > 1:
-            verdict, evidence = "undecided", f"{' and '.join(fits)} fit alike"
-        elif not others:
+        elif clock_reason:
+            verdict, evidence = "undecided", clock_reason
+        elif declared_value not in fitting_values:
+            verdict, evidence = (
+                "wrong",
+                f"log odds {min(-max(own_odds, default=-9999.0), 9999.0):.0f} against it",
+            )
+        elif len(fitting_values) > 1:
+            verdict, evidence = "undecided", f"{' and '.join(fitting_values)} fit alike"
+        elif not other_odds:
             verdict, evidence = "undecided", "not tested"
         else:
-            evidence = f"log odds {min(-max(others), 9999.0):.0f} for it"
-        findings.append(Finding(name, str(own), verdict, "" if verdict == "right" else likely, evidence))
+            evidence = f"log odds {min(-max(other_odds), 9999.0):.0f} for it"
+        findings.append(
+            Finding(name, str(declared_value), verdict, "" if verdict == "right" else likely, evidence)
+        )
     return findings
 
 
-def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools) -> str:
-    # why a clock offset explains the picture as well as another convention, or ""
+def _clock_alternative(setting: Setting, declared: Hypothesis, best: Hypothesis, compared: Bools) -> str:
+    # Return the reason if a clock offset explains the picture as well as another convention, else "".
     offsets = np.arange(
         -RULES.clock_search_s, RULES.clock_search_s + RULES.clock_step_s / 2, RULES.clock_step_s
     )
@@ -292,80 +309,87 @@ def _late(setting: Setting, declared: Hypothesis, best: Hypothesis, used: Bools)
         def poses(offset: float) -> Floats:
             return hypothesis.poses(setting.recorded, offset)
 
-        return costs_of(setting.seen, poses, hypothesis.view(setting.view), used, offsets)
+        return costs_of(setting.observed, poses, hypothesis.view(setting.view), compared, offsets)
 
-    own, other = curve(declared), curve(best)
-    if np.isnan(own).all() or np.nanmin(own) > np.nanmin(other):
+    own_costs, best_costs = curve(declared), curve(best)
+    if np.isnan(own_costs).all() or np.nanmin(own_costs) > np.nanmin(best_costs):
         return ""
-    offset = float(offsets[np.nanargmin(own)])
+    offset = float(offsets[np.nanargmin(own_costs)])
     if abs(offset) <= RULES.clock_step_s:
         return ""
     return (
-        f"clocks {offset:+.2f} s apart explain the picture as well; see "
+        f"a clock offset of {offset:+.2f} s explains the picture as well; see "
         "hyperpaint.geometry.estimate_clock_offset"
     )
 
 
-# --- what changes little by little -------------------------------------------------------------------------
+# --- height, stamps and north -------------------------------------------------------------------------
 
 
-def _height(hypothesis: Hypothesis, setting: Setting) -> float:
-    # median height above the ground [m]; NaN where no line has a pose
+def _median_height(hypothesis: Hypothesis, setting: Setting) -> float:
+    # Return the median height above the ground [m]; NaN if no line has a pose.
     heights = hypothesis.poses(setting.recorded)[2]
     finite = heights[np.isfinite(heights)]
     return float(np.median(finite)) - setting.view.ground if finite.size else float("nan")
 
 
 def _at_height(setting: Setting, hypothesis: Hypothesis, height: float) -> Setting:
-    ground = setting.view.ground + _height(hypothesis, setting) - height
+    ground = setting.view.ground + _median_height(hypothesis, setting) - height
     return replace(setting, view=replace(setting.view, ground=ground))
 
 
-def _square(hypothesis: Hypothesis, setting: Setting) -> float:
-    # height at which pixels are square [m]
+def _square_pixel_height(hypothesis: Hypothesis, setting: Setting) -> float:
+    # Return the height at which pixels are square [m].
     north, east = local_metres(*hypothesis.poses(setting.recorded)[:2])
-    way = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
-    return max(way / float(np.abs(setting.view.step).mean()), 1.0)
+    distance = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
+    return max(distance / float(np.abs(setting.view.step).mean()), 1.0)
 
 
-def _is_off(fitted: Refined, given: float) -> bool:
-    ratio = max(fitted.value / given, given / fitted.value)
+def _is_off(fitted: Refined, recorded: float) -> bool:
+    ratio = max(fitted.value / recorded, recorded / fitted.value)
     return fitted.odds > RULES.log_odds and np.isfinite(fitted.sd) and ratio > RULES.height_ratio
 
 
-def _heights(declared: str, given: float, fitted: Refined) -> Finding:
+def _height_finding(declared: str, recorded: float, fitted: Refined) -> Finding:
     other = "geoid" if declared == "ellipsoid" else "ellipsoid"
-    seen = f"{fitted.value:.0f} +- {fitted.sd:.0f} m above ground by the picture, {given:.0f} m by the record"
-    name = "height_reference"
-    if not given > 0.0:
-        return Finding(name, declared, "wrong", other, f"the camera would be {-given:.0f} m below the ground")
-    if _is_off(fitted, given):
-        return Finding(name, declared, "wrong", other, f"{seen}; or ground= is not that of the ellipsoid")
-    if fitted.sd * 4.0 < given:
-        return Finding(name, declared, "right", "", seen)
-    return Finding(name, declared, "undecided", "", seen)
-
-
-def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
-    # the part of the exposure that time stamps mark, by the fitted clock
-    fitted = fit_clock(
-        setting.seen, lambda offset: best.poses(setting.recorded, offset), best.view(setting.view), used
+    text = (
+        f"{fitted.value:.0f} +- {fitted.sd:.0f} m above ground by the picture, {recorded:.0f} m by the record"
     )
-    declared, half = setting.declared.stamp_reference, setting.exposure / 2
+    name = "height_reference"
+    if not recorded > 0.0:
+        return Finding(
+            name, declared, "wrong", other, f"the camera would be {-recorded:.0f} m below the ground"
+        )
+    if _is_off(fitted, recorded):
+        return Finding(name, declared, "wrong", other, f"{text}; or ground= is not that of the ellipsoid")
+    if fitted.sd * 4.0 < recorded:
+        return Finding(name, declared, "right", "", text)
+    return Finding(name, declared, "undecided", "", text)
+
+
+def _stamp_finding(setting: Setting, best: Hypothesis, compared: Bools) -> Finding:
+    # Check which part of the exposure time stamps mark, by the fitted clock offset.
+    fitted = fit_clock(
+        setting.observed,
+        lambda offset: best.poses(setting.recorded, offset),
+        best.view(setting.view),
+        compared,
+    )
+    declared, half_exposure = setting.declared.stamp_reference, setting.exposure / 2
     evidence = f"clock {1e3 * fitted.value:+.1f} +- {1e3 * fitted.sd:.1f} ms"
     name = "stamp_reference"
     if declared is None:
         return Finding(name, "None", "undecided", "", f"{evidence}; not declared")
     if not abs(fitted.value) > RULES.clock_sd * fitted.sd:
-        sharp = np.isfinite(half) and RULES.clock_sd * fitted.sd < half
-        return Finding(name, declared, "right" if sharp else "undecided", "", evidence)
+        is_precise = np.isfinite(half_exposure) and RULES.clock_sd * fitted.sd < half_exposure
+        return Finding(name, declared, "right" if is_precise else "undecided", "", evidence)
     shifts = {
-        other: 2.0 * half * (to - STAMP_TO_MID_EXPOSURES[declared])
-        for other, to in STAMP_TO_MID_EXPOSURES.items()
+        other: 2.0 * half_exposure * (mid_offset - MID_EXPOSURE_OFFSETS[declared])
+        for other, mid_offset in MID_EXPOSURE_OFFSETS.items()
     }
-    away = {other: abs(fitted.value - shift) for other, shift in shifts.items() if np.isfinite(shift)}
-    likely = min(away, key=lambda other: away[other]) if away else declared
-    if likely == declared or away[likely] > max(3.0 * fitted.sd, half / 2):
+    distances = {other: abs(fitted.value - shift) for other, shift in shifts.items() if np.isfinite(shift)}
+    likely = min(distances, key=lambda other: distances[other]) if distances else declared
+    if likely == declared or distances[likely] > max(3.0 * fitted.sd, half_exposure / 2):
         return Finding(
             "clock", "0 s", "wrong", f"{fitted.value:+.4f} s", f"{evidence}; add it as clock_offset_s"
         )
@@ -374,12 +398,12 @@ def _stamps(setting: Setting, best: Hypothesis, used: Bools) -> Finding:
     )
 
 
-def _north(hypothesis: Hypothesis, setting: Setting) -> Finding:
-    # the angle between heading and course alone decides no reference of north
+def _north_finding(hypothesis: Hypothesis, setting: Setting) -> Finding:
+    # Report the angle between heading and course, which alone cannot decide the reference of north.
     poses = hypothesis.poses(setting.recorded)
     has_heading = np.isfinite(poses[5])
-    turned = np.exp(1j * np.radians(poses[5][has_heading] - course_of(poses)))
-    crab = float(np.degrees(np.angle(turned.mean()))) if has_heading.any() else float("nan")
+    direction = np.exp(1j * np.radians(poses[5][has_heading] - course_of(poses)))
+    crab = float(np.degrees(np.angle(direction.mean()))) if has_heading.any() else float("nan")
     evidence = f"heading {crab:+.1f} degrees from the course: wind, boresight and declination look alike"
     return Finding("heading_reference", setting.declared.heading_reference, "undecided", "", evidence)
 

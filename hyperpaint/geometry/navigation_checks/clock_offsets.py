@@ -1,8 +1,8 @@
 """Clock offset between a camera and a navigation record, or an irradiance spectrometer.
 
-The clock of the irradiance spectrometer follows from clouds that both instruments see. Lines brighten and
-darken with what they show much more than with the light. But from one line to the next most pixels show
-nearly what they showed before, so that the median over columns of the change is that of the light.
+The offset of the irradiance spectrometer's clock follows from clouds that both instruments see. Brightness of
+lines varies much more with the ground than with the light. But from one line to the next most pixels show
+nearly the same ground, so that the median change over columns is the change of the light.
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ from .pose_motion import setting_of
 class AttitudeRules:
     """Thresholds for an offset between attitude and picture; set on simulated flights."""
 
-    search_step_s: float = 0.01  #: of the first search; platforms turn at some hertz at most
-    #: What is left at the best offset, over what is left where the platform is taken to be at rest.
-    max_left: float = 0.97
-    #: What shifts may be of those expected, or these of them, for the two to be the same motion.
+    search_step_s: float = 0.01  #: step of the first search; platforms rotate at a few hertz at most
+    #: Largest misfit at the best offset, relative to the misfit of a platform without rotation.
+    max_misfit: float = 0.97
+    #: Smallest ratio of measured to expected shifts, and of expected to measured shifts, for one motion.
     min_amplitude: float = 0.75
-    rival_gain: float = 0.3  #: part of the gain by which another offset must fall behind the best
-    rival_distance_s: float = 0.15  #: from which another offset is a rival
+    rival_gain: float = 0.3  #: share of the best offset's gain that a rival offset must lack
+    rival_distance_s: float = 0.15  #: distance from the best offset beyond which an offset is a rival
 
 
 @dataclass(frozen=True)
 class LightRules:
     """Thresholds for an offset between irradiance and brightness of lines; set on simulated flights."""
 
-    wavelengths_nm: tuple[float, float] = (500.0, 850.0)  #: what pictures are of, too
-    min_change: float = 0.02  #: relative change of the light over the line, for clocks to be compared
-    bins_an_interval: float = 2.0  #: of the irradiance record
+    wavelengths_nm: tuple[float, float] = (500.0, 850.0)  #: as for pictures
+    min_change: float = 0.02  #: minimum relative change of the light over the line
+    bins_an_interval: float = 2.0  #: time bins per interval of the irradiance record
     min_bins: int = 12
     offset_steps: int = 400
-    blocks: int = 12  #: of lines that are left out in turn, for the uncertainty
-    min_log_odds: float = 10.0  #: over no change of the light at all
-    #: Standard deviations, and seconds, from which an offset that fits nearly as well is another one.
+    blocks: int = 12  #: blocks of lines that the jackknife leaves out in turn
+    min_log_odds: float = 10.0  #: minimum log odds over constant light
+    #: Distance beyond which an offset that fits nearly as well is a rival: standard deviations, and seconds.
     rival_sd: float = 5.0
     rival_distance_s: float = 0.5
 
@@ -75,10 +75,10 @@ class ClockOffset:
     method
         ``"attitude"`` or ``"irradiance"``.
     evidence
-        Why it is believed, in figures.
+        Reason, with numbers.
     curve
-        ``misfit`` (offset): what is left unexplained at the offsets tried, over what is left with none of the
-        signal at all.
+        ``misfit`` (offset): root mean square residual at the tested offsets, relative to that without
+        any signal.
     """
 
     offset_s: float
@@ -121,26 +121,26 @@ def estimate_clock_offset(
         Record (irradiance_time, irradiance_wavelength) whose level is compared with the brightness of lines;
         either this or ``navigation``.
     max_offset_s
-        How far to look to either side [s].
+        Largest tested offset to either side [s].
     max_uncertainty_s
         Uncertainty beyond which an offset is refused [s]; by default 0.05 from navigation, 1 from irradiance.
     convention, camera, ground, boresight, lever_arm, crs
         See `hyperpaint.geometry.locate`; for navigation alone.
     image, lines
-        See `hyperpaint.geometry.check_conventions`; for irradiance all lines are looked at by default.
+        See `hyperpaint.geometry.check_conventions`; for irradiance, all lines are used by default.
 
     Returns
     -------
     ClockOffset
-        The offset, its uncertainty, the evidence and the curve it is the minimum of.
+        The offset, its uncertainty, the evidence, and the curve whose minimum it is.
 
     Raises
     ------
     TimeError
-        There is no certain offset: the light is flat, the platform does not move, the picture does not
-        follow, several offsets fit alike, or the best is at the end of those tried. The reason is given.
+        The offset is undetermined: the light is constant, the platform does not move, the picture does not
+        follow, several offsets fit equally well, or the best is at the limit of the search.
     SchemaError
-        Neither or both records; what is needed is missing.
+        Neither or both records; a variable is missing.
 
     Examples
     --------
@@ -179,65 +179,74 @@ def estimate_clock_offset(
         line, navigation, convention=convention, camera=camera, ground=ground, boresight=boresight,
         lever_arm=lever_arm, image=image, lines=lines, crs=crs,
     )  # fmt: skip
-    meant = Hypothesis(setting.declared)
-    view = meant.view(setting.view)
+    expected = Hypothesis(setting.declared)
+    view = expected.view(setting.view)
 
     def poses(offset: float) -> Floats:
-        return meant.poses(setting.recorded, offset)
+        return expected.poses(setting.recorded, offset)
 
-    steady = np.broadcast_to(setting.steady[:, None], setting.seen.shift.shape)
-    used = steady & np.isfinite(setting.seen.shift)
-    if not used.any():
+    is_steady = np.broadcast_to(setting.is_steady[:, None], setting.observed.shift.shape)
+    compared = is_steady & np.isfinite(setting.observed.shift)
+    if not compared.any():
         _refuse("no two lines in a row show a motion", "motion-not-seen")
     offsets = np.arange(-max_offset_s, max_offset_s + ATTITUDE.search_step_s / 2, ATTITUDE.search_step_s)
-    costs = costs_of(setting.seen, poses, view, used, offsets)
+    costs = costs_of(setting.observed, poses, view, compared, offsets)
     if np.isnan(costs).all():
         _refuse("the record has no poses at the times of the lines; look at dates and zones", "pose-missing")
-    near = poses(float(offsets[np.nanargmin(costs)]))
-    still = float(costs_of(setting.seen, lambda _: _at_rest(near), view, used, np.zeros(1))[0])
-    misfit = costs / still
+    poses_at_lowest = poses(float(offsets[np.nanargmin(costs)]))
+    cost_at_rest = float(
+        costs_of(setting.observed, lambda _: _without_rotation(poses_at_lowest), view, compared, np.zeros(1))[
+            0
+        ]
+    )
+    misfit = costs / cost_at_rest
     best = int(np.nanargmin(misfit))
     gain = 1.0 - float(misfit[best])
-    if not gain > 1.0 - ATTITUDE.max_left:
+    if not gain > 1.0 - ATTITUDE.max_misfit:
         _refuse(
-            f"attitude explains {100 * max(gain, 0):.1f} % of the shifts; the platform hardly turned",
+            f"attitude explains {100 * max(gain, 0):.1f} % of the shifts; the platform hardly rotates",
             "motion-too-small",
         )
     if best in (0, offsets.size - 1):
         _refuse(
-            f"the best offset, {offsets[best]:+.2f} s, is the last that was tried; look farther",
+            f"the best offset, {offsets[best]:+.2f} s, is at the limit of the search; raise max_offset_s",
             "offset-at-limit",
         )
-    away = np.abs(offsets - offsets[best]) > ATTITUDE.rival_distance_s
-    rival = 1.0 - float(np.nanmin(np.where(away, misfit, np.inf)))
-    if rival > (1.0 - ATTITUDE.rival_gain) * gain:
-        other = float(offsets[np.nanargmin(np.where(away, misfit, np.inf))])
-        _refuse(f"{other:+.2f} s fits nearly as well as {offsets[best]:+.2f} s", "offset-ambiguous")
-    there = poses(float(offsets[best]))
-    size = amplitude(setting.seen, view.motion(there).shift, view.motion(_at_rest(there)).shift, used)
-    if not ATTITUDE.min_amplitude < size < 1.0 / ATTITUDE.min_amplitude:
+    is_rival = np.abs(offsets - offsets[best]) > ATTITUDE.rival_distance_s
+    rival_gain = 1.0 - float(np.nanmin(np.where(is_rival, misfit, np.inf)))
+    if rival_gain > (1.0 - ATTITUDE.rival_gain) * gain:
+        rival_offset = float(offsets[np.nanargmin(np.where(is_rival, misfit, np.inf))])
+        _refuse(f"{rival_offset:+.2f} s fits nearly as well as {offsets[best]:+.2f} s", "offset-ambiguous")
+    poses_at_best = poses(float(offsets[best]))
+    ratio = amplitude(
+        setting.observed,
+        view.motion(poses_at_best).shift,
+        view.motion(_without_rotation(poses_at_best)).shift,
+        compared,
+    )
+    if not ATTITUDE.min_amplitude < ratio < 1.0 / ATTITUDE.min_amplitude:
         _refuse(
-            f"at the best offset, {offsets[best]:+.2f} s, shifts are {size:.2f} of those expected; look "
+            f"at the best offset, {offsets[best]:+.2f} s, shifts are {ratio:.2f} of those expected; look "
             "farther, or at signs and units with hyperpaint.geometry.check_conventions",
             "motion-mismatch",
         )
-    fitted = fit_clock(setting.seen, poses, view, used, float(offsets[best]))
+    fitted = fit_clock(setting.observed, poses, view, compared, float(offsets[best]))
     limit = max_uncertainty_s or 0.05
     if not fitted.sd < limit:
         _refuse(
             f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, while {limit:g} s is asked for",
             "offset-uncertain",
         )
-    evidence = f"attitude explains {100 * gain:.0f} % of the shifts of {int(used.sum())} parts of rows"
+    evidence = f"attitude explains {100 * gain:.0f} % of the shifts of {int(compared.sum())} parts of rows"
     return ClockOffset(fitted.value, fitted.sd, "attitude", evidence, _curve(offsets, misfit))
 
 
-def _at_rest(poses: Floats) -> Floats:
-    # angles are replaced by their means
-    resting, has_pose = poses.copy(), np.isfinite(poses[3])
-    turned = np.exp(1j * np.radians(poses[3:, has_pose])).mean(axis=1)
-    resting[3:, has_pose] = np.degrees(np.angle(turned))[:, None]
-    return resting
+def _without_rotation(poses: Floats) -> Floats:
+    # Return the poses with every angle replaced by its mean.
+    at_rest, has_pose = poses.copy(), np.isfinite(poses[3])
+    mean_direction = np.exp(1j * np.radians(poses[3:, has_pose])).mean(axis=1)
+    at_rest[3:, has_pose] = np.degrees(np.angle(mean_direction))[:, None]
+    return at_rest
 
 
 def _refuse(reason: str, code: str) -> NoReturn:
@@ -254,7 +263,7 @@ def _curve(offsets: Floats, misfit: Floats) -> xr.DataArray:
     )
 
 
-# --- by clouds -----------------------------------------------------------------------------------------
+# --- irradiance -----------------------------------------------------------------------------------------
 
 
 _EPS = 1e-12
@@ -265,10 +274,10 @@ def _light_offset(
     irradiance: xr.Dataset,
     image: xr.DataArray | None,
     lines: slice | None,
-    most: float,
-    loosest: float,
+    max_offset_s: float,
+    max_uncertainty_s: float,
 ) -> ClockOffset:
-    # the offset at which the light and the brightness of lines change together
+    # Return the offset at which irradiance and brightness of lines change together.
     part = line if lines is None else line.isel({ALONG_TRACK: lines})
     part_image = image if image is None or lines is None else image.isel({ALONG_TRACK: lines})
     record = require(irradiance, [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "irradiance"], "a clock's offset")
@@ -276,55 +285,58 @@ def _light_offset(
     check_irradiance_times(ticks)
     time = require(part, ["time"], "a clock's offset")["time"].values.astype("datetime64[ns]")
     start = ticks[0]
-    samples, at = ((t - start).astype(np.int64) / 1e9 for t in (ticks, time))
-    level = np.log(np.maximum(_level(record), _EPS))
+    samples, seconds = ((t - start).astype(np.int64) / 1e9 for t in (ticks, time))
+    level = np.log(np.maximum(_mean_level(record), _EPS))
     is_finite = np.isfinite(level)
     samples, level = samples[is_finite], level[is_finite]
     if samples.size < 4:
         _refuse(f"the record has {samples.size} spectra", "record-too-short")
-    at, change = _changes(picture_of(part, part_image), at)
+    seconds, change = _changes(picture_of(part, part_image), seconds)
     width = float(np.median(np.diff(samples))) / LIGHT.bins_an_interval
-    edges = np.arange(at[0], at[-1], max(width, 3.0 * float(np.median(np.diff(at)))))
+    edges = np.arange(seconds[0], seconds[-1], max(width, 3.0 * float(np.median(np.diff(seconds)))))
     if edges.size <= LIGHT.min_bins:
         _refuse(
-            f"the line lasts {at[-1] - at[0]:.1f} s, expected {LIGHT.min_bins * width:.0f} s for this record",
+            f"the line lasts {seconds[-1] - seconds[0]:.1f} s, "
+            f"expected {LIGHT.min_bins * width:.0f} s for this record",
             "line-too-short",
         )
-    seen = np.diff(np.interp(edges, at, np.concatenate([[0.0], np.cumsum(change)])))
-    offsets = np.linspace(-most, most, LIGHT.offset_steps + 1)
-    meant = np.full((offsets.size, seen.size), np.nan)
+    observed = np.diff(np.interp(edges, seconds, np.concatenate([[0.0], np.cumsum(change)])))
+    offsets = np.linspace(-max_offset_s, max_offset_s, LIGHT.offset_steps + 1)
+    expected = np.full((offsets.size, observed.size), np.nan)
     for k, offset in enumerate(offsets):
         stamps = samples + offset
         if edges[0] >= stamps[0] and edges[-1] <= stamps[-1]:
-            meant[k] = np.diff(np.interp(edges, stamps, level))
-    covered = np.asarray(np.isfinite(meant).all(axis=1))
+            expected[k] = np.diff(np.interp(edges, stamps, level))
+    covered = np.asarray(np.isfinite(expected).all(axis=1))
     if not covered.any():
         _refuse(
             "the irradiance record does not cover the line, whatever the offset; look at dates and zones",
             "record-elsewhere",
         )
-    swing = float(np.ptp(np.cumsum(meant[covered], axis=1), axis=1).max())
+    swing = float(np.ptp(np.cumsum(expected[covered], axis=1), axis=1).max())
     if swing < LIGHT.min_change:
         _refuse(
             f"light changes by {100 * swing:.1f} % over the line, at least {100 * LIGHT.min_change:.0f} %",
             "light-constant",
         )
-    return _best(offsets, seen, meant, covered, loosest)
+    return _best_offset(offsets, observed, expected, covered, max_uncertainty_s)
 
 
-def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest: float) -> ClockOffset:
-    seen = seen - np.median(seen)
-    centred = meant - meant.mean(axis=1, keepdims=True)
-    scale = 1.4826 * min(float(np.median(np.abs(seen - m))) for m in centred[covered]) + _EPS
-    cost = np.full(meant.shape, np.nan)
-    cost[covered] = _clipped(seen - centred[covered], scale)
-    left, none = cost.mean(axis=1), float(_clipped(seen, scale).mean())
-    best = int(np.nanargmin(left))
-    residual = seen - centred[best]
-    follows = float((residual[1:] * residual[:-1]).sum() / max((residual**2).sum(), _EPS))
-    count = seen.size * (1.0 - max(follows, 0.0)) / (1.0 + max(follows, 0.0))
-    odds = 0.5 * count * np.log(left / left[best])
-    gain = 0.5 * count * np.log(none / left[best])
+def _best_offset(
+    offsets: Floats, observed: Floats, expected: Floats, covered: Bools, max_uncertainty_s: float
+) -> ClockOffset:
+    observed = observed - np.median(observed)
+    centred = expected - expected.mean(axis=1, keepdims=True)
+    scale = 1.4826 * min(float(np.median(np.abs(observed - m))) for m in centred[covered]) + _EPS
+    cost = np.full(expected.shape, np.nan)
+    cost[covered] = _clipped_squares(observed - centred[covered], scale)
+    misfit, misfit_constant = cost.mean(axis=1), float(_clipped_squares(observed, scale).mean())
+    best = int(np.nanargmin(misfit))
+    residual = observed - centred[best]
+    autocorrelation = float((residual[1:] * residual[:-1]).sum() / max((residual**2).sum(), _EPS))
+    count = observed.size * (1.0 - max(autocorrelation, 0.0)) / (1.0 + max(autocorrelation, 0.0))
+    odds = 0.5 * count * np.log(misfit / misfit[best])
+    gain = 0.5 * count * np.log(misfit_constant / misfit[best])
     if not gain > LIGHT.min_log_odds:
         _refuse(
             f"the brightness of lines does not follow the light (log odds {gain:.1f}, expected "
@@ -334,58 +346,64 @@ def _best(offsets: Floats, seen: Floats, meant: Floats, covered: Bools, loosest:
     rivals = covered & (odds < 2.0)
     if rivals[0] or rivals[-1] or (rivals[1:-1] & ~(covered[2:] & covered[:-2])).any():
         _refuse(
-            f"the best offset, {offsets[best]:+.2f} s, is at the end of those that the record allows",
+            f"the best offset, {offsets[best]:+.2f} s, is at the limit of the offsets that the record covers",
             "offset-at-limit",
         )
-    offset = _minimum(offsets, left)
-    blocks = np.array_split(np.arange(seen.size), LIGHT.blocks)
+    offset = _minimum(offsets, misfit)
+    blocks = np.array_split(np.arange(observed.size), LIGHT.blocks)
     without = np.array([_minimum(offsets, cost.sum(axis=1) - cost[:, b].sum(axis=1)) for b in blocks])
-    spread = np.sqrt((LIGHT.blocks - 1) / LIGHT.blocks * ((without - without.mean()) ** 2).sum())
-    near = offsets[odds < 0.5]  # where a curve is a parabola, one standard deviation to either side
-    sd = max(float(spread), float(np.ptp(near)) / 2.0, float(offsets[1] - offsets[0]) / 2.0)
-    away = rivals & (np.abs(offsets - offsets[best]) > max(LIGHT.rival_sd * sd, LIGHT.rival_distance_s))
-    if away.any():
+    jackknife_sd = np.sqrt((LIGHT.blocks - 1) / LIGHT.blocks * ((without - without.mean()) ** 2).sum())
+    near_best = offsets[odds < 0.5]  # within one standard deviation, for a parabolic curve
+    sd = max(float(jackknife_sd), float(np.ptp(near_best)) / 2.0, float(offsets[1] - offsets[0]) / 2.0)
+    distant_rivals = rivals & (
+        np.abs(offsets - offsets[best]) > max(LIGHT.rival_sd * sd, LIGHT.rival_distance_s)
+    )
+    if distant_rivals.any():
         _refuse(
-            f"{offsets[away][0]:+.2f} s fits nearly as well as {offsets[best]:+.2f} s", "offset-ambiguous"
+            f"{offsets[distant_rivals][0]:+.2f} s fits nearly as well as {offsets[best]:+.2f} s",
+            "offset-ambiguous",
         )
-    if sd > loosest:
-        _refuse(f"it is {offset:+.2f} +- {sd:.2f} s, while {loosest:g} s is asked for", "offset-uncertain")
-    share = 100.0 * (1.0 - left[best] / none)
+    if sd > max_uncertainty_s:
+        _refuse(
+            f"it is {offset:+.2f} +- {sd:.2f} s, while {max_uncertainty_s:g} s is asked for",
+            "offset-uncertain",
+        )
+    share = 100.0 * (1.0 - misfit[best] / misfit_constant)
     evidence = f"the light explains {share:.0f} % of the changes of brightness, log odds {gain:.0f}"
-    return ClockOffset(offset, sd, "irradiance", evidence, _curve(offsets, np.sqrt(left / none)))
+    return ClockOffset(offset, sd, "irradiance", evidence, _curve(offsets, np.sqrt(misfit / misfit_constant)))
 
 
 def _minimum(offsets: Floats, cost: Floats) -> float:
-    # parabola through the least cost and its neighbours
+    # Return the minimum of the parabola through the lowest cost and its neighbours.
     best = int(np.nanargmin(cost))
     if not 0 < best < offsets.size - 1 or not np.isfinite(cost[best - 1 : best + 2]).all():
         return float(offsets[best])
-    low, mid, high = cost[best - 1 : best + 2]
-    part = 0.5 * (low - high) / max(float(low + high - 2.0 * mid), _EPS)
-    return float(offsets[best] + np.clip(part, -1.0, 1.0) * (offsets[1] - offsets[0]))
+    low, middle, high = cost[best - 1 : best + 2]
+    fraction = 0.5 * (low - high) / max(float(low + high - 2.0 * middle), _EPS)
+    return float(offsets[best] + np.clip(fraction, -1.0, 1.0) * (offsets[1] - offsets[0]))
 
 
-def _clipped(values: Floats, scale: float) -> Floats:
-    # squares of outliers are held at four standard deviations
+def _clipped_squares(values: Floats, scale: float) -> Floats:
+    # Return squares, limited to those of four standard deviations.
     return np.asarray(np.minimum(values**2, (4.0 * scale) ** 2))
 
 
-def _level(irradiance: Mapping[str, xr.DataArray]) -> Floats:
-    # (irradiance_time,), any scale
+def _mean_level(irradiance: Mapping[str, xr.DataArray]) -> Floats:
+    # Return the mean irradiance of every sample (irradiance_time,), any scale.
     wavelength = irradiance[IRRADIANCE_WAVELENGTH].values
-    inside = (wavelength >= LIGHT.wavelengths_nm[0]) & (wavelength <= LIGHT.wavelengths_nm[1])
-    chosen = np.flatnonzero(inside) if inside.any() else np.arange(wavelength.size)
+    is_inside = (wavelength >= LIGHT.wavelengths_nm[0]) & (wavelength <= LIGHT.wavelengths_nm[1])
+    chosen = np.flatnonzero(is_inside) if is_inside.any() else np.arange(wavelength.size)
     spectra = irradiance["irradiance"].transpose(IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH).values
     return np.asarray(spectra[:, chosen].mean(axis=1), np.float64)
 
 
-def _changes(picture: Floats32, at: Floats) -> tuple[Floats, Floats]:
-    # times of lines that have one, and the logarithm of the light's change to the next
-    good = np.isfinite(at) & (np.abs(at) < 1e9)
-    order = np.flatnonzero(good)[np.argsort(at[good], kind="stable")]
+def _changes(picture: Floats32, seconds: Floats) -> tuple[Floats, Floats]:
+    # Return the times of lines, and the log change of the light from each line to the next.
+    is_valid = np.isfinite(seconds) & (np.abs(seconds) < 1e9)
+    order = np.flatnonzero(is_valid)[np.argsort(seconds[is_valid], kind="stable")]
     values = picture[order].astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         steps = np.diff(np.log(np.where(values > 0, values, np.nan)), axis=0)
-    empty = ~np.isfinite(steps).any(axis=1)
-    steps[empty] = 0.0
-    return at[order], np.asarray(np.nanmedian(steps, axis=1))
+    is_empty = ~np.isfinite(steps).any(axis=1)
+    steps[is_empty] = 0.0
+    return seconds[order], np.asarray(np.nanmedian(steps, axis=1))

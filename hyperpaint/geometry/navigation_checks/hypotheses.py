@@ -12,7 +12,7 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 
-from .motion_fit import RULES, Residuals, inflation, residuals, robust_scale
+from .motion_fit import RULES, Residuals, correlation_factor, residuals, robust_scale
 from .picture_motion import RowMotion
 from .pose_motion import Motion, Recorded, View
 
@@ -30,7 +30,7 @@ _SENSES = {
     "column_order": ("left_to_right", "right_to_left"),
 }
 _MAX_LATITUDE_DEG = 90.0
-#: Logarithm of the odds against any one declaration being wrong.
+#: Prior logarithm of the odds that a declaration is right.
 _LOG_ODDS_AGAINST = 6.0
 
 
@@ -38,8 +38,8 @@ _LOG_ODDS_AGAINST = 6.0
 class Hypothesis:
     """One possible convention of a record."""
 
-    convention: Convention  #: What angles mean, and the order of columns
-    positions: Positions = "as declared"  #: What latitude and longitude are
+    convention: Convention  #: Meaning of angles, and order of columns
+    positions: Positions = "as declared"  #: Meaning of latitude and longitude
 
     def poses(self, recorded: Recorded, clock_offset_s: float = 0.0) -> Floats:
         """Return canonical poses (6, line)."""
@@ -61,9 +61,9 @@ class Hypothesis:
 class Scored:
     """A hypothesis and its fit."""
 
-    hypothesis: Hypothesis  #: What is supposed
-    odds: float  #: Logarithm of its probability over that of the most probable; 0 for that
-    #: The same over the likelihood of a platform that does not turn at all, from shifts alone
+    hypothesis: Hypothesis  #: Supposed convention
+    odds: float  #: Logarithm of its probability relative to the most probable hypothesis, whose odds are 0
+    #: Logarithm of the likelihood relative to a platform without rotation, from shifts alone
     over_rest: float
 
 
@@ -74,79 +74,95 @@ def fields_of(hypothesis: Hypothesis) -> dict[str, str]:
 
 
 def hypotheses_of(declared: Convention, *, columns_matter: bool) -> Iterator[Hypothesis]:
-    """Return all meanings, the declared one first."""
+    """Return all possible conventions, the declared one first."""
     senses = dict(_SENSES)
     if not columns_matter:
         senses["column_order"] = (str(declared.column_order),)
     options = []
     for name, choices in senses.items():
-        own = getattr(declared, name)
-        options.append((own, *(choice for choice in choices if choice != own)) if own in choices else choices)
+        declared_choice = getattr(declared, name)
+        options.append(
+            (declared_choice, *(choice for choice in choices if choice != declared_choice))
+            if declared_choice in choices
+            else choices
+        )
     for positions in POSITIONS:
-        for chosen in itertools.product(*options):
-            meanings: dict[str, Any] = dict(zip(senses, chosen, strict=True))
+        for choice_tuple in itertools.product(*options):
+            meanings: dict[str, Any] = dict(zip(senses, choice_tuple, strict=True))
             yield Hypothesis(replace(declared, **meanings), positions)
 
 
 def score(
-    seen: RowMotion,
+    observed: RowMotion,
     recorded: Recorded,
     view: View,
     declared: Hypothesis,
     *,
     columns_matter: bool,
-    used: Bools,
+    compared: Bools,
     interval: float,
 ) -> list[Scored]:
     """Return hypotheses, the most probable first; those from which the ground is not seen are left out.
 
     Notes
     -----
-    A picture does not separate a world from its mirror image, in which roll, heading, the order of columns
-    and longitudes are all of the other sign. Every declaration is taken as wrong with odds of 1 to 400 only.
+    A picture cannot distinguish a scene from its mirror image, in which roll, heading, the order of columns
+    and longitude have opposite signs. The prior odds that a declaration is wrong are therefore 1 to 400.
 
-    Residuals are taken as normal, those beyond `RULES.clip_sd` standard deviations as outliers, and as fewer
-    than they are by what those of the best resemble their neighbours; see `motion_fit`.
+    Residuals are assumed normal, with outliers beyond `RULES.clip_sd` standard deviations; their number is
+    reduced by the correlation of the best hypothesis' residuals with their neighbours; see `motion_fit`.
     """
     explained: list[tuple[Hypothesis, Residuals]] = []
-    poses: dict[Any, Floats] = {}
-    meant: Motion | None = None
+    poses_by_convention: dict[Any, Floats] = {}
+    expected: Motion | None = None
     for hypothesis in hypotheses_of(declared.convention, columns_matter=columns_matter):
         key = (hypothesis.convention.replace(column_order=None), hypothesis.positions)
-        if key not in poses:
-            poses[key] = hypothesis.poses(recorded)
-        canonical = poses[key]
+        if key not in poses_by_convention:
+            poses_by_convention[key] = hypothesis.poses(recorded)
+        canonical = poses_by_convention[key]
         if not np.isfinite(canonical[0]).any() or np.nanmax(np.abs(canonical[0])) >= _MAX_LATITUDE_DEG:
             continue
         motion = hypothesis.view(view).motion(canonical)
-        if not (np.isfinite(motion.shift) | ~used).all():
+        if not (np.isfinite(motion.shift) | ~compared).all():
             continue
-        meant = motion
-        explained.append((hypothesis, residuals(seen, meant, used, interval)))
-    if meant is None:
+        expected = motion
+        explained.append((hypothesis, residuals(observed, expected, compared, interval)))
+    if expected is None:
         return []
-    # the same way over ground, at rest in all else
-    rest = Motion(*(np.zeros_like(seen.shift) + np.median(part[used]) for part in (seen.shift, meant.travel)))
-    shift = _costs(
-        [left.shift for _, left in explained] + [residuals(seen, rest, used, interval).shift], used
+    # the same travel over ground, without rotation
+    no_rotation = Motion(
+        *(
+            np.zeros_like(observed.shift) + np.median(part[compared])
+            for part in (observed.shift, expected.travel)
+        )
     )
-    total = shift[:-1] + _costs([left.unlikeness for _, left in explained], used)
-    own = fields_of(declared)
-    total += _LOG_ODDS_AGAINST * np.array(
-        [sum(own[n] != v for n, v in fields_of(h).items()) for h, _ in explained]
+    shift_costs = _costs(
+        [left.shift for _, left in explained] + [residuals(observed, no_rotation, compared, interval).shift],
+        compared,
+    )
+    costs = shift_costs[:-1] + _costs([left.unlikeness for _, left in explained], compared)
+    declared_fields = fields_of(declared)
+    costs += _LOG_ODDS_AGAINST * np.array(
+        [sum(declared_fields[n] != v for n, v in fields_of(h).items()) for h, _ in explained]
     )
     scored = [
-        Scored(h, float(total.min() - cost), float(shift[-1] - own))
-        for (h, _), cost, own in zip(explained, total, shift, strict=False)
+        Scored(h, float(costs.min() - cost), float(shift_costs[-1] - declared_fields))
+        for (h, _), cost, declared_fields in zip(explained, costs, shift_costs, strict=False)
     ]
     return sorted(scored, key=lambda one: -one.odds)
 
 
-def _costs(left: list[Floats], used: Bools) -> Floats:
-    # negative logarithms of likelihoods up to a constant
-    scales = [robust_scale(one[used]) for one in left]
+def _costs(residuals_of: list[Floats], compared: Bools) -> Floats:
+    # Return negative logarithms of likelihoods, up to a constant.
+    scales = [robust_scale(residual[compared]) for residual in residuals_of]
     best = int(np.argmin(scales))
-    scale, fewer = scales[best], inflation(left[best])
+    scale, fewer = scales[best], correlation_factor(residuals_of[best])
     return (
-        np.array([0.5 * np.minimum((one[used] / scale) ** 2, RULES.clip_sd**2).sum() for one in left]) / fewer
+        np.array(
+            [
+                0.5 * np.minimum((residual[compared] / scale) ** 2, RULES.clip_sd**2).sum()
+                for residual in residuals_of
+            ]
+        )
+        / fewer
     )

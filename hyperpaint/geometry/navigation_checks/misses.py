@@ -11,7 +11,7 @@ from hyperpaint.base.arrays import Bools, Floats
 from .sightings import Sightings
 
 PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
-#: Over which misses are differenced.
+#: Parameter steps of the numerical derivatives of misses.
 STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
 
 
@@ -20,10 +20,10 @@ class Misses:
     """Residuals of all points as a function of the free parameters."""
 
     sights: list[Sightings]
-    start: Floats  #: all five parameters where the solution begins
-    free: list[int]  #: positions in `PARAMETERS` of those that are solved for
+    start: Floats  #: start values of all five parameters
+    free: list[int]  #: positions in `PARAMETERS` of the solved parameters
     count: int
-    white: list[Floats]  #: turns the misses of each sighting into pixels of picking
+    white: list[Floats]  #: matrices that convert the misses of each sighting to pixels of picking
 
     def parameters(self, free: Floats) -> Floats:
         """Return all five parameters."""
@@ -33,19 +33,19 @@ class Misses:
 
     def misses(self, free: Floats) -> Floats:
         """Return misses of all points (point, 2) [pixel of picking]."""
-        at, misses = self.parameters(free), np.zeros((self.count, 2))
+        parameters, misses = self.parameters(free), np.zeros((self.count, 2))
         for sight, white in zip(self.sights, self.white, strict=True):
-            misses[sight.index] = np.einsum("nij,nj->ni", white, sight.misses(at))
+            misses[sight.index] = np.einsum("nij,nj->ni", white, sight.misses(parameters))
         return misses
 
     def distances(self, free: Floats) -> Floats:
-        """Return how far points miss (point,) [pixel of picking]."""
+        """Return the length of the misses (point,) [pixel of picking]."""
         return np.asarray(np.linalg.norm(self.misses(free), axis=1))
 
     def whitened(self, free: Floats) -> Misses:
-        """Return the same with the motion of points in the picture as it is with these parameters."""
-        at = self.parameters(free)
-        return replace(self, white=[sight.whitening(at) for sight in self.sights])
+        """Return the misses with whitening computed at these parameters."""
+        parameters = self.parameters(free)
+        return replace(self, white=[sight.whitening(parameters) for sight in self.sights])
 
     def slopes(self, free: Floats, used: Bools) -> Floats:
         """Return derivatives of the misses of points that are used (2 point, parameter)."""
@@ -58,29 +58,29 @@ class Misses:
         return np.stack(columns, axis=1)
 
     def lengths(self, free: Floats, used: Bools) -> Floats:
-        """Return how far a unit of each parameter moves points whose places are given (parameter,)."""
-        plain = Misses(self.sights, self.start, self.free, self.count, self.white)
-        return np.asarray(np.linalg.norm(plain.slopes(free, used), axis=0))
+        """Return the length of the misses per unit of a parameter, for fixed ground points (parameter,)."""
+        fixed_points = Misses(self.sights, self.start, self.free, self.count, self.white)
+        return np.asarray(np.linalg.norm(fixed_points.slopes(free, used), axis=0))
 
 
 @dataclass(frozen=True)
 class TieMisses(Misses):
-    """Misses of tie points: the first half of them as one line sees them, the other as another does."""
+    """Misses of tie points: the first half seen by one line of a pair, the second half by the other."""
 
-    height: Floats  #: (point,): of the ground above the ellipsoid [m]
+    height: Floats  #: (point,): height of the ground above the ellipsoid [m]
 
     def misses(self, free: Floats) -> Floats:
-        """Return misses of all points (point, 2) from the mean of where the two lines see them."""
-        at, misses = self.parameters(free), np.zeros((self.count, 2))
-        places = np.zeros((self.count, 3))
+        """Return misses (point, 2) from the mean ground position of the two lines."""
+        parameters, misses = self.parameters(free), np.zeros((self.count, 2))
+        positions = np.zeros((self.count, 3))
         for sight in self.sights:
-            places[sight.index] = sight.hits(at, self.height)
-        middle = np.tile(places.reshape(2, -1, 3).mean(axis=0), (2, 1))
+            positions[sight.index] = sight.hits(parameters, self.height)
+        mean_positions = np.tile(positions.reshape(2, -1, 3).mean(axis=0), (2, 1))
         for sight, white in zip(self.sights, self.white, strict=True):
-            away = replace(sight, ground=middle[sight.index]).misses(at)
-            misses[sight.index] = np.einsum("nij,nj->ni", white, away)
+            misses_of_sight = replace(sight, ground=mean_positions[sight.index]).misses(parameters)
+            misses[sight.index] = np.einsum("nij,nj->ni", white, misses_of_sight)
         return misses
 
     def distances(self, free: Floats) -> Floats:
-        """Return how far points miss (point,) [pixel]; both lines' alike."""
+        """Return the length of the misses (point,) [pixel], the larger one for both points of a pair."""
         return np.tile(super().distances(free).reshape(2, -1).max(axis=0), 2)

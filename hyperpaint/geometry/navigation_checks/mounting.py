@@ -20,7 +20,7 @@ from .sightings import Sightings, sightings_of
 
 _ANGLES = ("roll", "pitch", "heading")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
-#: Uncertainty with points picked to one pixel, above which the points add no information [degree, m, s].
+#: Largest useful uncertainty from points picked to one pixel [degree, m, s].
 _MAX_SD = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
 _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
 
@@ -29,21 +29,21 @@ _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
 class Rules:
     """Thresholds of a solution, and where they come from."""
 
-    #: Factor by which what is solved with a parameter may widen its uncertainty: beyond it is refused.
+    #: Largest factor by which the other solved parameters may widen the uncertainty of a parameter.
     max_widening: float = 30.0
-    #: Standard deviations of picking [pixel] beyond which a point is left out: 1 in 25,000 of good ones.
+    #: Standard deviations of picking beyond which a point is left out: 1 in 25,000 valid points.
     outlier_sd: float = 4.5
     max_outlier_rounds: int = 10
-    #: Clocks tried, from where the solution begins [s]: a wobble of a second or so has a minimum each.
+    #: Tested clock offsets relative to the start value [s]: every period of a wobble has a local minimum.
     clock_search_s: tuple[float, ...] = tuple((np.arange(-10, 11) * 0.1).tolist())
     max_clock_candidates: int = 3
-    #: What a candidate leaves at most, as a multiple of what the best one does.
+    #: Largest residual of a candidate relative to the best one.
     candidate_ratio: float = 3.0
-    soft_miss_px: float = 5.0  #: misses beyond which count less in the search of the clock
-    #: Factor by which what another clock leaves must exceed what the best one does.
+    soft_miss_px: float = 5.0  #: misses above this have less weight in the search of the clock
+    #: Smallest accepted ratio of the residual of another clock offset to that of the best one.
     rival_ratio: float = 1.3
-    same_clock_s: float = 0.05  #: clocks nearer than this are one
-    #: Fields of view, beyond what most points miss by, from which a point is a blunder, not an error.
+    same_clock_s: float = 0.05  #: clock offsets nearer than this are equal
+    #: Deviation from the median miss above which a point is a blunder [fields of view].
     blunder_fields: float = 2.0
 
 
@@ -59,16 +59,16 @@ class BoresightSolution:
     boresight
         Roll, pitch, heading of the camera in the body [degree], as `hyperpaint.geometry.locate` takes them.
     height_offset_m
-        To be added to the altitude of the record; to the same end `hyperpaint.geometry.locate` is given a
+        To be added to the altitude of the record; equivalently, `hyperpaint.geometry.locate` takes a
         ``ground`` lower by as much [m].
     clock_offset_s
         To be added to the time of lines, as `hyperpaint.geometry.locate` takes it [s].
     covariance : (parameter, other_parameter)
-        Of what was solved, in the units of these.
+        Covariance of the solved parameters, in their units.
     points
         ``miss`` [pixel] and ``outlier`` of every point (point).
     picking_sd
-        Standard deviation of a picked line or column, by what is left of the points [pixel].
+        Standard deviation of a picked line or column, from the residuals of the points [pixel].
     condition
         Ratio of the largest to the smallest singular value, columns scaled to unit length.
     """
@@ -100,13 +100,13 @@ class BoresightSolution:
     def table(self) -> str:
         """Return the solution as text."""
         sd = self.sd
-        within = {n: f"+- {sd[n]:.5f}" if n in sd else "as given" for n in PARAMETERS}
-        rows = [f"{n:8} {self.value(n):+12.5f} {within[n]:12} {_UNITS[n]}" for n in PARAMETERS]
-        bad = self.points["point"].values[self.points["outlier"].values].tolist()
-        used = int((~self.points["outlier"]).sum())
+        uncertainties = {n: f"+- {sd[n]:.5f}" if n in sd else "as given" for n in PARAMETERS}
+        rows = [f"{n:8} {self.value(n):+12.5f} {uncertainties[n]:12} {_UNITS[n]}" for n in PARAMETERS]
+        outliers = self.points["point"].values[self.points["outlier"].values].tolist()
+        n_used = int((~self.points["outlier"]).sum())
         rows += [
-            f"{used} points, {self.picking_sd:.2f} pixel left, condition {self.condition:.1f}",
-            f"left out: {', '.join(map(str, bad))}" if bad else "no point left out",
+            f"{n_used} points, {self.picking_sd:.2f} pixel left, condition {self.condition:.1f}",
+            f"left out: {', '.join(map(str, outliers))}" if outliers else "no point left out",
         ]
         return "\n".join(rows)
 
@@ -126,64 +126,65 @@ def solve_boresight(
     crs: Any = None,
     largest_picking_sd: float = 3.0,
 ) -> BoresightSolution:
-    r"""Solve for the mounting of a camera, and its clock, from points (eager).
+    r"""Solve for the mounting of a camera, and its clock offset, from control or tie points (eager).
 
     Parameters
     ----------
     lines
         A flight line, or several by their names.
     control_points
-        ``along_track_pixel``, ``cross_track_pixel`` where a point is seen, fractions of a pixel from the
-        centre of the first; ``east``, ``north`` and ``height`` above the ellipsoid [m] where it is (point);
-        with several lines ``flightline``. See `hyperpaint.io.read_control_points`. Or tie points (point,
-        side), whose place is not known, as `hyperpaint.geometry.find_tie_points` returns them.
+        ``along_track_pixel``, ``cross_track_pixel``: position of a point in the line, fractions of a pixel
+        from the centre of the first; ``east``, ``north`` and ``height`` above the ellipsoid of the point
+        (point) [m]; with several lines ``flightline``. See `hyperpaint.io.read_control_points`. Or tie points
+        (point, side), whose ground position is unknown, as `hyperpaint.geometry.find_tie_points` returns
+        them.
     navigation
-        See `hyperpaint.geometry.locate`; one of all lines, or one of each by its name.
+        See `hyperpaint.geometry.locate`; one record for all lines, or one per line by its name.
     solve
         Which of ``"roll"``, ``"pitch"``, ``"heading"``, ``"height"`` (added to the record's altitude) and
-        ``"clock"`` (added to the lines' time); the others stay as given. By default all of control points,
-        and the three angles of tie points.
+        ``"clock"`` (added to the lines' time); the rest stay as passed. By default all for control points,
+        and the three angles for tie points.
     boresight, lever_arm, clock_offset_s
-        Where to begin; ``lever_arm`` is not solved for.
+        Start values; ``lever_arm`` is not solved for.
     camera, convention
         See `hyperpaint.geometry.locate`.
     crs
         Map of ``east`` and ``north``; by default the attribute ``crs`` of the points.
     largest_picking_sd
-        What may be left of the points that are kept, more of which is no error of picking and is refused
-        [pixel]; to be raised where positions, say, are known no better.
+        Largest accepted residual of the points kept; a larger one is not an error of picking and is refused
+        [pixel]. Raise it where, for example, positions are less accurate.
 
     Returns
     -------
     BoresightSolution
-        Values, covariance, and what every point is left with; points that do not fit are named and left out.
+        Values, covariance, and the residual of every point; points that do not fit are named and left out.
 
     Raises
     ------
     SchemaError
-        These points do not determine the parameters, which are named with the reason; clocks apart
-        fit alike, or none fits; points outside of lines, of lines that are not given, or without a pose;
-        variables or a map are missing.
+        These points do not determine the parameters, which are named with the reason; several clock offsets
+        fit equally well, or none fits; points outside of lines, of lines that are not passed, or without a
+        pose; variables or a map are missing.
     MissingExtraError
         pyproj is not installed (extra ``geo``).
 
     Notes
     -----
-    Least squares of what is left in the camera's frame: the point's direction,
-    :math:`(R_{nb} R_{bc})^T (x - p)`, against that of the column at the moment at which it was seen, in
-    units of pixels of picking, line and column alike. Points are first weighted by soft-L1, then those beyond
-    4.5 standard deviations are left out and the rest is solved again. The covariance is
-    :math:`s^2 (J^T J)^{-1}`, with :math:`s` from the residuals.
+    Least squares of residuals in the camera's frame: the point's direction,
+    :math:`(R_{nb} R_{bc})^T (x - p)`, minus the direction of the column at the time of the line, in
+    units of pixels of picking, equal for line and column. Points are first weighted by soft-L1, then those
+    beyond 4.5 standard deviations are left out and the solution is repeated. The covariance is :math:`s^2
+    (J^T J)^{-1}`, with :math:`s` from the residuals.
 
-    The sum of squares has a minimum with every swing of the platform: the clock is looked for within 1 s of
-    where it begins. Points that miss by more than twice the field of view are left out from the start.
+    The sum of squares has a minimum for every period of a wobble: the clock offset is searched within 1 s of
+    its start value. Points that miss by more than twice the field of view are left out from the start.
 
-    The place of a tie point is the mean of where both lines of sight reach its ``height``, whatever the
-    parameters are. Lines of one course and height all shift alike, and leave pitch, height or clock open:
-    opposite and crossing lines are what tells them.
+    The ground position of a tie point is the mean of the positions where both lines of sight reach its
+    ``height``, for any parameters. Lines of one course and height all shift equally, and do not determine
+    pitch, height or clock: that needs opposite and crossing lines.
 
-    Pitch and clock both move points along the track: on a line that does not turn they are one. Lines of
-    opposite courses part them, as does the platform's own wobble.
+    Pitch and clock both move points along the track, equally on a line without rotation. Lines of
+    opposite courses separate them, as does the wobble of the platform.
 
     Examples
     --------
@@ -203,14 +204,14 @@ def solve_boresight(
     """
     pairs = control_points.sizes["point"] if "side" in control_points.dims else 0
     if pairs:
-        # points that the first line of each pair sees, then those of the second
+        # points in the first line of each pair, then points in the second
         control_points = xr.concat(
             [control_points.isel(side=side) for side in range(2)], "point", data_vars="all"
         )
-    names = _checked((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
+    names = _checked_names((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
     forward, right, down = (float(length) for length in lever_arm)
-    sights = _sights(
+    sights = _sightings(
         lines, control_points, navigation, (forward, right, down), camera, convention, crs, start
     )
     free = [PARAMETERS.index(name) for name in names]
@@ -225,7 +226,7 @@ def solve_boresight(
     slopes = fit.points.slopes(fit.free, fit.used)
     condition = _refuse_unidentifiable(fit.points, fit.free, names, fit.used)
     misses = fit.points.misses(fit.free)
-    # half of what two lines tell of a tie point is its place
+    # half of the measurements of a tie point determine its ground position
     freedom = (1 if pairs else 2) * int(fit.used.sum()) - len(free)
     variance = float((misses[fit.used] ** 2).sum()) / freedom
     if variance > largest_picking_sd**2:
@@ -243,7 +244,7 @@ def solve_boresight(
     )  # fmt: skip
 
 
-def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
+def _checked_names(solve: Sequence[str], points: xr.Dataset) -> list[str]:
     problems = Problems("a boresight cannot be solved for", SchemaError)
     names = [name for name in PARAMETERS if name in solve]
     if isinstance(solve, str) or not names or set(solve) - set(PARAMETERS):
@@ -274,7 +275,7 @@ def _checked(solve: Sequence[str], points: xr.Dataset) -> list[str]:
     return names
 
 
-def _sights(
+def _sightings(
     lines: xr.Dataset | Mapping[str, xr.Dataset],
     points: xr.Dataset,
     navigation: xr.Dataset | Mapping[str, xr.Dataset] | None,
@@ -294,25 +295,25 @@ def _sights(
                 "control points do not name their line: flightline (point) is missing",
                 code="variable-missing",
             )
-        of = points["flightline"].values.astype(str)
-        unknown = sorted(set(of) - set(lines))
+        line_names = points["flightline"].values.astype(str)
+        unknown = sorted(set(line_names) - set(lines))
         if unknown:
             raise SchemaError(
                 f"control points are of {', '.join(unknown)}",
                 expected=f"points of {', '.join(map(str, lines))}",
                 code="flightline-unknown",
             )
-        parts = [(name, line, np.flatnonzero(of == name)) for name, line in lines.items()]
+        parts = [(name, line, np.flatnonzero(line_names == name)) for name, line in lines.items()]
     else:
         parts = [("", lines, np.arange(count))]
     sights = []
     for name, line, index in parts:
         if index.size:
-            many = navigation is not None and not isinstance(navigation, xr.Dataset)
-            record: Any = navigation.get(name) if many and navigation is not None else navigation
-            chosen = {field: points[field].values[index].astype(np.float64) for field in _FIELDS}
+            has_many = navigation is not None and not isinstance(navigation, xr.Dataset)
+            record: Any = navigation.get(name) if has_many and navigation is not None else navigation
+            fields = {field: points[field].values[index].astype(np.float64) for field in _FIELDS}
             sight = sightings_of(
-                line, chosen, index, navigation=record, convention=convention, camera=camera,
+                line, fields, index, navigation=record, convention=convention, camera=camera,
                 lever_arm=lever_arm, crs=crs, clock=float(start[4]),
             )  # fmt: skip
             sights.append(sight)
@@ -320,17 +321,17 @@ def _sights(
 
 
 class _Fit(NamedTuple):
-    # parameters, the points used, and their median distance [pixel]
+    # Parameters, the points used, and their median miss [pixel].
     free: Floats
     used: Bools
-    left: float
+    median_miss: float
     points: Misses
 
 
 def _fit(
     points: Misses, free: Floats, used: Bools, scale: float | None = None, roughly: bool = False
 ) -> Floats:
-    # with a scale [pixel] by soft-L1
+    # Fit by least squares, or with a scale [pixel] by soft-L1.
     from scipy.optimize import least_squares
 
     units = np.array([STEPS[PARAMETERS[p]] for p in points.free])
@@ -340,7 +341,9 @@ def _fit(
         jac=lambda u: np.nan_to_num(points.slopes(u * units, used)) * units,
         loss="linear" if scale is None else "soft_l1",
         f_scale=scale or 1.0,
-        x_scale=1e3 if roughly else 1.0,  # a first step of a degree: smaller ones would end the search
+        x_scale=1e3
+        if roughly
+        else 1.0,  # allows a first step of a degree: smaller steps would end the search
         ftol=1e-3 if roughly else 1e-8,
         max_nfev=12 if roughly else None,
     )
@@ -348,28 +351,28 @@ def _fit(
 
 
 def _plausible(points: Misses) -> Bools:
-    # misses that a mounting or a clock could account for
-    at, plausible = points.start, np.ones(points.count, bool)
-    misses = [sight.misses(at) for sight in points.sights]
-    middle = np.median(np.concatenate(misses), axis=0)
+    # Return which points have misses that a mounting or a clock offset can explain.
+    start, plausible = points.start, np.ones(points.count, bool)
+    misses = [sight.misses(start) for sight in points.sights]
+    median_miss = np.median(np.concatenate(misses), axis=0)
     for sight, miss in zip(points.sights, misses, strict=True):
         limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
-        plausible[sight.index] = ~((np.linalg.norm(miss - middle, axis=1) > limit) | sight.behind(at))
+        plausible[sight.index] = ~((np.linalg.norm(miss - median_miss, axis=1) > limit) | sight.behind(start))
     return plausible if 2 * plausible.sum() > points.count else np.ones(points.count, bool)
 
 
 def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     if PARAMETERS.index("clock") not in points.free:
         return _robust_fit(points, points.start[points.free], plausible)
-    # the clock is last of what is free
-    fits = [_robust_fit(points, at, plausible) for at in _clock_candidates(points, plausible)]
-    best, *others = sorted(fits, key=lambda fit: fit.left)
-    for rival in others:
-        apart = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
-        if apart and not rival.left > RULES.rival_ratio * best.left:
+    # the clock is the last free parameter
+    fits = [_robust_fit(points, start, plausible) for start in _clock_candidates(points, plausible)]
+    best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
+    for rival in rest:
+        is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
+        if is_distinct and not rival.median_miss > RULES.rival_ratio * best.median_miss:
             raise SchemaError(
-                f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points alike: "
-                f"residuals {best.left:.2f} and {rival.left:.2f} px",
+                f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points equally: "
+                f"residuals {best.median_miss:.2f} and {rival.median_miss:.2f} px",
                 mend="add points, or leave 'clock' out of solve=",
                 code="clock-ambiguous",
             )
@@ -377,61 +380,61 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
 
 
 def _clock_candidates(points: Misses, plausible: Bools) -> list[Floats]:
-    # starts: the best of clocks around, the other parameters fit to each
-    begun, left = [], []
+    # Return start values: the best clock offsets of the search, with the other parameters fitted to them.
+    starts, medians = [], []
     for clock in points.start[4] + np.array(RULES.clock_search_s):
-        # misses of all clocks are in one unit, that of the start
+        # misses of all clock offsets have the whitening of the start values
         fixed = replace(points, start=np.append(points.start[:4], clock), free=points.free[:-1])
         free = fixed.start[fixed.free]
-        # the record may end before the others
-        there = plausible & np.isfinite(fixed.misses(free)).all(axis=1)
-        if free.size and there.any():
-            # far away soft-L1 is slow, and the other clock beside it is no place to begin
-            rough = _fit(fixed, free, there, roughly=True)
-            free = _fit(fixed, rough, there, RULES.soft_miss_px, roughly=True)
-        begun.append(np.append(free, clock))
-        left.append(_median_distance(fixed.misses(free)[plausible]))
-    around = np.pad(left, 1, constant_values=np.inf)
-    lowest = [k for k, one in enumerate(left) if one <= min(around[k], around[k + 2])]
-    near = [k for k in lowest if left[k] <= RULES.candidate_ratio * min(left)]
-    return [begun[k] for k in sorted(near, key=lambda k: left[k])[: RULES.max_clock_candidates]]
+        # the record may end before other points
+        is_usable = plausible & np.isfinite(fixed.misses(free)).all(axis=1)
+        if free.size and is_usable.any():
+            # plain least squares first: soft-L1 converges slowly from far away
+            rough = _fit(fixed, free, is_usable, roughly=True)
+            free = _fit(fixed, rough, is_usable, RULES.soft_miss_px, roughly=True)
+        starts.append(np.append(free, clock))
+        medians.append(_median_distance(fixed.misses(free)[plausible]))
+    padded = np.pad(medians, 1, constant_values=np.inf)
+    lowest = [k for k, median in enumerate(medians) if median <= min(padded[k], padded[k + 2])]
+    candidates = [k for k in lowest if medians[k] <= RULES.candidate_ratio * min(medians)]
+    return [starts[k] for k in sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]]
 
 
 def _robust_fit(points: Misses, free: Floats, plausible: Bools) -> _Fit:
-    # first by soft-L1, then without outliers
-    used, count = plausible, int(plausible.sum())
-    free = _fit(points, free, used)
+    # Fit by soft-L1, then by least squares without outliers.
+    compared, count = plausible, int(plausible.sum())
+    free = _fit(points, free, compared)
     points = points.whitened(free)
     for _ in range(3):
         scale = max(1.4826 * float(np.nanmedian(np.abs(points.misses(free)[plausible]))), 1e-6)
-        free = _fit(points, free, used, 1.5 * scale)
+        free = _fit(points, free, compared, 1.5 * scale)
     freedom = np.sqrt(2 * count / max(2 * count - len(points.free), 1))
     for _ in range(RULES.max_outlier_rounds):
-        away = points.distances(free)
-        # the median of the distance of a point is 1.177 standard deviations of line or column
-        scale = freedom * max(float(np.nanmedian(away[used])) / 1.1774, 1e-6)
-        good = (away < RULES.outlier_sd * scale) & plausible
-        if 2 * good.sum() <= len(points.free):
+        distances = points.distances(free)
+        # the median distance of points is 1.177 standard deviations of line or column
+        scale = freedom * max(float(np.nanmedian(distances[compared])) / 1.1774, 1e-6)
+        is_inlier = (distances < RULES.outlier_sd * scale) & plausible
+        if 2 * is_inlier.sum() <= len(points.free):
             break
-        free = _fit(points, free, good)
-        if (good == used).all():
+        free = _fit(points, free, is_inlier)
+        if (is_inlier == compared).all():
             break
-        used = good
-    return _Fit(free, used, _median_distance(points.misses(free)[plausible]), points)
+        compared = is_inlier
+    return _Fit(free, compared, _median_distance(points.misses(free)[plausible]), points)
 
 
 def _median_distance(misses: Floats) -> float:
-    # [pixel]; points without a place are infinitely far
-    away = np.linalg.norm(misses, axis=1)
-    return float(np.median(np.where(np.isfinite(away), away, np.inf)))
+    # Return the median distance [pixel]; points without a ground position count as infinite.
+    distances = np.linalg.norm(misses, axis=1)
+    return float(np.median(np.where(np.isfinite(distances), distances, np.inf)))
 
 
 def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used: Bools) -> float:
-    # returns the condition number
-    slopes, alone = points.slopes(free, used), points.lengths(free, used)
+    # Return the condition number; SchemaError if it is too large.
+    slopes, lengths_fixed = points.slopes(free, used), points.lengths(free, used)
     length = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
-    problems = Problems(f"{int(used.sum())} points do not tell all of {', '.join(names)}", SchemaError)
-    for name, size in zip(names, alone, strict=True):
+    problems = Problems(f"{int(used.sum())} points do not determine all of {', '.join(names)}", SchemaError)
+    for name, size in zip(names, lengths_fixed, strict=True):
         if not size * _MAX_SD[name] > 1.0:
             problems.add(
                 f"{name}: {_MAX_SD[name]:g} {_UNITS[name]} would move points by less than a pixel",
@@ -439,18 +442,18 @@ def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used:
                 code="parameter-insensitive",
             )
     problems.raise_if_any()
-    _, singular, turned = np.linalg.svd(slopes / length, full_matrices=False)
+    _, singular, directions = np.linalg.svd(slopes / length, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
-    widened = np.sqrt(((turned.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
-    # a tie point moves with both lines, and tells the less the more alike they move it
-    widened *= np.maximum(alone / length, 1.0)
-    loose = [k for k in range(len(names)) if widened[k] > RULES.max_widening]
-    if 2 * used.sum() <= len(names) or loose:
-        for k in loose:
-            partners = [n for j, n in enumerate(names) if j != k and abs(turned[-1, j]) > 0.3]
+    widened = np.sqrt(((directions.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
+    # a tie point moves with both lines: it determines less the more equally they move it
+    widened *= np.maximum(lengths_fixed / length, 1.0)
+    weak = [k for k in range(len(names)) if widened[k] > RULES.max_widening]
+    if 2 * used.sum() <= len(names) or weak:
+        for k in weak:
+            partners = [n for j, n in enumerate(names) if j != k and abs(directions[-1, j]) > 0.3]
             problems.add(
                 f"{names[k]}: its uncertainty is {min(widened[k], 1e9):.3g} times that of {names[k]} alone, "
-                f"since {' and '.join(partners) or 'both lines'} would move the points alike",
+                f"since {' and '.join(partners) or 'both lines'} would move the points equally",
                 code="parameter-correlated",
             )
         problems.add(

@@ -1,8 +1,8 @@
-"""One grey picture of a flight line, and its motion from row to row.
+"""Grey picture of a flight line, and its motion from row to row.
 
-A line camera that rolls shifts its rows sideways. That shift can be measured wherever the ground is rough.
-How far two rows are apart along the track cannot be measured so, but the farther they are the less they are
-alike; how alike the ground is over a given way follows from the rows themselves, across the track.
+Roll of a line camera shifts its rows sideways. That shift can be measured wherever the ground has texture.
+The distance of two rows along the track cannot be measured in this way, but the larger it is, the less alike
+the rows are; likeness as a function of distance follows from the rows themselves, across the track.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 _CUBES = ("counts", "radiance", "reflectance")
 #: Bands to average: more would not reduce the noise further.
 _MAX_BANDS = 12
-#: Where a silicon camera sees best, and the atmosphere lets it [nm].
+#: Range of high signal of a silicon camera, outside strong absorption of the atmosphere [nm].
 _WAVELENGTHS = (500.0, 850.0)
 
 
@@ -54,26 +54,26 @@ def _bands(line: xr.Dataset) -> Ints:
     chosen = np.arange(line.sizes[BAND])
     if "wavelength" in line.variables:
         wavelength = np.asarray(line["wavelength"].values, np.float64)
-        inside = (wavelength >= _WAVELENGTHS[0]) & (wavelength <= _WAVELENGTHS[1])
+        is_inside = (wavelength >= _WAVELENGTHS[0]) & (wavelength <= _WAVELENGTHS[1])
         if "good" in line.variables:
-            inside &= np.asarray(line["good"].values, bool)
-        chosen = np.flatnonzero(inside) if inside.any() else chosen
-    spread = np.linspace(0, chosen.size - 1, min(_MAX_BANDS, chosen.size))
-    return np.asarray(chosen[np.unique(np.round(spread).astype(np.int64))])
+            is_inside &= np.asarray(line["good"].values, bool)
+        chosen = np.flatnonzero(is_inside) if is_inside.any() else chosen
+    positions = np.linspace(0, chosen.size - 1, min(_MAX_BANDS, chosen.size))
+    return np.asarray(chosen[np.unique(np.round(positions).astype(np.int64))])
 
 
 @dataclass(frozen=True)
 class Rules:
     """How rows of a picture are compared."""
 
-    #: Parts of a row that are looked at each for itself, and their width where there are enough columns.
+    #: Number of zones, parts of a row with a shift of their own, and their width if there are enough columns.
     min_zones: int = 4
     max_zones: int = 12
     zone_columns: int = 64
-    reach_px: int = 8  #: largest shift between rows that is looked for
-    block_rows: int = 512  #: rows at a time
-    min_columns: int = 12  #: of a zone, below which nothing is measured
-    level_columns: int = 5  #: over which a row is levelled before shifts are looked for
+    reach_px: int = 8  #: largest shift between rows in the search
+    block_rows: int = 512  #: rows compared at a time
+    min_columns: int = 12  #: minimum width of a zone
+    level_columns: int = 5  #: width of the running mean that is subtracted from rows
 
 
 RULES = Rules()
@@ -85,12 +85,12 @@ _FLAT = 1e-12
 class RowMotion:
     """Motion of a picture from each row to the next."""
 
-    #: (row - 1, zone): a row at x shows what the row before shows at x + shift [pixel]; NaN where it is not
-    #: clear
+    #: (row - 1, zone): ground at column x of a row is at x + shift in the row before [pixel]; NaN where
+    #: undetermined
     shift: Floats
     #: (row - 1, zone): mean square difference of the two rows after that shift, over the variance of either
     unlikeness: Floats
-    structure: Floats  #: (`REACH` + 1,): the same of one row with itself, over whole pixels across the track
+    structure: Floats  #: (`REACH` + 1,): unlikeness of a row with itself at a lag of 0, 1 ... columns
     centres: Floats  #: (zone,): column in the middle of every zone
 
 
@@ -99,9 +99,9 @@ def row_motion(picture: Array) -> RowMotion | None:
 
     Notes
     -----
-    The gains of columns are divided out: a pattern that stands still would say that nothing moves. The best
-    whole shift is refined by Gauss and Newton's method, both rows being moved by half of it, so that both
-    are smoothed alike.
+    The gains of columns are divided out: their fixed pattern would suggest that nothing moves. The best
+    integer shift is refined by the Gauss-Newton method. Both rows are moved by half the shift, so that both
+    are smoothed equally.
     """
     rows, columns = picture.shape
     zones = int(np.clip(columns // RULES.zone_columns, RULES.min_zones, RULES.max_zones))
@@ -109,9 +109,9 @@ def row_motion(picture: Array) -> RowMotion | None:
     if width < RULES.min_columns or rows < 2:
         return None
     starts = REACH + width * np.arange(zones)
-    levelled = _levelled(picture)
-    fine = _fine(levelled)
-    shift, unlike = np.full((rows - 1, zones), np.nan), np.full((rows - 1, zones), np.nan)
+    levelled = _without_slant(picture)
+    fine_structure = _fine_structure(levelled)
+    shift, unlikeness = np.full((rows - 1, zones), np.nan), np.full((rows - 1, zones), np.nan)
     structure, weight = np.zeros(REACH + 1), 0.0
     for first in range(0, rows - 1, RULES.block_rows):
         stop = min(first + RULES.block_rows, rows - 1)
@@ -122,19 +122,23 @@ def row_motion(picture: Array) -> RowMotion | None:
             has_contrast = variance > _FLAT
             if not has_contrast.any():
                 continue
-            moved = _shift(fine[first:stop][has_contrast], fine[first + 1 : stop + 1][has_contrast], window)
-            left = _difference(before[has_contrast], after[has_contrast], moved, window)
-            shift[first:stop, zone][has_contrast] = moved
-            unlike[first:stop, zone][has_contrast] = left / variance[has_contrast]
-            own = _own_structure(before[has_contrast], window) / variance[has_contrast, None]
-            good = np.isfinite(own).all(axis=1)
-            structure += own[good].sum(axis=0)
-            weight += float(good.sum())
-    return RowMotion(shift, unlike, structure / weight, starts + (width - 1) / 2) if weight else None
+            zone_shift = _shift(
+                fine_structure[first:stop][has_contrast],
+                fine_structure[first + 1 : stop + 1][has_contrast],
+                window,
+            )
+            difference = _difference(before[has_contrast], after[has_contrast], zone_shift, window)
+            shift[first:stop, zone][has_contrast] = zone_shift
+            unlikeness[first:stop, zone][has_contrast] = difference / variance[has_contrast]
+            own_structure = _own_structure(before[has_contrast], window) / variance[has_contrast, None]
+            is_valid = np.isfinite(own_structure).all(axis=1)
+            structure += own_structure[is_valid].sum(axis=0)
+            weight += float(is_valid.sum())
+    return RowMotion(shift, unlikeness, structure / weight, starts + (width - 1) / 2) if weight else None
 
 
-def _levelled(picture: Array) -> Floats:
-    # logarithm without the gains of columns
+def _without_slant(picture: Array) -> Floats:
+    # Return the logarithm without the gains of columns.
     values = np.asarray(picture, np.float64)
     is_positive = np.isfinite(values) & (values > 0.0)
     floor = np.quantile(values[is_positive], 0.001) if is_positive.any() else 1.0
@@ -143,9 +147,9 @@ def _levelled(picture: Array) -> Floats:
     return np.asarray(logs)
 
 
-def _fine(rows: Floats) -> Floats:
-    # without slow changes: a long slanted edge looks like a shift to any two rows, small structure has edges
-    # on every side
+def _fine_structure(rows: Floats) -> Floats:
+    # Remove slow changes: a long slanted edge looks like a shift between rows; small structures have edges
+    # on every side.
     from scipy.ndimage import uniform_filter1d
 
     level = rows - uniform_filter1d(rows, RULES.level_columns, axis=1, mode="nearest")
@@ -154,53 +158,53 @@ def _fine(rows: Floats) -> Floats:
     return np.asarray(level / contrast)
 
 
-def _difference(before: Floats, after: Floats, moved: Floats, window: slice) -> Floats:
-    # mean square (row,) of rows that are moved onto one another
-    shift = np.where(np.isnan(moved), 0.0, moved)
-    apart = _moved(after, window, -shift / 2) - _moved(before, window, shift / 2)
-    return np.where(np.isnan(moved), np.nan, (apart**2).mean(axis=1))
+def _difference(before: Floats, after: Floats, shift: Floats, window: slice) -> Floats:
+    # Return the mean square difference (row,) after shifting both rows by half the shift.
+    finite_shift = np.where(np.isnan(shift), 0.0, shift)
+    difference = _moved(after, window, -finite_shift / 2) - _moved(before, window, finite_shift / 2)
+    return np.where(np.isnan(shift), np.nan, (difference**2).mean(axis=1))
 
 
 def _shift(before: Floats, after: Floats, window: slice) -> Floats:
-    # (row,), NaN where it is not within `REACH`
-    still = after[:, window]
-    tries = range(-REACH, REACH + 1)
+    # Return the shift (row,), NaN where it is not within `REACH`.
+    target = after[:, window]
+    lags = range(-REACH, REACH + 1)
     costs = np.stack(
-        [((still - before[:, window.start + k : window.stop + k]) ** 2).mean(axis=1) for k in tries]
+        [((target - before[:, window.start + k : window.stop + k]) ** 2).mean(axis=1) for k in lags]
     )
     best = costs.argmin(axis=0)
-    inner = np.clip(best, 1, 2 * REACH - 1)
+    interior = np.clip(best, 1, 2 * REACH - 1)
     row = np.arange(best.size)
-    low, mid, high = costs[inner - 1, row], costs[inner, row], costs[inner + 1, row]
-    bend = low + high - 2.0 * mid
-    part = np.where(bend > 0.0, 0.5 * (low - high) / np.where(bend > 0.0, bend, 1.0), 0.0)
-    moved = inner - REACH + np.clip(part, -1.0, 1.0)
+    low, middle, high = costs[interior - 1, row], costs[interior, row], costs[interior + 1, row]
+    curvature = low + high - 2.0 * middle
+    fraction = np.where(curvature > 0.0, 0.5 * (low - high) / np.where(curvature > 0.0, curvature, 1.0), 0.0)
+    shift = interior - REACH + np.clip(fraction, -1.0, 1.0)
     for _ in range(2):
-        first, second = _moved(before, window, moved / 2), _moved(after, window, -moved / 2)
+        first, second = _moved(before, window, shift / 2), _moved(after, window, -shift / 2)
         slope = (np.gradient(first, axis=1) + np.gradient(second, axis=1)) / 2
         step = (slope * (second - first)).sum(axis=1) / np.maximum((slope**2).sum(axis=1), _FLAT)
-        moved = moved + np.clip(step, -0.5, 0.5)
-    return np.where((best == 0) | (best == 2 * REACH) | (np.abs(moved) > REACH), np.nan, moved)
+        shift = shift + np.clip(step, -0.5, 0.5)
+    return np.where((best == 0) | (best == 2 * REACH) | (np.abs(shift) > REACH), np.nan, shift)
 
 
-def _moved(rows: Floats, window: slice, by: Floats) -> Floats:
-    # rows at columns + ``by``, by cubic convolution (Keys, 1981)
-    whole = np.floor(by).astype(np.int64)
-    t = (by - whole)[:, None]
+def _moved(rows: Floats, window: slice, shift: Floats) -> Floats:
+    # Interpolate rows at columns + ``shift`` by cubic convolution (Keys, 1981).
+    integer = np.floor(shift).astype(np.int64)
+    t = (shift - integer)[:, None]
     weights = (
         ((-0.5 * t + 1.0) * t - 0.5) * t,
         (1.5 * t - 2.5) * t * t + 1.0,
         ((-1.5 * t + 2.0) * t + 0.5) * t,
         (0.5 * t - 0.5) * t * t,
     )
-    at = np.arange(window.start, window.stop)[None, :] + whole[:, None]
+    columns = np.arange(window.start, window.stop)[None, :] + integer[:, None]
     last = rows.shape[1] - 1
-    taps = (np.take_along_axis(rows, np.clip(at + k - 1, 0, last), axis=1) for k in range(4))
+    taps = (np.take_along_axis(rows, np.clip(columns + k - 1, 0, last), axis=1) for k in range(4))
     return np.asarray(sum(w * tap for w, tap in zip(weights, taps, strict=True)))
 
 
 def _own_structure(rows: Floats, window: slice) -> Floats:
-    # of rows with themselves, 0 to `REACH` columns apart (row, lag)
+    # Return the mean square difference of rows with themselves at lags of 0 to `REACH` columns (row, lag).
     structure = np.zeros((rows.shape[0], REACH + 1))
     for lag in range(1, REACH + 1):
         other = rows[:, window.start + lag : window.stop + lag]

@@ -28,7 +28,7 @@ from hyperpaint.geometry.georeference.poses import (
 
 from .picture_motion import RowMotion, picture_of, row_motion
 
-#: Downward part of a direction below which it meets no ground worth the name.
+#: Minimum downward component of a unit direction for an intersection with the ground.
 _MIN_DOWNWARD = 0.05
 
 
@@ -42,23 +42,23 @@ class Motion:
 
 @dataclass(frozen=True)
 class Recorded:
-    """Poses as recorded, with the times they are wanted at."""
+    """Poses as recorded, and the times of the lines."""
 
-    times: npt.NDArray[np.datetime64]  #: (row,): of the record
-    columns: dict[str, Floats]  #: Values (row,) as the file has them, by the name of the variable
-    wanted: npt.NDArray[np.datetime64]  #: (line,): mid exposures
+    times: npt.NDArray[np.datetime64]  #: (row,): times of the record
+    columns: dict[str, Floats]  #: Values (row,) in the units of the file, by the name of the variable
+    line_times: npt.NDArray[np.datetime64]  #: (line,): mid exposures
     crs: Any = None  #: Map whose north grid headings count from
 
     def at(self, convention: Convention, clock_offset_s: float = 0.0) -> Floats:
         """Return canonical poses (6, line) under ``convention``."""
         columns = (self.columns[name] for name in POSE)
         values = canonical_values(*columns, convention=convention, crs=self.crs)
-        return poses_at(self.times, values, self.wanted, clock_offset_s=clock_offset_s)
+        return poses_at(self.times, values, self.line_times, clock_offset_s=clock_offset_s)
 
 
 @dataclass(frozen=True)
 class View:
-    """How a camera looks down from its platform."""
+    """Viewing geometry of a camera in its platform."""
 
     #: (zone,): tangents of the middle of every zone, to the right and forward, columns from left to right
     right: Floats
@@ -69,21 +69,21 @@ class View:
     ground: float  #: Height of the ground above the ellipsoid [m]
 
     def motion(self, poses: Floats, *, boresight: tuple[float, float, float] | None = None) -> Motion:
-        """Return the motion that poses (6, line) mean; NaN where a pose is not known."""
+        """Return the motion that follows from poses (6, line); NaN without a pose."""
         north, east = local_metres(poses[0], poses[1])
         body = matrices(quaternions(*poses[3:]))
-        whole = body @ matrices(quaternions(*(boresight or self.boresight)))
+        camera = body @ matrices(quaternions(*(boresight or self.boresight)))
         origin = np.stack([north, east], axis=-1)
-        arm = body @ np.array(self.lever_arm)
-        height = poses[2] - arm[:, 2] - self.ground
-        here = self._hits(origin + arm[:, :2], height, whole, 0.0)
-        pixel = self._hits(origin + arm[:, :2], height, whole, 1.0) - here
-        way = np.diff(here, axis=0)
-        pixel = (pixel[1:] + pixel[:-1]) / 2
-        area = (pixel**2).sum(axis=-1)
+        lever_arm = body @ np.array(self.lever_arm)
+        height = poses[2] - lever_arm[:, 2] - self.ground
+        position = self._hits(origin + lever_arm[:, :2], height, camera, 0.0)
+        pixel_step = self._hits(origin + lever_arm[:, :2], height, camera, 1.0) - position
+        travel = np.diff(position, axis=0)
+        pixel_step = (pixel_step[1:] + pixel_step[:-1]) / 2
+        area = (pixel_step**2).sum(axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
-            sideways = (way * pixel).sum(axis=-1) / area
-            forward = (way[..., 0] * pixel[..., 1] - way[..., 1] * pixel[..., 0]) / area
+            sideways = (travel * pixel_step).sum(axis=-1) / area
+            forward = (travel[..., 0] * pixel_step[..., 1] - travel[..., 1] * pixel_step[..., 0]) / area
         return Motion(sideways, forward * np.sign(self.step))
 
     def _hits(self, origin: Floats, height: Floats, rotation: Floats, columns: float) -> Floats:
@@ -95,30 +95,30 @@ class View:
 
 
 def local_metres(latitude: Floats, longitude: Floats) -> tuple[Floats, Floats]:
-    """Return metres to the north and to the east of the first known place; good for a flight line."""
-    placed = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
-    if not placed.size:
+    """Return metres to the north and to the east of the first located line; valid within a flight line."""
+    located = np.flatnonzero(np.isfinite(latitude) & np.isfinite(longitude))
+    if not located.size:
         return np.full(latitude.shape, np.nan), np.full(latitude.shape, np.nan)
-    start = placed[0]
+    start = located[0]
     phi = np.radians(latitude[start])
-    root = 1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2
-    meridian = WGS84_SEMI_MAJOR_AXIS_M * (1.0 - WGS84_ECCENTRICITY_SQUARED) / root**1.5
-    parallel = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(root) * np.cos(phi)
+    squared = 1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2
+    meridian = WGS84_SEMI_MAJOR_AXIS_M * (1.0 - WGS84_ECCENTRICITY_SQUARED) / squared**1.5
+    parallel = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(squared) * np.cos(phi)
     north = np.radians(latitude - latitude[start]) * meridian
     return north, np.radians(longitude - longitude[start]) * parallel
 
 
 def course_of(poses: Floats) -> float:
-    """Return the direction from the first place to the last, clockwise from true north [degree]."""
+    """Return the direction from the first to the last located line, clockwise from true north [degree]."""
     north, east = local_metres(poses[0], poses[1])
-    placed = np.flatnonzero(np.isfinite(north))
-    if placed.size < 2:
+    located = np.flatnonzero(np.isfinite(north))
+    if located.size < 2:
         return float("nan")
-    return float(np.degrees(np.arctan2(east[placed[-1]], north[placed[-1]])) % 360.0)
+    return float(np.degrees(np.arctan2(east[located[-1]], north[located[-1]])) % 360.0)
 
 
 def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = None) -> Recorded:
-    """Return the record of a line's poses, whatever its units say.
+    """Return the record of a line's poses; units are ignored.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
     """
     source = line if navigation is None else navigation
     dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
-    wanted = require(line, ["time"], "a check of navigation")["time"].values
+    line_times = require(line, ["time"], "a check of navigation")["time"].values
     missing = [name for name in (*POSE, *(() if navigation is None else (NAVIGATION_TIME,)))
                if name not in source.variables or source[name].dims != (dim,)]  # fmt: skip
     if missing:
@@ -137,18 +137,18 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
             mend="give navigation=hp.open_navigation(...)",
             code="variable-missing",
         )
-    times = wanted if navigation is None else source[NAVIGATION_TIME].values
+    times = line_times if navigation is None else source[NAVIGATION_TIME].values
     columns = {name: np.asarray(source[name].values, np.float64) for name in POSE}
-    return Recorded(times.astype("datetime64[ns]"), columns, wanted.astype("datetime64[ns]"), crs)
+    return Recorded(times.astype("datetime64[ns]"), columns, line_times.astype("datetime64[ns]"), crs)
 
 
-# --- a line as a check sees it -------------------------------------------------------------------------
+# --- inputs of a check -------------------------------------------------------------------------
 
 
-#: Lines that a check looks at by default: those in the middle.
+#: Lines of a check by default, from the middle of the flight line.
 MAX_LINES = 4000
 _MIN_LINES = 64
-#: Median intervals between lines beyond which frames are missing.
+#: Interval above which frames are missing between two lines [median intervals].
 _MAX_STEADY_INTERVALS = 1.5
 
 
@@ -156,25 +156,25 @@ _MAX_STEADY_INTERVALS = 1.5
 class Setting:
     """Inputs of a check of one line."""
 
-    declared: Convention  #: What the record is said to mean
+    declared: Convention  #: Declared convention of the record
     recorded: Recorded  #: Poses as recorded
-    seen: RowMotion  #: Motion of the picture
-    view: View  #: How the camera looks down, its columns from left to right
-    columns_matter: bool  #: Whether the order of columns is to be found out
-    interval: float  #: Between lines [s]
-    exposure: float  #: [s]; NaN where it is not known
-    lines: slice  #: Which lines
+    observed: RowMotion  #: Motion of the picture
+    view: View  #: Viewing geometry, columns from left to right
+    columns_matter: bool  #: Whether the order of columns is tested
+    interval: float  #: Time between lines [s]
+    exposure: float  #: Exposure time [s]; NaN where unknown
+    lines: slice  #: Lines of the check
 
     @property
-    def steady(self) -> Bools:
+    def is_steady(self) -> Bools:
         """Return the lines after which no frame is missing (line - 1,)."""
-        steps = np.diff(self.recorded.wanted.astype(np.int64).astype(np.float64)) / 1e9
+        steps = np.diff(self.recorded.line_times.astype(np.int64).astype(np.float64)) / 1e9
         return np.asarray((steps > 0) & (steps < _MAX_STEADY_INTERVALS * self.interval))
 
-    def comparable(self, meant: Motion) -> Bools:
+    def comparable(self, expected: Motion) -> Bools:
         """Return where picture and poses have a motion and no frame is missing (line - 1, zone)."""
-        is_seen = np.isfinite(self.seen.shift) & np.isfinite(self.seen.unlikeness)
-        return np.asarray(is_seen & np.isfinite(meant.shift) & self.steady[:, None])
+        is_seen = np.isfinite(self.observed.shift) & np.isfinite(self.observed.unlikeness)
+        return np.asarray(is_seen & np.isfinite(expected.shift) & self.is_steady[:, None])
 
 
 def setting_of(
@@ -204,20 +204,20 @@ def setting_of(
         located_ground = line.attrs.get("ground")
         if not isinstance(located_ground, int | float):
             raise SchemaError(
-                "the height of the ground is not known",
+                "the height of the ground is missing",
                 mend="give ground= [m above the ellipsoid]",
                 code="ground-height-missing",
             )
         ground = float(located_ground)
     first = max((line.sizes[ALONG_TRACK] - MAX_LINES) // 2, 0)
-    chosen = slice(first, min(first + MAX_LINES, line.sizes[ALONG_TRACK])) if lines is None else lines
-    part = line.isel({ALONG_TRACK: chosen})
+    selected = slice(first, min(first + MAX_LINES, line.sizes[ALONG_TRACK])) if lines is None else lines
+    part = line.isel({ALONG_TRACK: selected})
     if part.sizes[ALONG_TRACK] < _MIN_LINES:
         raise SchemaError(
             f"{part.sizes[ALONG_TRACK]} lines", expected=f"at least {_MIN_LINES}", code="line-too-short"
         )
-    seen = row_motion(picture_of(part, None if image is None else image.isel({ALONG_TRACK: chosen})))
-    if seen is None:
+    observed = row_motion(picture_of(part, None if image is None else image.isel({ALONG_TRACK: selected})))
+    if observed is None:
         raise SchemaError(
             "the picture is too narrow or without contrast",
             expected="at least 64 columns",
@@ -226,17 +226,17 @@ def setting_of(
     roll, pitch, heading = (float(angle) for angle in boresight)
     forward, right, down = (float(length) for length in lever_arm)
     tangents = look_angles(line, camera, Convention(column_order="left_to_right"))
-    to_right, ahead = (np.tan(np.radians(np.asarray(angles))) for angles in tangents)
+    right_tangents, forward_tangents = (np.tan(np.radians(np.asarray(angles))) for angles in tangents)
     look_right, look_forward, step = (
-        np.interp(seen.centres, np.arange(to_right.size), values)
-        for values in (to_right, ahead, np.gradient(to_right))
+        np.interp(observed.centres, np.arange(right_tangents.size), values)
+        for values in (right_tangents, forward_tangents, np.gradient(right_tangents))
     )
-    arm = (forward, right, down)
-    view = View(look_right, look_forward, step, (roll, pitch, heading), arm, float(ground))
+    lever_arm_m = (forward, right, down)
+    view = View(look_right, look_forward, step, (roll, pitch, heading), lever_arm_m, float(ground))
     recorded = recorded_poses(part, navigation, crs)
-    steps = np.diff(recorded.wanted.astype(np.int64)) / 1e9
+    steps = np.diff(recorded.line_times.astype(np.int64)) / 1e9
     exposure = float(np.median(part["exposure_time"].values)) if "exposure_time" in part.variables else np.nan
-    # a table of look angles has signs, so that the order of columns is known
+    # a table of look angles has signs, which define the order of columns
     columns_matter = isinstance(camera, PinholeCamera)
     interval = float(np.median(steps[steps > 0]))
-    return Setting(declared, recorded, seen, view, columns_matter, interval, exposure, chosen)
+    return Setting(declared, recorded, observed, view, columns_matter, interval, exposure, selected)

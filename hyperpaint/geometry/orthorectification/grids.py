@@ -1,6 +1,7 @@
 """Cells of a map, and the survey of all lines that decides its extent.
 
-The survey keeps a few numbers a line, so that it needs the memory of a few slabs, however long the flight.
+The survey keeps a few numbers per line, so that it needs the memory of a few slabs, whatever the length of
+the flight.
 """
 
 from __future__ import annotations
@@ -22,24 +23,24 @@ from hyperpaint.base.errors import SchemaError
 Box = tuple[float, float, float, float]
 
 _MIN_ELONGATION = 2.0  # length over width of a track that has a direction of flight
-_ROUNDING_CELLS = 1e-6  # part of a cell that adds no cell
+_ROUNDING_CELLS = 1e-6  # overlap of a cell that counts as rounding [cell]
 
 
 @dataclass(frozen=True)
 class Axes:
-    """Directions of the columns and rows of a grid, and the place they are counted from."""
+    """Directions of the columns and rows of a grid, and its anchor."""
 
-    #: East and north of one step to the right, of unit length. Down is a right angle clockwise of it, so
-    #: that a map is never seen from below
+    #: East and north components of the unit vector to the right. Down is a right angle clockwise from it, so
+    #: that a map is never mirrored
     right: tuple[float, float]
-    anchor: tuple[float, float]  #: East and north that lie on a corner of cells [m]
+    anchor: tuple[float, float]  #: East and north of a point on a corner of cells [m]
 
     @property
     def down(self) -> tuple[float, float]:
         return self.right[1], -self.right[0]
 
     def along(self, east: Floats, north: Floats) -> tuple[Floats, Floats]:
-        """Return distances of places to the right of, and down from, the anchor [m]."""
+        """Return distances of points to the right of, and down from, the anchor [m]."""
         e, n = east - self.anchor[0], north - self.anchor[1]
         (a, b), (c, d) = self.right, self.down
         return a * e + b * n, c * e + d * n
@@ -107,7 +108,7 @@ def north_axes() -> Axes:
 
 
 def flight_axes(left: Floats, right: Floats) -> Axes:
-    """Return axes along a flight, which goes up.
+    """Return axes along a flight, with the direction of flight up.
 
     Parameters
     ----------
@@ -117,25 +118,25 @@ def flight_axes(left: Floats, right: Floats) -> Axes:
     Notes
     -----
     The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide has
-    none; the normal of the lines is used instead.
+    no direction; the normal of the lines is used instead.
     """
-    middle = (left + right) / 2
-    _, spread, directions = np.linalg.svd(middle - middle.mean(axis=0), full_matrices=False)
-    ahead = middle[-1] - middle[0]
+    middles = (left + right) / 2
+    _, spread, directions = np.linalg.svd(middles - middles.mean(axis=0), full_matrices=False)
+    displacement = middles[-1] - middles[0]
     flight = directions[0]
-    if len(middle) < 3 or not spread[0] > _MIN_ELONGATION * spread[1]:
+    if len(middles) < 3 or not spread[0] > _MIN_ELONGATION * spread[1]:
         across = (right - left).mean(axis=0)
         flight = np.array([-across[1], across[0]])
         if not np.hypot(*flight) > 0.0:
             flight = np.array([0.0, 1.0])
-    if flight @ ahead < 0.0:
+    if flight @ displacement < 0.0:
         flight = -flight
     heading = math.atan2(flight[0], flight[1])
-    return Axes((math.cos(heading), -math.sin(heading)), (float(middle[0, 0]), float(middle[0, 1])))
+    return Axes((math.cos(heading), -math.sin(heading)), (float(middles[0, 0]), float(middles[0, 1])))
 
 
 def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
-    """Return the grid over a box of the axes; with ``whole`` cells cover all of it, else their centres do."""
+    """Return the grid over a box of the axes; cells cover it if ``whole``, else their centres do."""
     left, right, upper, lower = (edge / gsd for edge in box)
     if whole:
         first = math.floor(upper + _ROUNDING_CELLS), math.floor(left + _ROUNDING_CELLS)
@@ -157,10 +158,10 @@ def box_of(axes: Axes, bounds: Any) -> Box:
 # --- the survey of all lines ---------------------------------------------------------------------------
 
 
-_SAMPLED_LINES = 64  # for the direction of flight
-_SAMPLED_COLUMNS = 64  # at least, for the median spacing of a line
+_DIRECTION_LINES = 64  # sampled for the direction of flight
+_SAMPLED_COLUMNS = 64  # minimum number sampled for the median spacing of a line
 _TASK_SLABS = 8
-_COLUMNS = 10  # of a line: box (4), ends (4), median spacing across and along (2)
+_COLUMNS = 10  # numbers of a line: box (4), ends (4), median spacing across and along (2)
 
 
 @dataclass(frozen=True)
@@ -170,7 +171,7 @@ class Survey:
     #: (line, 4) float64: smallest and largest distance to the right and down along the axes [m]; NaN for a
     #: line without any located pixel
     boxes: Floats
-    ends: Floats  #: (line, 2, 2) float64: east and north of its first and last pixel that has a place [m]
+    ends: Floats  #: (line, 2, 2) float64: east and north of its first and last located pixel [m]
     #: Median over lines of the median distance of neighbouring columns, and to the next line [m]
     across: float
     along: float
@@ -191,16 +192,16 @@ def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
     Raises
     ------
     SchemaError
-        No line has a place.
+        No line has a ground position.
     """
     count = east.shape[0]
-    sampled = np.unique(np.linspace(0, count - 1, _SAMPLED_LINES).astype(int))
-    for lines in (sampled, np.arange(count)):  # all lines, if the sampled ones have no pose
+    sampled_lines = np.unique(np.linspace(0, count - 1, _DIRECTION_LINES).astype(int))
+    for lines in (sampled_lines, np.arange(count)):  # all lines, if the sampled lines have no pose
         ends = _ends_of(east, north, lines)
         if len(ends):
             break
     if not len(ends):
-        raise _nothing_placed()
+        raise _nothing_located()
     return flight_axes(ends[:, 0], ends[:, 1])
 
 
@@ -210,90 +211,101 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
     Raises
     ------
     SchemaError
-        No pixel has a place.
+        No pixel has a ground position.
     """
     slabs = range(east.numblocks[0])
     groups = [list(slabs[first : first + _TASK_SLABS]) for first in slabs[::_TASK_SLABS]]
-    surveyed = _computed(east, north, groups, axes, progress)
+    surveyed = _computed_survey(east, north, groups, axes, progress)
     table = np.concatenate([rows for rows, _ in surveyed])
     starts = np.cumsum([len(rows) for rows, _ in surveyed])
-    for (_, (_, before)), (_, (after, _)), start in zip(surveyed, surveyed[1:], starts, strict=False):
-        table[start - 1, 9] = _median(np.hypot(*(after - before)))
+    for (_, (_, last_pixels)), (_, (first_pixels, _)), start in zip(
+        surveyed, surveyed[1:], starts, strict=False
+    ):
+        table[start - 1, 9] = _median(np.hypot(*(first_pixels - last_pixels)))
     if np.isnan(table[:, :4]).all() or np.isnan(table[:, 8:]).all():
-        raise _nothing_placed()
+        raise _nothing_located()
     across, along = (_median(table[:, column]) for column in (8, 9))
     return Survey(table[:, :4], table[:, 4:8].reshape(-1, 2, 2), across, along)
 
 
-def _nothing_placed() -> SchemaError:
+def _nothing_located() -> SchemaError:
     return SchemaError(
-        "no two neighbouring pixels are placed on the ground, so there is nothing to map",
+        "no two neighbouring pixels have ground positions, so there is nothing to map",
         mend="look at the poses and at the quality's off_swath",
         code="ground-not-seen",
     )
 
 
 def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
-    # (line, 2, 2)
+    # Return east and north of the first and last located pixel of lines (line, 2, 2).
     edges = np.cumsum((0, *east.chunks[0]))
     slabs = np.searchsorted(edges, lines, side="right") - 1
-    touched = np.unique(slabs)
-    groups = [[slab] for slab in touched.tolist()]
-    surveyed = _computed(east, north, groups, Axes((1.0, 0.0), (0.0, 0.0)), None)
+    needed_slabs = np.unique(slabs)
+    groups = [[slab] for slab in needed_slabs.tolist()]
+    surveyed = _computed_survey(east, north, groups, Axes((1.0, 0.0), (0.0, 0.0)), None)
     rows = [
         table[lines[slabs == slab] - edges[slab], 4:8]
-        for slab, (table, _) in zip(touched, surveyed, strict=True)
+        for slab, (table, _) in zip(needed_slabs, surveyed, strict=True)
     ]
     ends = np.concatenate(rows).reshape(-1, 2, 2)
     return np.asarray(ends[np.isfinite(ends).all(axis=(1, 2))])
 
 
-def _computed(
+def _computed_survey(
     east: da.Array, north: da.Array, groups: list[list[int]], axes: Axes, progress: Progress | None
 ) -> list[Any]:
-    # groups of consecutive slabs; progress is reported where the scheduler allows it
-    # as one array: a collection per slab would cost more than the survey
+    # Survey groups of consecutive slabs; progress is reported where the scheduler supports it.
+    # One array holds all tasks: a collection per slab would take longer than the survey.
     name = f"look-{uuid.uuid4().hex}"
     layer = {
-        (name, k): (_looked_at, *([(of.name, slab, 0) for slab in group] for of in (east, north)), axes)
+        (name, k): (
+            _survey_of_slabs,
+            *([(positions.name, slab, 0) for slab in group] for positions in (east, north)),
+            axes,
+        )
         for k, group in enumerate(groups)
     }
     graph = HighLevelGraph.from_collections(name, layer, dependencies=[east, north])
     lazy = da.Array(graph, name, chunks=((1,) * len(groups),), meta=np.empty(0, object))
     if progress is None:
         return list(lazy.compute())
-    waiting, slabs = dict(zip(layer, groups, strict=True)), sum(map(len, groups))
+    pending, slabs = dict(zip(layer, groups, strict=True)), sum(map(len, groups))
 
     def report(key: Any, *_: Any) -> None:
-        if waiting.pop(key, None) is not None:
-            progress(slabs - sum(map(len, waiting.values())), slabs)
+        if pending.pop(key, None) is not None:
+            progress(slabs - sum(map(len, pending.values())), slabs)
 
-    # schedulers of a cluster do not call it; then only the end is reported
+    # schedulers of a cluster do not call `report`; then only the end is reported
     with Callback(posttask=report):
         surveyed = list(lazy.compute())
-    if waiting:
+    if pending:
         progress(slabs, slabs)
     return surveyed
 
 
-def _looked_at(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
-    # survey rows of some slabs (line, `_COLUMNS`), and the pixels at their ends, as an array of one object
+def _survey_of_slabs(easts: list[Floats], norths: list[Floats], axes: Axes) -> Array:
+    # Return survey rows of slabs (line, `_COLUMNS`), and their first and last pixels, as an array of one
+    # object.
     from hyperpaint.kernels.inverse_map import look_at_lines
 
     out = np.full((sum(map(len, easts)), _COLUMNS), np.nan)
     frame = np.array([*axes.anchor, *axes.right, *axes.down])
-    first = 0
+    start = 0
     for east, north in zip(easts, norths, strict=True):
-        look_at_lines(east, north, frame, out[first : first + len(east)])
-        first += len(east)
+        look_at_lines(east, north, frame, out[start : start + len(east)])
+        start += len(east)
     step = max(1, easts[0].shape[1] // _SAMPLED_COLUMNS)
-    some = np.stack([np.concatenate([part[:, ::step] for part in of]) for of in (easts, norths)])
-    after = np.stack([np.concatenate([part[:, 1::step] for part in of]) for of in (easts, norths)])
-    out[:, 8] = _medians(np.hypot(*(after - some[:, :, : after.shape[2]])))
-    out[:-1, 9] = _medians(np.hypot(*np.diff(some, axis=1)))
-    looked = np.empty(1, object)
-    looked[0] = out, (some[:, 0].copy(), some[:, -1].copy())
-    return looked
+    sampled = np.stack(
+        [np.concatenate([part[:, ::step] for part in positions]) for positions in (easts, norths)]
+    )
+    next_columns = np.stack(
+        [np.concatenate([part[:, 1::step] for part in positions]) for positions in (easts, norths)]
+    )
+    out[:, 8] = _medians(np.hypot(*(next_columns - sampled[:, :, : next_columns.shape[2]])))
+    out[:-1, 9] = _medians(np.hypot(*np.diff(sampled, axis=1)))
+    result = np.empty(1, object)
+    result[0] = out, (sampled[:, 0].copy(), sampled[:, -1].copy())
+    return result
 
 
 def _medians(steps: Floats) -> Floats:

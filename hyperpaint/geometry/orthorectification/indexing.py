@@ -17,7 +17,7 @@ from .grids import MapGrid, Survey
 
 Window = tuple[slice, slice]  # rows and columns of a tile
 
-RULES = ("nadir", "first", "last")  # choice among several places, in the order of the kernel's numbers
+RULES = ("nadir", "first", "last")  # choice among several positions, in the order of the kernel's numbers
 
 
 @dataclass(frozen=True)
@@ -26,22 +26,22 @@ class Plan:
 
     grid: MapGrid
     rule: int  #: Position in `RULES`
-    longest: float  #: Edge beyond which four pixels do not span a patch [cell]
+    longest: float  #: Longest edge of a patch of four pixels [cell]
     last: int  #: Number of the last line
-    #: Largest shift of neighbouring pixels against each other by their heights [m]
+    #: Largest relative shift of neighbouring pixels by their heights without hidden ground [m]
     parallax: float
-    #: (pair, 4, 2) float64: east and north of the corners of the area from every line that has a place to
-    #: the next that has, around it [m]
+    #: (pair, 4, 2) float64: east and north of the corners of the area between every located line and the next
+    #: located line, in order around it [m]
     between: Floats
 
 
 @dataclass(frozen=True)
 class TileIndex:
-    """Places of the line at the cells of a tile."""
+    """Positions in the line at the cells of a tile."""
 
     line: Floats  #: (row, col) float64: as fractions; NaN where no patch covers a cell
     sample: Floats
-    #: (row, col) int32: pixel that lies nearest, of the four around the place; -1 where there is none
+    #: (row, col) int32: nearest of the four pixels around the position; -1 in uncovered cells
     nearest_line: Array
     nearest_sample: Array
     hits: Array  #: (row, col) uint16: patches over a cell
@@ -52,11 +52,11 @@ class Reading:
     """Pixels of a tile in the order of reading, and the cells they fill."""
 
     shape: tuple[int, int]  #: Rows and columns of the tile
-    #: (place,) int64: covered cells, counted row by row, in the order of the lines that are read for them
+    #: (place,) int64: covered cells, numbered row by row, in the order of their lines
     cells: Ints
-    lines: Ints  #: (place,) int64: pixel to read; where one is to be interpolated, the one before it
+    lines: Ints  #: (place,) int64: pixel to read; for interpolation, the pixel before the position
     columns: Ints
-    #: (place,) float64: way from there to the next line and column; empty where nothing is interpolated
+    #: (place,) float64: fraction towards the next line and column; empty without interpolation
     along: Floats
     across: Floats
 
@@ -78,12 +78,16 @@ def needed_slabs(
     # a patch needs both of its lines
     is_placed = np.isfinite(cells[:-1, 0]) & np.isfinite(cells[1:, 0])
     needed = {}
-    for row, of_row in enumerate(windows):
-        down = of_row[0][0]
-        pairs = np.flatnonzero(is_placed & (high[:, 3] >= down.start - 1) & (low[:, 2] <= down.stop))
-        for col, (_, across) in enumerate(of_row):
-            here = pairs[(high[pairs, 1] >= across.start - 1) & (low[pairs, 0] <= across.stop)]
-            slabs = np.searchsorted(ends, np.concatenate([here, here + 1]), side="right")
+    for row, tile_row in enumerate(windows):
+        row_slice = tile_row[0][0]
+        pairs = np.flatnonzero(
+            is_placed & (high[:, 3] >= row_slice.start - 1) & (low[:, 2] <= row_slice.stop)
+        )
+        for col, (_, col_slice) in enumerate(tile_row):
+            covering_pairs = pairs[
+                (high[pairs, 1] >= col_slice.start - 1) & (low[pairs, 0] <= col_slice.stop)
+            ]
+            slabs = np.searchsorted(ends, np.concatenate([covering_pairs, covering_pairs + 1]), side="right")
             needed[row, col] = np.unique(slabs).tolist()
     return needed
 
@@ -97,28 +101,30 @@ def index_tile(
     north: Sequence[Floats],
     *relief: Sequence[Floats],
 ) -> TileIndex:
-    """Return the places of the line at the cells of a tile.
+    """Return the positions in the line at the cells of a tile.
 
     ``starts`` are the first lines of the slabs, whose pixels lie at ``east`` and ``north`` (line, column);
-    ``relief``, where known, are the height of the ground [m] and the tangent of the view zenith angle:
-    between pixels far apart in height there is ground that neither shows.
+    ``relief``, if available, are the height of the ground [m] and the tangent of the view zenith angle:
+    between pixels of very different height lies ground that neither shows.
     """
     shape = rows.stop - rows.start, cols.stop - cols.start
-    place, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
+    position, nearest = np.full((2, *shape), np.nan), np.full((2, *shape), -1, np.int32)
     rank, hits = np.full(shape, np.inf), np.zeros(shape, np.uint16)
-    out = InverseTile(place, nearest, rank, hits)
+    out = InverseTile(position, nearest, rank, hits)
     cells = MapCells(plan.grid.frame, (rows.start, cols.start), plan.longest, plan.rule)
-    follows, before = -1, [np.empty(0)] * (2 + len(relief))
+    next_start, line_before = -1, [np.empty(0)] * (2 + len(relief))
     for start, *slab in zip(starts, east, north, *relief, strict=True):
-        if start != follows:
-            before = [np.full(slab[0].shape[1], np.nan)] * len(slab)
+        if start != next_start:
+            line_before = [np.full(slab[0].shape[1], np.nan)] * len(slab)
         e, n, *surface = (np.ascontiguousarray(part) for part in slab)
         hidden = np.zeros((0, 0), bool)
         if surface:
-            hidden = hidden_between(surface[0], surface[1], before[2:], plan.parallax)
-        invert_lines(LinePositions(e, n, before[0], before[1], hidden), start, plan.last, cells, out)
-        before, follows = [e[-1], n[-1], *(part[-1] for part in surface)], start + len(e)
-    return TileIndex(place[0], place[1], nearest[0], nearest[1], hits)
+            hidden = hidden_between(surface[0], surface[1], line_before[2:], plan.parallax)
+        invert_lines(
+            LinePositions(e, n, line_before[0], line_before[1], hidden), start, plan.last, cells, out
+        )
+        line_before, next_start = [e[-1], n[-1], *(part[-1] for part in surface)], start + len(e)
+    return TileIndex(position[0], position[1], nearest[0], nearest[1], hits)
 
 
 def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], parallax: float) -> Bools:
@@ -145,14 +151,14 @@ def hidden_between(height: Floats, tangent: Floats, before: Sequence[Floats], pa
 def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
     """Return the uncovered cells between the ends of lines (row, col)."""
     frame = plan.grid.frame
-    inside: Bools = np.zeros(index.hits.shape, bool)
+    is_between: Bools = np.zeros(index.hits.shape, bool)
     offset = plan.between - frame[:2]
-    meets = np.ones(len(offset), bool)
+    is_near = np.ones(len(offset), bool)
     for (a, b), cells in ((frame[2:4], cols), (frame[4:6], rows)):
-        at = np.asarray(a * offset[..., 0] + b * offset[..., 1])
-        meets &= (at.max(axis=1) >= cells.start) & (at.min(axis=1) <= cells.stop - 1)
-    fill_between(plan.between[meets], frame, (rows.start, cols.start), inside)
-    return np.asarray(inside & (index.hits == 0))
+        coordinate = np.asarray(a * offset[..., 0] + b * offset[..., 1])
+        is_near &= (coordinate.max(axis=1) >= cells.start) & (coordinate.min(axis=1) <= cells.stop - 1)
+    fill_between(plan.between[is_near], frame, (rows.start, cols.start), is_between)
+    return np.asarray(is_between & (index.hits == 0))
 
 
 def reading_of(index: TileIndex, bilinear: bool) -> Reading:
@@ -161,16 +167,22 @@ def reading_of(index: TileIndex, bilinear: bool) -> Reading:
     if not bilinear:
         lines, columns = (part.ravel()[cells] for part in (index.nearest_line, index.nearest_sample))
         order = np.argsort(lines, kind="stable")
-        none = np.zeros(0)
-        return Reading(index.hits.shape, cells[order], *_whole(lines[order], columns[order]), none, none)
+        no_fractions = np.zeros(0)
+        return Reading(
+            index.hits.shape,
+            cells[order],
+            *_as_int64(lines[order], columns[order]),
+            no_fractions,
+            no_fractions,
+        )
     line, sample = index.line.ravel()[cells], index.sample.ravel()[cells]
     order = np.argsort(line, kind="stable")
     line, sample = line[order], sample[order]
-    lines, columns = _whole(line, sample)
+    lines, columns = _as_int64(line, sample)
     return Reading(index.hits.shape, cells[order], lines, columns, line - lines, sample - columns)
 
 
-def _whole(line: Array, sample: Array) -> tuple[Ints, Ints]:
+def _as_int64(line: Array, sample: Array) -> tuple[Ints, Ints]:
     return line.astype(np.int64), sample.astype(np.int64)
 
 
@@ -190,17 +202,17 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
         uncovered = np.ones(len(out), bool)
         uncovered[reading.cells] = False
         out[uncovered] = empty
-    turned = np.empty((columns, bands), dtype)
-    for slab, start, here in _by_slab(reading, starts, slabs):
-        place = reading.lines[here] - start, reading.columns[here]
-        part = np.ascontiguousarray(slabs[slab])
+    buffer = np.empty((columns, bands), dtype)
+    for slab, start, is_slab in _by_slab(reading, starts, slabs):
+        pixel = reading.lines[is_slab] - start, reading.columns[is_slab]
+        block = np.ascontiguousarray(slabs[slab])
         if not bilinear:
-            gather_nearest(part, *place, reading.cells[here], turned, out)
+            gather_nearest(block, *pixel, reading.cells[is_slab], buffer, out)
             continue
-        ways = reading.along[here].astype(dtype), reading.across[here].astype(dtype)
-        after = _line_after(starts, slabs, slab)
-        places = Places(*place, *ways, reading.cells[here])
-        gather_bilinear(part, after, places, turned, np.empty_like(turned), out)
+        fractions = reading.along[is_slab].astype(dtype), reading.across[is_slab].astype(dtype)
+        next_line = _line_after(starts, slabs, slab)
+        positions = Places(*pixel, *fractions, reading.cells[is_slab])
+        gather_bilinear(block, next_line, positions, buffer, np.empty_like(buffer), out)
     return out.reshape(*reading.shape, bands)
 
 
@@ -209,46 +221,46 @@ def plane_values(
 ) -> Array:
     """Return values (row, col) of slabs (line, column), see `map_spectra`.
 
-    With ``flags`` the bits of all pixels that interpolation looks at are joined, instead of interpolated.
+    With ``flags`` the bits of the four pixels of an interpolation are combined by OR.
     """
     out = np.full(reading.shape[0] * reading.shape[1], empty, slabs[0].dtype)
-    for slab, start, here in _by_slab(reading, starts, slabs):
-        line, column, cells = reading.lines[here] - start, reading.columns[here], reading.cells[here]
+    for slab, start, is_slab in _by_slab(reading, starts, slabs):
+        line, column, cells = reading.lines[is_slab] - start, reading.columns[is_slab], reading.cells[is_slab]
         if not reading.along.size:
             out[cells] = slabs[slab][line, column]
             continue
-        along, across = reading.along[here], reading.across[here]
+        along, across = reading.along[is_slab], reading.across[is_slab]
         lines = np.concatenate([slabs[slab], _line_after(starts, slabs, slab)[None]])
         # a pixel at distance 0 needs no neighbour
         corners = ((0, 0), (0, 1), (1, 0), (1, 1))
-        taps = [lines[line + i * (along > 0), column + j * (across > 0)] for i, j in corners]
+        corner_values = [lines[line + i * (along > 0), column + j * (across > 0)] for i, j in corners]
         if flags:
-            out[cells] = taps[0] | taps[1] | taps[2] | taps[3]
+            out[cells] = corner_values[0] | corner_values[1] | corner_values[2] | corner_values[3]
         else:
-            first = taps[0] + across * (taps[1] - taps[0])
-            second = taps[2] + across * (taps[3] - taps[2])
-            out[cells] = first + along * (second - first)
+            before = corner_values[0] + across * (corner_values[1] - corner_values[0])
+            after = corner_values[2] + across * (corner_values[3] - corner_values[2])
+            out[cells] = before + along * (after - before)
     return out.reshape(reading.shape)
 
 
 def nearest_values(index: TileIndex, values: Array, of_lines: bool, empty: Any) -> Array:
     """Return values (row, col) of the nearest line or column, from one value per line or column."""
-    place = index.nearest_line if of_lines else index.nearest_sample
-    return np.where(place >= 0, values[np.maximum(place, 0)], np.asarray(empty, values.dtype))
+    pixel = index.nearest_line if of_lines else index.nearest_sample
+    return np.where(pixel >= 0, values[np.maximum(pixel, 0)], np.asarray(empty, values.dtype))
 
 
 def _by_slab(
     reading: Reading, starts: Sequence[int], slabs: Sequence[Array]
 ) -> Iterator[tuple[int, int, slice]]:
-    # every slab with pixels to read, its first line, and the range of these pixels
+    # Yield every slab with pixels to read, its first line, and the range of these pixels.
     edges = np.searchsorted(reading.lines, [*starts, starts[-1] + len(slabs[-1])])
     for slab, start in enumerate(starts):
-        here = slice(int(edges[slab]), int(edges[slab + 1]))
-        if here.stop > here.start:
-            yield slab, start, here
+        pixels = slice(int(edges[slab]), int(edges[slab + 1]))
+        if pixels.stop > pixels.start:
+            yield slab, start, pixels
 
 
 def _line_after(starts: Sequence[int], slabs: Sequence[Array], slab: int) -> Array:
-    # the slab's own last line where nothing is read of the next
-    follows = slab + 1 < len(slabs) and starts[slab + 1] == starts[slab] + len(slabs[slab])
-    return np.ascontiguousarray(slabs[slab + 1][0] if follows else slabs[slab][-1])
+    # Return the first line of the next slab, or the last line of this slab if the next one is not read.
+    is_consecutive = slab + 1 < len(slabs) and starts[slab + 1] == starts[slab] + len(slabs[slab])
+    return np.ascontiguousarray(slabs[slab + 1][0] if is_consecutive else slabs[slab][-1])

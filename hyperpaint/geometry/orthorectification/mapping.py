@@ -38,16 +38,16 @@ from .tiling import Tiles, in_memory, in_slabs, mapped, prepared, tile_windows
 _GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")
 _RELIEF = ("ground_height", "view_zenith")
-# dim of the flight line along which a position counts
+# dim of the flight line along which positions are counted
 _AXES = {
     "glt_line": ALONG_TRACK,
     "nearest_line": ALONG_TRACK,
     "glt_sample": CROSS_TRACK,
     "nearest_sample": CROSS_TRACK,
 }
-# Shift of neighbouring pixels by their heights beyond which ground between them is hidden [spacing across].
-# On a wall that the camera sees it is 1, whatever its height. With 1.25 a sixth of the hidden cells behind
-# cars is shown; with 0.6 no fewer than with 1.05, and more visible ground is lost (support/hidden_ground.py).
+# Largest relative shift of neighbouring pixels by their heights without hidden ground [spacing across].
+# On a visible wall it is 1, whatever its height. With 1.25, a sixth of the hidden cells behind
+# cars is shown; with 0.6, as many as with 1.05, and more visible ground is lost (support/hidden_ground.py).
 _MAX_PARALLAX_PX = 1.05
 _MAX_KEPT_BYTES = 64 * 2**20  # positions kept from the survey for the tiles: 6,500 lines of 640 columns
 _MAX_TILES = 100_000  # a larger graph takes minutes and gigabytes before anything is computed
@@ -69,7 +69,7 @@ def orthorectify(
     progress: Progress | None = None,
     **location: Any,
 ) -> xr.Dataset:
-    """Return a flight line as a map of square cells, with the place of every cell in the line.
+    """Return a flight line as a map of square cells, with the position in the line of every cell.
 
     Lazy except for one survey of the lines' positions. A task makes one tile, and reads only the slabs of
     lines that cover it.
@@ -93,24 +93,24 @@ def orthorectify(
         the line has them. Spectra are brought to nominal wavelengths first; counts are not.
     method
         ``"nearest"`` leaves spectra and integers unchanged. ``"bilinear"`` interpolates spectra and numbers
-        between four pixels, is NaN where one of them is, and joins their flags; directions, times and values
-        per line or column are those of the nearest pixel.
+        between four pixels, is NaN where one of them is NaN, and combines their flags by OR; directions,
+        times and values per line or column come from the nearest pixel.
     multi_hit
-        Choice where several places of the line show one cell: the place nearest to the middle column
+        Choice where several positions of the line show one cell: the position nearest to the middle column
         (``"nadir"``), or the first or last in time. Spectra are never averaged.
     max_stretch
-        Four neighbouring pixels with an edge longer than this many cells, or pixel spacings where these are
-        larger, are a gap, and nothing is drawn between them: two lost frames are bridged, three are not.
+        Longest edge between neighbouring pixels, in cells, or in pixel spacings where these are
+        larger. Four pixels with a longer edge are a gap: two lost frames are bridged, three are not.
     tile
     bounds
-        West, south, east, north of the part wanted, in the line's crs [m]; by default all of the line.
+        West, south, east, north of the map, in the line's crs [m]; by default all of the line.
     progress
     **location
 
     Returns
     -------
     xarray.Dataset
-        The variables on (y, x[, band]), all lazy, and ``glt_line`` and ``glt_sample``: the place of every
+        The variables on (y, x[, band]), all lazy, and ``glt_line`` and ``glt_sample``: the position of every
         cell in the line, in lines and columns and fractions of them; ``nearest_line`` and ``nearest_sample``:
         the nearest of the four pixels around it; all by the index coordinates of the line where these are
         integers, so that a crop keeps the numbers of the whole line; ``hits``: number of patches of four
@@ -124,7 +124,7 @@ def orthorectify(
     Raises
     ------
     SchemaError
-        Options that do not exist or fit; no pixel is placed on the ground; variables are missing; all
+        Options that are unknown or in conflict; no pixel has a ground position; variables are missing; all
         problems of a kind are listed.
     TimeError, UnitsError, MissingExtraError
         As `hyperpaint.geometry.locate`.
@@ -180,8 +180,8 @@ def orthorectify(
         )
     line, names = prepared(line if is_located(line) else locate(line, **location), variables)
     lines = _line_chunks(line, names)
-    (east, north, *relief), crs = _places(line, lines)
-    survey, cells = _planned(east, north, gsd, grid, bounds, progress)
+    (east, north, *relief), crs = _positions(line, lines)
+    survey, cells = _survey_and_grid(east, north, gsd, grid, bounds, progress)
     rows, cols = cells.shape
     count = -(-rows // tile) * -(-cols // tile)
     if count > _MAX_TILES:
@@ -253,7 +253,7 @@ def _check(
 
 
 def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
-    # as the cube is chunked, else the positions
+    # Return the chunks of the cube, else of the positions.
     cubes = [name for name in names if BAND in line[name].dims]
     for name in (*cubes, "east"):
         if line[name].chunks is not None:
@@ -261,13 +261,13 @@ def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
     return line_slabs(line.sizes[ALONG_TRACK], CHUNK_LINES)
 
 
-def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
-    # east and north [m], over relief also heights and tangents of zenith angles; the CRS
+def _positions(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], str | None]:
+    # Return east and north [m], over relief also heights and tangents of zenith angles; and the CRS.
     coordinates = require(line, ["east", "north"], "a map")
     if min(coordinates["east"].shape) < 2:
         count, columns = coordinates["east"].shape
         raise SchemaError(
-            f"{count} lines of {columns} columns make no map",
+            f"{count} lines of {columns} columns are too few for a map",
             expected="two or more of each",
             code="line-too-short",
         )
@@ -279,26 +279,26 @@ def _places(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array], s
         surface = require(line, _RELIEF, "a map without hidden ground")
         height, zenith = (in_slabs(surface[name], lines).astype(np.float64) for name in _RELIEF)
         relief = [height, np.tan(np.radians(zenith))]
-    places = [in_slabs(each, lines).astype(np.float64) for each in coordinates.values()]
-    is_lazy = any(each.chunks is not None for each in coordinates.values())
-    # over relief, heights are computed in the same tasks and would be computed again anyway
-    return [*(_kept(places) if is_lazy and not relief else places), *relief], crs
+    positions = [in_slabs(coordinate, lines).astype(np.float64) for coordinate in coordinates.values()]
+    is_lazy = any(coordinate.chunks is not None for coordinate in coordinates.values())
+    # over relief nothing is saved: the same tasks compute the heights, which are not kept
+    return [*(_in_memory_if_small(positions) if is_lazy and not relief else positions), *relief], crs
 
 
-def _kept(places: list[da.Array]) -> list[da.Array]:
-    # a line short enough to trace its rays once (eager)
-    if sum(place.nbytes for place in places) > _MAX_KEPT_BYTES or client_in_force() is not None:
-        return places
-    arrays = [np.empty(place.shape) for place in places]
-    da.store(places, arrays, lock=False)
-    names = (f"kept-{place.name}" for place in places)
+def _in_memory_if_small(positions: list[da.Array]) -> list[da.Array]:
+    # Compute the positions of a short line once, and keep them in memory (eager).
+    if sum(position.nbytes for position in positions) > _MAX_KEPT_BYTES or client_in_force() is not None:
+        return positions
+    arrays = [np.empty(position.shape) for position in positions]
+    da.store(positions, arrays, lock=False)
+    names = (f"kept-{position.name}" for position in positions)
     return [
-        in_memory(*each, place.chunks)
-        for each, place in zip(zip(arrays, names, strict=True), places, strict=True)
+        in_memory(*named, position.chunks)
+        for named, position in zip(zip(arrays, names, strict=True), positions, strict=True)
     ]
 
 
-def _planned(
+def _survey_and_grid(
     east: da.Array, north: da.Array, gsd: float | None, kind: str, bounds: Any, progress: Progress | None
 ) -> tuple[Survey, MapGrid]:
     axes = direction_of_flight(east, north) if kind == "flight" else north_axes()
@@ -306,7 +306,9 @@ def _planned(
     size = survey.gsd if gsd is None else float(gsd)
     if not size > 0.0:
         raise SchemaError(
-            "the pixels lie upon one another and give no cell size", mend="give gsd= [m]", code="gsd-missing"
+            "the pixels have the same position, so the cell size is undefined",
+            mend="give gsd= [m]",
+            code="gsd-missing",
         )
     if kind == "flight":
         # the centre of the first cell lies in the corner of the covered area
@@ -323,34 +325,34 @@ def _dataset(
 ) -> xr.Dataset:
     variables = mapped(line, names, tiles, lines)
     for name in ("glt_line", "glt_sample", "nearest_line", "nearest_sample", "hits", "gap"):
-        part = tiles.gap if name == "gap" else tiles.part(name.removeprefix("glt_"), dtype_of(name))
+        cells = tiles.gap if name == "gap" else tiles.part(name.removeprefix("glt_"), dtype_of(name))
         if name in _AXES:
-            part = _numbered(part, line, _AXES[name])
-        extra = {"empty_value": -1} if name.startswith("nearest") else {}
-        of_cells = xr.DataArray(part, dims=("y", "x"))
-        variables[name] = label(of_cells, name, grid_mapping="spatial_ref", **extra)
-    of_bands = {
+            cells = _with_line_numbers(cells, line, _AXES[name])
+        attrs_of_index = {"empty_value": -1} if name.startswith("nearest") else {}
+        cell_array = xr.DataArray(cells, dims=("y", "x"))
+        variables[name] = label(cell_array, name, grid_mapping="spatial_ref", **attrs_of_index)
+    band_coordinates = {
         name: line[name].variable
         for name in line.coords
         if line[name].dims == (BAND,) and any(BAND in array.dims for array in variables.values())
     }
-    return xr.Dataset(variables, coords=of_bands).assign_coords(_coordinates(tiles, crs, line))
+    return xr.Dataset(variables, coords=band_coordinates).assign_coords(_coordinates(tiles, crs, line))
 
 
-def _numbered(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
-    # the line's own line or column numbers, which a crop keeps; numbers other than integers from 0 on, such
-    # as those of averaged lines, name no pixel: positions stay
+def _with_line_numbers(positions: da.Array, line: xr.Dataset, dim: str) -> da.Array:
+    # Convert positions to the line or column numbers of the line, which a crop keeps. Numbers that are not
+    # integers >= 0, such as those of averaged lines, identify no pixel: then positions are returned.
     numbers = numbers_of(line, dim)
-    counted = np.arange(numbers.size)
-    is_whole = np.isfinite(numbers).all() and (numbers == np.round(numbers)).all() and numbers.min() >= 0.0
-    if not is_whole or numbers.max() > np.iinfo(np.int32).max or np.array_equal(numbers, counted):
+    default_numbers = np.arange(numbers.size)
+    is_integer = np.isfinite(numbers).all() and (numbers == np.round(numbers)).all() and numbers.min() >= 0.0
+    if not is_integer or numbers.max() > np.iinfo(np.int32).max or np.array_equal(numbers, default_numbers):
         return positions
     return positions.map_blocks(_numbers_at, numbers, dtype=positions.dtype)
 
 
 def _numbers_at(positions: Array, numbers: Array) -> Array:
-    at = np.interp(positions, np.arange(numbers.size), numbers)
-    return np.where(positions >= 0, at, positions).astype(positions.dtype)  # below 0 and NaN stay
+    interpolated = np.interp(positions, np.arange(numbers.size), numbers)
+    return np.where(positions >= 0, interpolated, positions).astype(positions.dtype)  # below 0 and NaN stay
 
 
 def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, Any]:
@@ -358,22 +360,22 @@ def _coordinates(tiles: Tiles, crs: str | None, line: xr.Dataset) -> dict[str, A
     transform = " ".join(repr(float(number)) for number in grid.transform)
     attrs: dict[str, Any] = {"GeoTransform": transform}
     if crs is not None:
-        stands = "spatial_ref" in line.variables and "crs_wkt" in line["spatial_ref"].attrs
-        attrs |= line["spatial_ref"].attrs if stands else grid_mapping_attrs(crs_of(crs))
+        has_crs = "spatial_ref" in line.variables and "crs_wkt" in line["spatial_ref"].attrs
+        attrs |= line["spatial_ref"].attrs if has_crs else grid_mapping_attrs(crs_of(crs))
     coordinates: dict[str, Any] = {"spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform})}
-    named = {} if crs is None else {"crs": crs}
+    crs_attrs = {} if crs is None else {"crs": crs}
     rows, cols = grid.shape
     if grid.axes.right == (1.0, 0.0):
         east, _ = grid.centres(slice(0, 1), slice(0, cols))
         _, north = grid.centres(slice(0, rows), slice(0, 1))
-        for name, values, towards in (("x", east[0], "east"), ("y", north[:, 0], "north")):
+        for name, values, direction in (("x", east[0], "east"), ("y", north[:, 0], "north")):
             axis = {"standard_name": f"projection_{name}_coordinate", "axis": name.upper()}
-            meaning = f"Map coordinate to the {towards}"
-            coordinates[name] = (name, values, {"units": "m", **axis, "long_name": meaning, **named})
+            meaning = f"Map coordinate to the {direction}"
+            coordinates[name] = (name, values, {"units": "m", **axis, "long_name": meaning, **crs_attrs})
         return coordinates
-    # distances from a corner as x and y: with a crs beside them, programs see the Gulf of Guinea
+    # x and y would be distances from a corner, which other programs would read as map coordinates near 0, 0
     for name, lazy in zip(("east", "north"), tiles.centres(), strict=True):
-        coordinates[name] = label(xr.DataArray(lazy, dims=("y", "x")), name, **named)
+        coordinates[name] = label(xr.DataArray(lazy, dims=("y", "x")), name, **crs_attrs)
     return coordinates
 
 
@@ -383,7 +385,7 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     Parameters
     ----------
     made
-        What `hyperpaint.geometry.orthorectify` has returned.
+        Result of `hyperpaint.geometry.orthorectify`.
 
     Returns
     -------
@@ -395,7 +397,7 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     Raises
     ------
     SchemaError
-        This is no map: it has no ``hits`` or ``gap``.
+        The dataset is not a map: it has no ``hits`` or ``gap``.
 
     Examples
     --------
@@ -407,17 +409,17 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
     missing = [name for name in ("hits", "gap") if name not in made.variables]
     if missing:
         raise SchemaError(
-            f"this is no map: {' and '.join(map(repr, missing))} missing",
+            f"not a map: {' and '.join(map(repr, missing))} missing",
             mend="orthorectify a flight line first",
             code="variable-missing",
         )
     hits, gap = made["hits"], made["gap"]
     lazy = ((hits > 0).sum(), gap.sum(), (hits > 1).sum(), hits.max())
-    covered, gaps, multiple, most = dask.compute(*(part.data for part in lazy))
+    covered, gaps, multiple, max_hits = dask.compute(*(part.data for part in lazy))
     return {
         "cells": int(np.prod(hits.shape)),
         "covered": int(covered),
         "gaps": int(gaps),
         "multiple": int(multiple),
-        "most_hits": int(most),
+        "most_hits": int(max_hits),
     }

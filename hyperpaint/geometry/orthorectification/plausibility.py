@@ -13,9 +13,9 @@ from hyperpaint.base.schema import CROSS_TRACK
 
 # camera above the ground; heights above the sea differ by up to 106 m from heights above the ellipsoid
 MIN_HEIGHT_M, MAX_HEIGHT_M = 5.0, 10_000.0
-MIN_SWATH_M, MAX_SWATH_M = 4.0, 10_000.0  # of a whole camera: two cars side by side or more
+MIN_SWATH_M, MAX_SWATH_M = 4.0, 10_000.0  # full swath of a camera: at least two cars side by side
 MAX_ASPECT = 5.0  # longer over shorter side of a pixel; frame rates are set for square pixels
-WHOLE_CAMERA_COLUMNS = 200  # narrower lines are crops or examples, with any swath and pixel shape
+WHOLE_CAMERA_COLUMNS = 200  # narrower lines are crops or examples, whose swath is not checked
 
 
 def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, float]:
@@ -30,7 +30,7 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
         altitude = line["altitude"].values
         attrs["height_above_ground"] = float(np.median(altitude[np.isfinite(altitude)])) - ground
     attrs = {name: float(value) for name, value in attrs.items() if np.isfinite(value)}
-    is_whole = line.sizes[CROSS_TRACK] >= WHOLE_CAMERA_COLUMNS
+    is_complete = line.sizes[CROSS_TRACK] >= WHOLE_CAMERA_COLUMNS
     texts = []
     height = attrs.get("height_above_ground", MIN_HEIGHT_M)
     if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
@@ -39,10 +39,10 @@ def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, floa
             "(ground is above the ellipsoid, not above the sea)"
         )
     swath = attrs.get("swath", MIN_SWATH_M)
-    if is_whole and not MIN_SWATH_M <= swath <= MAX_SWATH_M:
+    if is_complete and not MIN_SWATH_M <= swath <= MAX_SWATH_M:
         texts.append(f"the swath is {swath:.3g} m wide, expected {MIN_SWATH_M:g} to {MAX_SWATH_M:g} m")
     aspect = attrs.get("pixel_aspect", 1.0)
-    if is_whole and not 1 / MAX_ASPECT <= aspect <= MAX_ASPECT:
+    if is_complete and not 1 / MAX_ASPECT <= aspect <= MAX_ASPECT:
         texts.append(
             f"pixels are {aspect:.3g} times as long as wide, expected {1 / MAX_ASPECT:g} to {MAX_ASPECT:g}"
         )

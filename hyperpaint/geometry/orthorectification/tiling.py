@@ -1,4 +1,4 @@
-"""The dask graph of a map: one task per tile for its places in the line, and one per variable.
+"""The dask graph of a map: one task per tile for positions in the line, and one per variable.
 
 A task reads only the slabs of lines that cover its tile.
 """
@@ -50,12 +50,14 @@ class Tiles:
     windows: list[list[Window]]  #: Cells of the tiles, by row and column
     slabs: dict[Place, list[int]]  #: Slabs of lines that each tile reads
     starts: tuple[int, ...]  #: First line of every slab
-    #: The `TileIndex` of every tile, lazily, as an array of one object a tile, and its gaps (row, col)
+    #: The `TileIndex` of every tile, lazy, as an array with one object per tile, and its gaps (row, col)
     index: da.Array
     gap: da.Array
-    nearest: da.Array  #: The `Reading` of every tile, of the nearest pixels, and of those before each place
+    nearest: (
+        da.Array
+    )  #: The `Reading` of every tile: of the nearest pixels, and of the pixels before positions
     before: da.Array
-    bilinear: bool  #: Whether to interpolate
+    bilinear: bool  #: Whether values are interpolated
 
     @classmethod
     def of(
@@ -72,18 +74,18 @@ class Tiles:
         shared = {f"orthorectification-plan-{tokenize(plan)}": plan}
         key = next(iter(shared))
         tasks: dict[Place, Any] = {}
-        for place, (rows, cols) in _each(windows):
+        for place, (rows, cols) in _tiles_of(windows):
             first = [starts[slab] for slab in slabs[place]]
             read = [[(of.name, slab, 0) for slab in slabs[place]] for of in places]
             tasks[place] = (index_tile, key, rows, cols, first, *read)
         single = ((1,) * len(windows), (1,) * len(windows[0]))
         index = _array("map-index", tasks, single, object, places, plan, shared)
-        gaps = {p: (gaps_of, key, *window, (index.name, *p)) for p, window in _each(windows)}
+        gaps = {p: (gaps_of, key, *window, (index.name, *p)) for p, window in _tiles_of(windows)}
         gap = _array("map-gap", gaps, _chunks(windows), np.bool_, [index], plan, shared)
         nearest, before = (
             _array(
                 "map-reading",
-                {place: (reading_of, (index.name, *place), between) for place, _ in _each(windows)},
+                {place: (reading_of, (index.name, *place), between) for place, _ in _tiles_of(windows)},
                 single,
                 object,
                 [index],
@@ -94,7 +96,7 @@ class Tiles:
         return cls(plan.grid, windows, slabs, starts, index, gap, nearest, before, bilinear)
 
     def part(self, name: str, dtype: Any) -> da.Array:
-        tasks = {place: (getattr, (self.index.name, *place), name) for place, _ in _each(self.windows)}
+        tasks = {place: (getattr, (self.index.name, *place), name) for place, _ in _tiles_of(self.windows)}
         return _array(f"map-{name}", tasks, _chunks(self.windows), dtype, [self.index])
 
     def cube(self, cube: da.Array, empty: Any) -> da.Array:
@@ -121,7 +123,7 @@ class Tiles:
     def centres(self) -> tuple[da.Array, da.Array]:
         coordinates = []
         for part, name in enumerate(("east", "north")):
-            tasks = {place: (_centres, self.grid, *window, part) for place, window in _each(self.windows)}
+            tasks = {place: (_centres, self.grid, *window, part) for place, window in _tiles_of(self.windows)}
             coordinates.append(
                 _array(f"map-{name}", tasks, _chunks(self.windows), np.float64, [], (self.grid,))
             )
@@ -131,28 +133,28 @@ class Tiles:
         self,
         label: str,
         function: Callable[..., Array],
-        where: da.Array,
+        index_array: da.Array,
         source: da.Array,
         options: tuple[Any, ...],
         bands: tuple[int, ...] = (),
     ) -> da.Array:
-        # ``function`` makes the tiles from places, source blocks and options
+        # ``function`` computes the tiles from positions, source blocks and options
         tasks: dict[tuple[int, ...], Any] = {}
         dtype = np.asarray(options[-1]).dtype
-        for place, (rows, cols) in _each(self.windows):
+        for place, (rows, cols) in _tiles_of(self.windows):
             needed = self.slabs[place]
             key = (*place, *(0 for _ in bands))
             if not needed:
                 shape = [rows.stop - rows.start, cols.stop - cols.start, *bands]
                 tasks[key] = (np.full, shape, options[-1], dtype)
                 continue
-            read: list[Any] = [(source.name, 0)]
+            inputs: list[Any] = [(source.name, 0)]
             if source.ndim > 1:
                 blocks = [(source.name, slab, *(0,) * (source.ndim - 1)) for slab in needed]
-                read = [[self.starts[slab] for slab in needed], blocks]
-            tasks[key] = (function, (where.name, *place), *read, *options)
+                inputs = [[self.starts[slab] for slab in needed], blocks]
+            tasks[key] = (function, (index_array.name, *place), *inputs, *options)
         chunks = (*_chunks(self.windows), *((size,) for size in bands))
-        return _array(label, tasks, chunks, dtype, [where, source], options)
+        return _array(label, tasks, chunks, dtype, [index_array, source], options)
 
 
 def _chunks(windows: list[list[Window]]) -> tuple[tuple[int, ...], ...]:
@@ -160,7 +162,7 @@ def _chunks(windows: list[list[Window]]) -> tuple[tuple[int, ...], ...]:
     return rows, tuple(window[1].stop - window[1].start for window in windows[0])
 
 
-def _each(windows: list[list[Window]]) -> Iterator[tuple[Place, Window]]:
+def _tiles_of(windows: list[list[Window]]) -> Iterator[tuple[Place, Window]]:
     return (((row, col), window) for row, part in enumerate(windows) for col, window in enumerate(part))
 
 
@@ -177,7 +179,7 @@ def _array(
     options: Any = None,
     shared: Mapping[str, Any] | None = None,
 ) -> da.Array:
-    # the name is a hash of the inputs
+    # the name of the array is a hash of the inputs
     name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
     layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
     graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
@@ -190,8 +192,8 @@ def _array(
 _PRODUCTS = ("reflectance", "radiance")
 _BY_DEFAULT = ("quality", "time", "irradiance_age", "view_zenith", "view_azimuth", "ground_height")
 _RENAMED = {"time": "line_time"}
-# angles that jump from 360 to 0, or from 180 to -180, and cannot be interpolated
-_TURNING = ("view_azimuth", "sun_azimuth", "heading", "longitude")
+# angles that wrap at 360 or 180 degrees and cannot be interpolated
+_WRAPPING = ("view_azimuth", "sun_azimuth", "heading", "longitude")
 _PIXEL = (ALONG_TRACK, CROSS_TRACK)
 
 
@@ -203,29 +205,29 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
     Raises
     ------
     SchemaError
-        Variables that it does not have, of dims that have no place on a map, or of types other than numbers,
-        flags and times; all are listed. Or there is no reflectance, and none can be computed.
+        Variables that are missing, of dims that a map lacks, or of types other than numbers,
+        flags and times; all are listed. Or reflectance is missing and cannot be computed.
     UnitsError
         As `hyperpaint.reflectance`.
     """
     if isinstance(variables, str):
         variables = (variables,)
     if variables is None:
-        top = [name for name in _PRODUCTS if name in line.variables][:1]
-        if not top and "counts" in line.variables:
-            line, top = reflectance(line), ["reflectance"]
-        names = [*top, *(name for name in _BY_DEFAULT if name in line.variables)]
+        product = [name for name in _PRODUCTS if name in line.variables][:1]
+        if not product and "counts" in line.variables:
+            line, product = reflectance(line), ["reflectance"]
+        names = [*product, *(name for name in _BY_DEFAULT if name in line.variables)]
     else:
         names = list(dict.fromkeys(variables))
-    problems = Problems("these cannot be brought to a map", SchemaError)
+    problems = Problems("these variables cannot be mapped", SchemaError)
     for name in names:
         if name not in line.variables:
-            held = ", ".join(sorted(map(str, line.variables)))
-            problems.add(f"{name!r} is not there", expected=f"{held:.400}", code="variable-missing")
+            names_of_line = ", ".join(sorted(map(str, line.variables)))
+            problems.add(f"{name!r} is missing", expected=f"{names_of_line:.400}", code="variable-missing")
         elif set(line[name].dims) not in ({*CUBE}, {*_PIXEL}, {ALONG_TRACK}, {CROSS_TRACK}):
             dims = ", ".join(map(str, line[name].dims)) or "a scalar"
             problems.add(
-                f"{name!r} ({dims}) has no place on a map",
+                f"{name!r} ({dims}) cannot be mapped",
                 expected="along_track or cross_track",
                 code="dim-missing",
             )
@@ -241,25 +243,25 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
 
 
 def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
-    # native byte order, no half floats
+    # Return the dtype in native byte order, with half floats as float32; None for unsupported types.
     if dtype.kind == "f":
         return np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
     return dtype.newbyteorder("=") if dtype.kind in "biuM" else None
 
 
 def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    wanted = {name: _native(line[name].dtype) for name in names}
-    # numpy compares types of either byte order as equal
-    other = [
-        name for name, dtype in wanted.items() if dtype is not None and dtype.str != line[name].dtype.str
+    native = {name: _native(line[name].dtype) for name in names}
+    # compare .str: numpy treats types of either byte order as equal
+    names_to_convert = [
+        name for name, dtype in native.items() if dtype is not None and dtype.str != line[name].dtype.str
     ]
-    converted = {name: line[name].astype(wanted[name]) for name in other}
-    coords = {name: converted.pop(name) for name in other if name in line.coords}
+    converted = {name: line[name].astype(native[name]) for name in names_to_convert}
+    coords = {name: converted.pop(name) for name in names_to_convert if name in line.coords}
     return line.assign(converted).assign_coords(coords)
 
 
 def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
-    """Return the value of a cell that no pixel shows.
+    """Return the value of an uncovered cell.
 
     NaN or NaT; ``off_swath`` for ``quality``; for integers -1, or the largest of an unsigned type.
     """
@@ -275,7 +277,7 @@ def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
 
 
 def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[int, ...]) -> dict[str, Any]:
-    """Return the variables of a `prepared` line on a map, by new name; ``lines`` are those per slab."""
+    """Return the variables of a `prepared` line on a map, by new name; ``lines`` is the number per slab."""
     variables = {}
     for name in names:
         values = _on_map(line[name], name, tiles, lines)
@@ -297,7 +299,7 @@ def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]
     array = array.astype("datetime64[ns]") if array.dtype.kind == "M" else array
     empty = empty_value(name, array.dtype)
     if array.ndim == 2:
-        kind = "bilinear" if array.dtype.kind == "f" and name not in _TURNING else "nearest"
+        kind = "bilinear" if array.dtype.kind == "f" and name not in _WRAPPING else "nearest"
         if "flag_masks" in array.attrs or name == "quality":
             kind = "flags"
         return tiles.plane(in_slabs(array.transpose(*_PIXEL), lines), kind, empty)
@@ -305,7 +307,7 @@ def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]
 
 
 class _InMemory:
-    # dask neither copies nor hashes the array
+    # Wrapper of an array that dask neither copies nor hashes.
     def __init__(self, array: Array) -> None:
         self._array = array
         self.shape, self.dtype, self.ndim = array.shape, array.dtype, array.ndim

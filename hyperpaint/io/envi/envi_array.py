@@ -23,9 +23,9 @@ from hyperpaint.base.arrays import Array, Ints
 from hyperpaint.base.errors import FormatError
 
 # gaps up to this size are read and dropped, which is faster than another system call [byte]
-_GAP = 32 * 2**10
+_MAX_GAP_BYTES = 32 * 2**10
 # largest piece read at once if not all of it is kept [byte]
-_BOX = 8 * 2**20
+_MAX_BOX_BYTES = 8 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Scaling:
     dtype: np.dtype[Any]  # Type of the values, floating or complex
     ignore: int | float | None = None  # Compared with stored samples, before scaling
     divisor: float | None = None  # The reflectance scale factor
-    # gain, offset: One for each band
+    # gain, offset: One value per band
     gain: npt.NDArray[np.float64] | None = None
     offset: npt.NDArray[np.float64] | None = None
 
@@ -60,15 +60,15 @@ class EnviArray(BackendArray):
 
     path: str  # Absolute path of the data file
     # file_size, modified_ns: Of the file when it was opened; a read refuses a file that has changed since.
-    # dask names an array by its fields: the same file gets the same name, another version another.
+    # dask names an array by its fields: a changed file gets another name.
     file_size: int
     modified_ns: int
     offset: int  # Bytes before the first sample
     stored: np.dtype[Any]  # Type of a stored sample, byte order included
     file_shape: tuple[int, int, int]  # Slowest axis of the file first
-    axes: tuple[int, int, int]  # Axis of the file that each dim is
+    axes: tuple[int, int, int]  # Axis of the file of each dim
     band_axis: int  # The dim that counts bands
-    scaling: Scaling | None = None  # None for samples as they are stored
+    scaling: Scaling | None = None  # None for stored samples
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -85,27 +85,27 @@ class EnviArray(BackendArray):
         )
 
     def _outer(self, key: tuple[Any, ...]) -> Array:
-        # The samples at the crossings of one index, slice or sorted index array for each dim.
+        # Return the samples at the crossings of an index, slice or sorted index array per dim.
         positions = [_positions(index, size) for index, size in zip(key, self.shape, strict=True)]
         values = self._read(positions)
         if self.scaling is not None:
-            fit = tuple(-1 if axis == self.band_axis else 1 for axis in range(3))
+            vector_shape = tuple(-1 if axis == self.band_axis else 1 for axis in range(3))
             bands = positions[self.band_axis]
-            values = self.scaling.apply(values, lambda vector: vector[bands].reshape(fit))
+            values = self.scaling.apply(values, lambda vector: vector[bands].reshape(vector_shape))
         shape = [size for size, index in zip(values.shape, key, strict=True) if not _is_integer(index)]
         return values.reshape(shape)
 
     def _read(self, positions: list[Ints]) -> Array:
-        samples = np.empty(tuple(len(wanted) for wanted in positions), self.stored.newbyteorder("="))
+        samples = np.empty(tuple(len(index) for index in positions), self.stored.newbyteorder("="))
         if samples.size == 0:
             return samples
         # a view of the same memory, axes in the order of the file
         in_file_order = samples.transpose(np.argsort(self.axes))
-        along = [positions[axis] for axis in np.argsort(self.axes)]
+        indices = [positions[axis] for axis in np.argsort(self.axes)]
         with open(self.path, "rb", buffering=0) as file:
             self._refuse_changed(file)
-            # whole planes of the file, one after another, are read in one piece
-            planes, rows, columns = along
+            # complete successive planes of the file are read in one piece
+            planes, rows, columns = indices
             _, height, width = self.file_shape
             is_slab = self.axes == (0, 1, 2) and bool((np.diff(planes) == 1).all())
             is_slab = is_slab and np.array_equal(rows, np.arange(height))
@@ -114,11 +114,11 @@ class EnviArray(BackendArray):
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
             else:
-                self._gather(file, along, in_file_order)
+                self._gather(file, indices, in_file_order)
         return samples
 
     def _refuse_changed(self, file: io.FileIO) -> None:
-        # Raise FormatError if the file has changed since it was opened: layout and meaning may differ.
+        # Raise FormatError if the file has changed since it was opened: its layout may differ.
         status = os.fstat(file.fileno())
         if (status.st_size, status.st_mtime_ns) != (self.file_size, self.modified_ns):
             raise FormatError(
@@ -129,31 +129,33 @@ class EnviArray(BackendArray):
                 code="file-changed",
             )
 
-    def _gather(self, file: io.FileIO, along: list[Ints], into: Array) -> None:
-        # Read boxes of file lines around the wanted samples, and keep those.
-        planes, rows, samples = along
+    def _gather(self, file: io.FileIO, indices: list[Ints], out: Array) -> None:
+        # Read blocks of file lines around the requested samples, and keep these samples.
+        planes, rows, samples = indices
         columns = self.file_shape[2]
         # lines of the file, counted through all planes
         lines = (planes[:, np.newaxis] * self.file_shape[1] + rows).ravel()
         first, last = int(samples[0]), int(samples[-1])
         gaps = np.diff(lines) * columns - (last - first + 1)
-        lines_a_box = max(1, _BOX // (columns * self.stored.itemsize))
-        breaks = (gaps * self.stored.itemsize > _GAP) | (np.diff((lines - lines[0]) // lines_a_box) != 0)
-        breaks |= np.diff(lines) < 0  # a plane that is repeated
-        edges = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(lines)]
-        places = np.unravel_index(np.arange(len(lines)), into.shape[:2])
-        picked = _selector(samples)
+        lines_a_box = max(1, _MAX_BOX_BYTES // (columns * self.stored.itemsize))
+        is_break = (gaps * self.stored.itemsize > _MAX_GAP_BYTES) | (
+            np.diff((lines - lines[0]) // lines_a_box) != 0
+        )
+        is_break |= np.diff(lines) < 0  # a plane that is repeated
+        edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(lines)]
+        places = np.unravel_index(np.arange(len(lines)), out.shape[:2])
+        columns_kept = _selector(samples)
         for start, stop in itertools.pairwise(edges):
-            top = int(lines[start])
-            box = np.empty((int(lines[stop - 1]) - top + 1, columns), self.stored)
-            wanted = box.reshape(-1)[first : (len(box) - 1) * columns + last + 1]
-            self._fill(file, top * columns + first, wanted)
-            rows = box if stop - start == 1 else box[_selector(lines[start:stop] - top)]
-            into[places[0][start:stop], places[1][start:stop]] = rows[:, picked]
+            first_line = int(lines[start])
+            buffer = np.empty((int(lines[stop - 1]) - first_line + 1, columns), self.stored)
+            buffer_part = buffer.reshape(-1)[first : (len(buffer) - 1) * columns + last + 1]
+            self._fill(file, first_line * columns + first, buffer_part)
+            rows = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
+            out[places[0][start:stop], places[1][start:stop]] = rows[:, columns_kept]
 
-    def _fill(self, file: io.FileIO, first: int, into: Array) -> None:
+    def _fill(self, file: io.FileIO, first: int, out: Array) -> None:
         # Read samples from number `first` on into contiguous memory, without conversion.
-        view = into.view(np.uint8).data
+        view = out.view(np.uint8).data
         file.seek(self.offset + first * self.stored.itemsize)
         done = 0
         while done < len(view):
@@ -181,7 +183,7 @@ def _positions(index: Any, size: int) -> Ints:
 
 
 def _selector(positions: Ints) -> slice | Ints:
-    # A slice for evenly spaced positions, which avoids a copy.
+    # Return a slice for evenly spaced positions, which avoids a copy.
     steps = np.diff(positions)
     if len(steps) == 0:
         return slice(int(positions[0]), int(positions[0]) + 1)

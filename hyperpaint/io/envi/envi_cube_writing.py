@@ -1,7 +1,7 @@
-"""ENVI cubes written: a flight line, or a georeferenced map.
+"""Writing of ENVI cubes: a flight line, or a georeferenced map.
 
 The data file is filled block by block as dask computes them, so that a cube of any length needs the memory of
-a few blocks. Header and data appear together, the header last.
+a few blocks. Header and data are published together, the header last.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _AXES: Mapping[str, str] = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _SCALE = 10_000
 _IGNORE = 65_535
 # Size of the pieces in which an array in memory is written [byte].
-_BLOCK = 64 * 2**20
+_BLOCK_BYTES = 64 * 2**20
 
 
 @takes_quantities()
@@ -63,18 +63,18 @@ def write_envi(
     Parameters
     ----------
     dataset
-        A flight line, (along_track, band, cross_track), or a map, (y, x, band), in any order; or with planes
-        of them, (along_track, cross_track) or (y, x). A map's place is that of ``spatial_ref``, with its
-        ``GeoTransform`` (which may be rotated) or ``x`` and ``y``.
+        A flight line, (along_track, band, cross_track), or a map, (y, x, band), in any order of dims; or a
+        plane, (along_track, cross_track) or (y, x). The position of a map comes from ``spatial_ref`` with
+        ``GeoTransform`` (which may be rotated), or from ``x`` and ``y``.
     path
-        The data file, or the header; without either's suffix, ``.img`` is added.
+        The data file or the header; without a known suffix, ``.img`` is added.
     variable
     interleave
-        By default ``"bil"`` for flight lines and ``"bip"`` for maps: the order in which the blocks come.
+        By default ``"bil"`` for flight lines and ``"bip"`` for maps, the order of computation.
     dtype
-        ``"float32"``; or ``"uint16"``, for reflectance times 10,000 (0 to 6.5534, others end there), unknown
-        samples 65535. By default floats are float32 (places such as ``east`` and ``glt_line`` float64), and
-        integers keep their type.
+        ``"float32"``; or ``"uint16"``, for reflectance times 10,000 (clipped to 0 to 6.5534), unknown
+        samples 65535. By default floats are float32 (positions such as ``east`` and ``glt_line`` float64),
+        and integers keep their type.
     overwrite
     progress
 
@@ -86,7 +86,7 @@ def write_envi(
     Raises
     ------
     SchemaError
-        There is no such variable, its dims or type are others, or ENVI cannot say where its grid is; all are
+        The variable is missing, its dims or type are wrong, or ENVI cannot describe its grid; all are
         listed.
     StoreError
         A file exists, or cannot be written. An existing file stays.
@@ -95,7 +95,7 @@ def write_envi(
 
     Notes
     -----
-    ENVI knows grids of square pixels turned by an angle. A grid whose rows count the other way round (a
+    ENVI describes rotated grids of square pixels. A grid whose rows count in the other direction (a
     mirrored one) is written from its last row on. `open_envi` reads float32 and integers back bit for bit.
 
     Examples
@@ -110,36 +110,36 @@ def write_envi(
     ('line.hdr', {'along_track': 2, 'band': 3, 'cross_track': 4})
     >>> scratch.cleanup()
     """
-    cube = _cube(dataset, variable, dtype)
+    cube = _stored_cube(dataset, variable, dtype)
     grid = grid_of(dataset) if "y" in cube.dims else None
     if grid is not None and grid.mirrored:
         cube, grid = cube.isel(y=slice(None, None, -1)), grid.flipped(cube.sizes["y"])
-    chosen = interleave or ("bil" if grid is None and "y" not in cube.dims else "bip")
-    if chosen not in _AXES:
+    order = interleave or ("bil" if grid is None and "y" not in cube.dims else "bip")
+    if order not in _AXES:
         raise SchemaError(
-            f"interleave {chosen!r:.40}", expected="'bil', 'bip' or 'bsq'", code="choice-unknown"
+            f"interleave {order!r:.40}", expected="'bil', 'bip' or 'bsq'", code="choice-unknown"
         )
-    stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[chosen]])
-    header = _header(dataset, cube, chosen, grid)
+    stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[order]])
+    header = _header(dataset, cube, order, grid)
     # names of data file and header
-    data = head = Path(path)
-    if data.suffix.lower() == ".hdr":
-        data = head.with_suffix(".img")
-    elif data.suffix.lower() in _DATA_SUFFIXES:
-        head = data.with_suffix(".hdr")
+    data_path = header_path = Path(path)
+    if data_path.suffix.lower() == ".hdr":
+        data_path = header_path.with_suffix(".img")
+    elif data_path.suffix.lower() in _DATA_SUFFIXES:
+        header_path = data_path.with_suffix(".hdr")
     else:
-        data, head = (data.with_name(data.name + suffix) for suffix in (".img", ".hdr"))
-    with published_files([data, head], overwrite=overwrite) as (data_file, header_file):
-        _fill(data_file, stored, progress)
+        data_path, header_path = (data_path.with_name(data_path.name + suffix) for suffix in (".img", ".hdr"))
+    with published_files([data_path, header_path], overwrite=overwrite) as (data_file, header_file):
+        _fill_file(data_file, stored, progress)
         header_file.write_bytes(header.encode())
-    return head
+    return header_path
 
 
 # --- array and header --------------------------------------------------------------------------------------
 
 
-def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.DataArray:
-    # The array (line, sample, band) in the type that is stored, still lazy.
+def _stored_cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.DataArray:
+    # Return the array (line, sample, band) in its stored dtype, still lazy.
     cube = product_of(dataset, variable)
     name = str(cube.name)
     if BAND not in cube.dims:
@@ -171,13 +171,13 @@ def _cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -> xr.Da
 def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid | None) -> str:
     lines, samples, bands = cube.shape
     name = str(cube.name)
-    scaled = name == "reflectance" and cube.dtype.kind == "u"
+    is_scaled = name == "reflectance" and cube.dtype.kind == "u"
     title = _printable(str(dataset.attrs.get("title") or dataset.attrs.get("source") or "hyperpaint"))
-    # readers take the last level in a description as the quantity
-    level = f", {name.upper()}" if name in ("radiance", "reflectance") else f", {name}"
+    # readers take the last processing level in a description as the quantity
+    quantity_text = f", {name.upper()}" if name in ("radiance", "reflectance") else f", {name}"
     rows = [
         "ENVI",
-        f"description = {{{title}{level}}}",
+        f"description = {{{title}{quantity_text}}}",
         f"samples = {samples}",
         f"lines = {lines}",
         f"bands = {bands}",
@@ -189,7 +189,7 @@ def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid
     ]
     if units := cube.attrs.get("units"):
         rows.append(f";Units = {_printable(str(units))}")
-    if scaled:
+    if is_scaled:
         rows += [f"reflectance scale factor = {_SCALE}", f"data ignore value = {_IGNORE}"]
     elif cube.dtype.kind == "f":
         rows.append("data ignore value = nan")
@@ -198,22 +198,25 @@ def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid
     if BAND not in dataset[name].dims:
         rows.append(f"band names = {{{_printable(name)}}}")
     else:
-        rows += _spectral(dataset)
+        rows += _spectral_rows(dataset)
     if grid is not None:
         rows += [f"{key} = {{{value}}}" for key, value in envi_map_info(grid).items()]
     return "\n".join(rows) + "\n"
 
 
-def _spectral(dataset: xr.Dataset) -> list[str]:
+def _spectral_rows(dataset: xr.Dataset) -> list[str]:
     rows: list[str] = []
     axis = dataset.variables.get("wavelength")
     if axis is None or axis.dims != (BAND,):
         return rows
-    nm = axis.values.astype(np.float64)
-    if np.isfinite(nm).all():
-        rows += ["wavelength units = Nanometers", f"wavelength = {braced(list(map(repr, nm.tolist())))}"]
-        if (chosen := nearest_bands(nm, RGB_WAVELENGTHS)) is not None:
-            rows.append(f"default bands = {{{', '.join(str(band + 1) for band in chosen)}}}")
+    wavelengths = axis.values.astype(np.float64)
+    if np.isfinite(wavelengths).all():
+        rows += [
+            "wavelength units = Nanometers",
+            f"wavelength = {braced(list(map(repr, wavelengths.tolist())))}",
+        ]
+        if (rgb_bands := nearest_bands(wavelengths, RGB_WAVELENGTHS)) is not None:
+            rows.append(f"default bands = {{{', '.join(str(band + 1) for band in rgb_bands)}}}")
     for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
         variable = dataset.variables.get(name)
         if variable is None or variable.dims != (BAND,):
@@ -225,7 +228,7 @@ def _spectral(dataset: xr.Dataset) -> list[str]:
 
 
 def _printable(text: str) -> str:
-    # Text without braces and line ends.
+    # Return text without braces and line ends.
     return "".join(mark if mark.isprintable() and mark not in "{}" else " " for mark in text)[:500]
 
 
@@ -234,7 +237,7 @@ def _printable(text: str) -> str:
 
 @dataclass(eq=False)
 class _Target:
-    # A file that takes blocks of an array at their positions; any thread, any order.
+    # File to which blocks of an array are written at their positions, by any thread, in any order.
     # Blocks go through `os.pwrite`: a memory map would hold written pages in memory.
     path: str
     shape: tuple[int, int, int]
@@ -244,7 +247,7 @@ class _Target:
     lock: Any = field(default_factory=threading.Lock)
 
     def __getstate__(self) -> dict[str, Any]:
-        # no progress on another machine
+        # progress is not reported from another machine
         return {**self.__dict__, "progress": None, "lock": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -252,19 +255,19 @@ class _Target:
 
     def __setitem__(self, region: tuple[slice, slice, slice], block: NDArray[Any]) -> None:
         block = np.ascontiguousarray(block, self.dtype.newbyteorder("<"))
-        starts = [where.indices(size)[0] for where, size in zip(region, self.shape, strict=True)]
+        starts = [part.indices(size)[0] for part, size in zip(region, self.shape, strict=True)]
         _, rows, columns = self.shape
-        whole_rows = block.shape[2] == columns
+        has_full_rows = block.shape[2] == columns
         descriptor = os.open(self.path, os.O_WRONLY)
         try:
             for plane in range(block.shape[0]):
                 first = ((starts[0] + plane) * rows + starts[1]) * columns + starts[2]
-                for row, piece in enumerate([block[plane]] if whole_rows else block[plane]):
+                for row, piece in enumerate([block[plane]] if has_full_rows else block[plane]):
                     self._write(descriptor, piece, first + row * columns)
             if block.shape[1:] == self.shape[1:] and hasattr(os, "posix_fadvise"):
-                # Linux starts to write these pages, so that little is left to flush at the end
-                begin, size = starts[0] * rows * columns * self.dtype.itemsize, block.nbytes
-                os.posix_fadvise(descriptor, begin, size, os.POSIX_FADV_DONTNEED)
+                # Linux starts to write these pages, so that the final flush is short
+                first_byte, size = starts[0] * rows * columns * self.dtype.itemsize, block.nbytes
+                os.posix_fadvise(descriptor, first_byte, size, os.POSIX_FADV_DONTNEED)
         finally:
             os.close(descriptor)
         with self.lock:
@@ -280,7 +283,7 @@ class _Target:
             view, offset = view[count:], offset + count
 
 
-def _fill(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None] | None) -> None:
+def _fill_file(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None] | None) -> None:
     # Write an array in the order of its dims.
     shape = (stored.shape[0], stored.shape[1], stored.shape[2])
     with open(path, "wb") as file:
@@ -290,7 +293,7 @@ def _fill(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None]
             try:
                 os.posix_fallocate(file.fileno(), 0, size)
             except OSError as error:
-                # reports a full disk before anything is computed; some file systems cannot
+                # a full disk is reported before anything is computed; some file systems do not support this
                 if error.errno == errno.ENOSPC:
                     raise
     target = _Target(os.path.abspath(path), shape, stored.dtype, progress)
@@ -299,7 +302,7 @@ def _fill(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None]
 
         da.store(stored.data, target, lock=False)
         return
-    step = max(1, _BLOCK // max(1, int(np.prod(shape[1:])) * stored.dtype.itemsize))
+    step = max(1, _BLOCK_BYTES // max(1, int(np.prod(shape[1:])) * stored.dtype.itemsize))
     for first in range(0, shape[0], step):
         part = slice(first, min(first + step, shape[0]))
         target[part, slice(None), slice(None)] = stored[part].values

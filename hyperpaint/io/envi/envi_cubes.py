@@ -1,7 +1,7 @@
-"""ENVI cubes, opened lazily: raw counts, radiance or reflectance of any length.
+"""Lazy opening of ENVI cubes: raw counts, radiance or reflectance of any length.
 
-The file is read in slabs, when values are asked for and no sooner. Sensor geometry is shown as
-``(along_track, band, cross_track)`` whatever the interleave, map geometry as ``(y, x, band)``.
+The file is read in slabs when values are needed. Sensor geometry becomes
+``(along_track, band, cross_track)`` for any interleave, map geometry ``(y, x, band)``.
 
 A data file may be a link to another folder, as raw cubes on a large disk often are: the user placed it beside
 the header. Paths written inside a header are never followed.
@@ -31,22 +31,22 @@ _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli"
 # axes of the file, slowest first
 _FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
-# Headwall's recorder writes its name; its software adds the level of processed cubes
+# Headwall's recorder writes its name; its software adds the processing level
 _RAW = re.compile(r"\[headwall\b|\braw\b|\bdigital (?:numbers?|counts?)\b|\bcounts\b|\bdn\b", re.IGNORECASE)
 _COUNT_UNITS = ("count", "counts", "dn", "digital number", "digital numbers", "digital counts", "adu")
 _QUANTITIES = ("counts", "radiance", "reflectance", "values")
 
 
 def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
-    """Find the header and the data file that belong together.
+    """Return the header and the data file that belong together.
 
-    ``path``: either of the two. A header ``raw_0.hdr`` goes with ``raw_0``, or with that name and one of the
-    suffixes .img .dat .raw .bil .bip .bsq .bin .sli; a data file goes with its name and ``.hdr``, with its
-    own suffix or without.
+    ``path``: header or data file. A header ``raw_0.hdr`` belongs to ``raw_0``, or to that name with one of
+    the suffixes .img .dat .raw .bil .bip .bsq .bin .sli; a data file belongs to its name and ``.hdr``, with
+    its suffix or without.
 
-    Returns header, data: Paths as they were spelled.
+    Returns header, data: paths in the spelling of the caller.
 
-    Raises `FormatError`: The other file is missing, or could be one of several. Raises `FileNotFoundError`:
+    Raises `FormatError`: The other file is missing or ambiguous. Raises `FileNotFoundError`:
     There is no such file.
     """
     path = input_path(path, "an ENVI header, or the data file beside it")
@@ -66,13 +66,13 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
 
 
 def _data_of(header: Path) -> Path:
-    whole = header.with_suffix("")
+    bare_path = header.with_suffix("")
     suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
-    candidates = _existing([whole]) or _existing([Path(f"{whole}{suffix}") for suffix in suffixes])
+    candidates = _existing([bare_path]) or _existing([Path(f"{bare_path}{suffix}") for suffix in suffixes])
     if not candidates:
         raise FormatError(
             f"ENVI header {str(header)!r} has no data file beside it",
-            expected=f"{whole.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
+            expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
             code="data-file-missing",
         )
     if len(candidates) > 1:
@@ -86,7 +86,7 @@ def _data_of(header: Path) -> Path:
 
 
 def _existing(candidates: list[Path]) -> list[Path]:
-    # The files among the candidates; two spellings of one file count once.
+    # Return the candidates that are files; two spellings of one file count once.
     files: list[Path] = []
     for path in candidates:
         if is_plain_file(path) and not any(path.samefile(other) for other in files):
@@ -108,11 +108,10 @@ def open_envi(
     path
         The header or the data file.
     keep_whole_lines
-        Take the number of lines from the size of the data file instead of the header, for recordings that
-        were cut short (power loss, or a header written before the last line). A line begun at the end of a
-        short file is dropped; a file longer than declared must hold whole lines exactly, since a remainder
-        there means that the header describes another cube. Not possible for ``bsq``: a short file lacks
-        bands.
+        Use the number of lines from the size of the data file instead of the header, for recordings that
+        were cut short (power loss, or a header written before the last line). An incomplete line at the end
+        of a short file is dropped; a file longer than declared must hold complete lines, since a remainder
+        means that the header describes another cube. Not possible for ``bsq``: a short file lacks bands.
     quantity
         ``counts``, ``radiance``, ``reflectance`` or ``values``: quantity of the samples, where the header
         does not state it. A header that contradicts it is refused.
@@ -141,7 +140,7 @@ def open_envi(
     Warns
     -----
     PaintWarning
-        Something was inferred that may make values or wavelengths wrong, or lines were kept or dropped.
+        An assumption may make values or wavelengths wrong, or lines were kept or dropped.
 
     Notes
     -----
@@ -183,14 +182,14 @@ def open_envi(
             expected="a cube",
             code="file-type-wrong",
         )
-    scale = header.reflectance_scale_factor not in (None, 1.0)
-    if scale and _has_gain(header):
+    has_scale = header.reflectance_scale_factor not in (None, 1.0)
+    if has_scale and _has_gain(header):
         problems.add(
             "both 'reflectance scale factor' and band gains or offsets are given",
             mend="delete those that do not belong to the stored samples",
             code="scale-conflict",
         )
-    if scale and _level(header) == "radiance":
+    if has_scale and _level(header) == "radiance":
         problems.add(
             "the description says RADIANCE but a 'reflectance scale factor' is given",
             mend="delete one",
@@ -199,23 +198,23 @@ def open_envi(
     problems.raise_if_any()
     status = os.stat(data_path)
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
-    # anything that may make values wrong
-    messages = list(header.warnings)
+    # doubts that may make values wrong
+    doubts = list(header.warnings)
     if _is_unscaled(header):
-        messages.append(
+        doubts.append(
             "the description says REFLECTANCE but integers are stored and no scale is given: opened as "
             "'values'; add for example 'reflectance scale factor = 10000' to the header"
         )
     if lines != header.lines:
-        messages.append(f"{lines} whole lines are kept where the header says {header.lines}")
-    if messages:
-        text = f"{data_path.name}: {'; '.join(messages)}"
+        doubts.append(f"{lines} whole lines are kept where the header says {header.lines}")
+    if doubts:
+        text = f"{data_path.name}: {'; '.join(doubts)}"
         warnings.warn(PaintWarning(text, code="header-doubtful"), stacklevel=2)
     # axes of the file, and of the array
     name, attrs = _quantity(header, quantity, unsaid, data_path)
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
     file_axes = _FILE_AXES[header.interleave]
-    shown = "lbs" if header.map_info is None else "lsb"
+    order = "lbs" if header.map_info is None else "lsb"
     dims = schema.CUBE if header.map_info is None else ("y", "x", "band")
     array = EnviArray(
         path=os.path.abspath(data_path),
@@ -224,8 +223,8 @@ def open_envi(
         offset=header.header_offset,
         stored=header.dtype,
         file_shape=(sizes[file_axes[0]], sizes[file_axes[1]], sizes[file_axes[2]]),
-        axes=(file_axes.index(shown[0]), file_axes.index(shown[1]), file_axes.index(shown[2])),
-        band_axis=shown.index("b"),
+        axes=(file_axes.index(order[0]), file_axes.index(order[1]), file_axes.index(order[2])),
+        band_axis=order.index("b"),
         scaling=_scaling(header, name),
     )
     if array.scaling is None and header.data_ignore_value is not None:
@@ -235,7 +234,8 @@ def open_envi(
     variable = xr.Variable(
         dims, indexing.LazilyIndexedArray(array), attrs, encoding={"preferred_chunks": chunks}
     )
-    # fastpath: else xarray imports dask, which takes longer than the rest, to check the type of the values
+    # fastpath: otherwise xarray imports dask to check the type of the values, which takes longer than the
+    # rest
     coords: dict[str, Any] = {
         name: xr.Variable("band", values, schema.VARIABLES[name].attrs, fastpath=True)
         for name, values in (
@@ -269,26 +269,26 @@ def _has_gain(header: EnviHeader) -> bool:
 
 
 def _lines_in_file(header: EnviHeader, path: Path, size: int, keep_whole_lines: bool) -> int:
-    # The number of lines; FormatError where the file's size contradicts the header.
+    # Return the number of lines; FormatError if the size of the file contradicts the header.
     expected = header.header_offset + header.lines * header.line_bytes
     if size == expected:
         return header.lines
-    whole, remainder = divmod(max(0, size - header.header_offset), header.line_bytes)
-    by_lines = header.interleave != "bsq"
-    possible = by_lines and whole >= 1 and (size < expected or remainder == 0)
-    if keep_whole_lines and possible:
-        return whole
-    change = "shorter" if size < expected else "longer"
+    n_complete, remainder = divmod(max(0, size - header.header_offset), header.line_bytes)
+    has_line_order = header.interleave != "bsq"
+    can_keep = has_line_order and n_complete >= 1 and (size < expected or remainder == 0)
+    if keep_whole_lines and can_keep:
+        return n_complete
+    relation = "shorter" if size < expected else "longer"
     found = (
         f"found {size} bytes, expected {expected} ({header.header_offset} + {header.lines} lines x "
         f"{header.bands} bands x {header.samples} samples x {header.dtype.itemsize} bytes): the file is "
-        f"{abs(expected - size)} bytes {change} than its header says"
+        f"{abs(expected - size)} bytes {relation} than its header says"
     )
-    if by_lines:
-        found += f"\nit holds {whole} whole lines and {remainder} bytes more"
+    if has_line_order:
+        found += f"\nit holds {n_complete} whole lines and {remainder} bytes more"
     mend = (
-        f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {whole} lines"
-        if possible
+        f"keep_whole_lines=True (keep_whole_lines = true in collect.toml) opens those {n_complete} lines"
+        if can_keep
         else "check samples, bands, lines and data type, or copy the file again"
     )
     raise FormatError(
@@ -303,9 +303,9 @@ def _level(header: EnviHeader) -> str | None:
 
 
 def _is_unscaled(header: EnviHeader) -> bool:
-    # Whether integers are called reflectance without a scale to fractions.
-    unscaled = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
-    return _level(header) == "reflectance" and header.dtype.kind in "iu" and unscaled
+    # Return whether the header declares integers as reflectance without a scale.
+    has_no_scale = header.reflectance_scale_factor in (None, 1.0) and not _has_gain(header)
+    return _level(header) == "reflectance" and header.dtype.kind in "iu" and has_no_scale
 
 
 _CUBE_TYPES = ("", "envi", "envi standard")
@@ -314,7 +314,7 @@ _CUBE_TYPES = ("", "envi", "envi standard")
 def _quantity(
     header: EnviHeader, quantity: str | None, unsaid: str, path: Path
 ) -> tuple[str, dict[str, Any]]:
-    # The quantity of the samples, and its attributes; refuse a contradicting ``quantity``.
+    # Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``.
     declared, radiance_units = _declared_quantity(header)
     is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
     if quantity not in (None, *_QUANTITIES):
@@ -344,14 +344,14 @@ def _quantity(
 
 
 def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
-    # The quantity that the header declares, and its units of radiance; None where it does not.
+    # Return the quantity that the header declares, and its units of radiance; None if undeclared.
     if _is_unscaled(header):
         return "values", None
     # Headwall's comment on units, if it can be read as units
     comment = next((text for key, text in header.comments.items() if key.lower() == "units"), "")
-    plain = comment.replace("^", "").strip()
-    is_radiance = plain and units.same_dimension(plain, schema.VARIABLES["radiance"].units)
-    radiance_units = plain if is_radiance else None
+    unit_text = comment.replace("^", "").strip()
+    is_radiance = unit_text and units.same_dimension(unit_text, schema.VARIABLES["radiance"].units)
+    radiance_units = unit_text if is_radiance else None
     level, scale, is_integer = _level(header), header.reflectance_scale_factor, header.dtype.kind in "iu"
     if level is None and scale is not None and (scale != 1.0 or not is_integer):
         level = "reflectance"
@@ -368,20 +368,20 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
 
 
 def _scaling(header: EnviHeader, name: str) -> Scaling | None:
-    gained, ignore = _has_gain(header), header.data_ignore_value
+    has_gain, ignore = _has_gain(header), header.data_ignore_value
     divisor = None if header.reflectance_scale_factor == 1.0 else header.reflectance_scale_factor
     stored = header.dtype.newbyteorder("=")
-    changed = gained or divisor is not None
-    scaled = (changed or name in ("radiance", "reflectance")) and stored.kind != "c"
-    wanted = np.dtype(np.float32) if scaled else stored
-    if wanted == stored and not changed and (ignore is None or stored.kind in "iu"):
+    changes_values = has_gain or divisor is not None
+    is_float32 = (changes_values or name in ("radiance", "reflectance")) and stored.kind != "c"
+    dtype = np.dtype(np.float32) if is_float32 else stored
+    if dtype == stored and not changes_values and (ignore is None or stored.kind in "iu"):
         return None
     return Scaling(
-        dtype=wanted,
+        dtype=dtype,
         ignore=ignore,
         divisor=divisor,
-        gain=header.data_gain_values if gained else None,
-        offset=header.data_offset_values if gained else None,
+        gain=header.data_gain_values if has_gain else None,
+        offset=header.data_offset_values if has_gain else None,
     )
 
 

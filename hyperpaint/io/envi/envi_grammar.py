@@ -1,8 +1,8 @@
-"""The grammar of ENVI headers, without the meaning of any key.
+"""Grammar of ENVI headers, without the meaning of keys.
 
-A header is text: a first line ``ENVI``, then ``key = value`` lines; a value that opens with a brace runs to
-the next closing brace. Lines that open with a semicolon are comments, in which Headwall cameras keep their
-metadata.
+A header is text: a first line ``ENVI``, then ``key = value`` lines; a value that begins with a brace extends
+to the next closing brace. Lines that begin with a semicolon are comments, in which Headwall cameras store
+their metadata.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class HeaderFindings(Problems):
         self.warnings: list[str] = []
 
     def note(self, text: str, *, warn: bool = False) -> None:
-        """Add an inference or oddity; `warn` if it may make values wrong."""
+        """Add an assumption or oddity; `warn` if it may make values wrong."""
         if len(self.warnings if warn else self.notes) < _MAX_SHOWN:
             self.notes.append(text)
             if warn:
@@ -88,7 +88,7 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
 def _closed(
     value: str, number: int, key: str, lines: Iterator[tuple[int, str]], findings: HeaderFindings
 ) -> str:
-    # A braced value, reading more lines until its brace closes.
+    # Return a braced value; lines are read until its brace closes.
     parts: list[str] = []
     part = value
     while "}" not in part:
@@ -98,34 +98,36 @@ def _closed(
             findings.add(f"{key!r}: the brace opened on line {number} is never closed", code="brace-open")
             return "\n".join(parts) + "}"
         part = following.rstrip()
-    inside, _, after = part.partition("}")
-    if after.strip():
-        findings.note(f"{key!r}: text after its closing brace is ignored: {shown(after.strip())}")
-    return "\n".join([*parts, inside]) + "}"
+    content, _, rest = part.partition("}")
+    if rest.strip():
+        findings.note(f"{key!r}: text after its closing brace is ignored: {shown(rest.strip())}")
+    return "\n".join([*parts, content]) + "}"
 
 
-def _store(into: dict[str, str], key: str, value: str, where: str, findings: HeaderFindings) -> None:
-    if key not in into:
-        into[key] = value
-    elif into[key] == value:
+def _store(fields: dict[str, str], key: str, value: str, source: str, findings: HeaderFindings) -> None:
+    if key not in fields:
+        fields[key] = value
+    elif fields[key] == value:
         findings.note(f"{key!r} is given twice, with the same value")
     else:
         findings.add(
-            f"{where}: {key!r} is given again as {shown(value)}, before as {shown(into[key])}",
+            f"{source}: {key!r} is given again as {shown(value)}, before as {shown(fields[key])}",
             mend="delete the wrong one",
             code="key-repeated",
         )
 
 
-def _store_comment(into: dict[str, str], key: str, value: str, findings: HeaderFindings) -> None:
-    # Keep the first of two: processing steps repeat comments, and the cube must stay readable.
-    if into.setdefault(key, value) != value:
+def _store_comment(comments: dict[str, str], key: str, value: str, findings: HeaderFindings) -> None:
+    # Keep the first of two values: processing steps repeat comments, and the cube must stay readable.
+    if comments.setdefault(key, value) != value:
         findings.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
 
 
 def braced(values: Sequence[str]) -> str:
-    """Return a list as ENVI writes it, eight values a line."""
-    return "{\n " + ",\n ".join(", ".join(values[at : at + 8]) for at in range(0, len(values), 8)) + "}"
+    """Return a list in ENVI's form, eight values per line."""
+    return (
+        "{\n " + ",\n ".join(", ".join(values[start : start + 8]) for start in range(0, len(values), 8)) + "}"
+    )
 
 
 def bare(text: str) -> str:

@@ -23,7 +23,7 @@ from hyperpaint.io.files.reading import decoded_text
 from .envi_grammar import HeaderFindings, Scanned, bare, scan, shown
 
 MAX_HEADER_BYTES = 4 * 2**20
-# A library's header names every spectrum: some 400,000 of them.
+# The header of a library names every spectrum: about 400,000 of them.
 MAX_LIBRARY_HEADER_BYTES = 16 * 2**20
 
 _DTYPES = {
@@ -52,9 +52,9 @@ _NANOMETRES = {
     **dict.fromkeys(("centimeters", "cm"), 1e7),
     **dict.fromkeys(("meters", "m"), 1e9),
 }
-_UNSAID = ("", "unknown")
+_UNKNOWN_UNITS = ("", "unknown")
 _NOT_WAVELENGTHS = ("wavenumber", "ghz", "mhz", "index")
-_LARGEST_MICROMETRE = 100.0
+_MAX_MICROMETRES = 100.0
 
 _ITEM = re.compile(r"[^,\s]+")
 _NAMED_WAVELENGTH = re.compile(
@@ -68,13 +68,13 @@ class MapInfo:
     """Map position of the pixels, from ``map info``."""
 
     projection: str  # Name of the projection, as written
-    # Column and row of the reference, counted from 1; (1, 1) is the outer upper-left corner of the first
-    # pixel
+    # Column and row of the reference point, counted from 1; (1, 1) is the outer upper-left corner of the
+    # first pixel
     reference_pixel: tuple[float, float]
     reference: tuple[float, float]  # Map coordinates x, y of the reference
     pixel_size: tuple[float, float]  # Width and height of a pixel, both positive [map units]
     details: tuple[str, ...] = ()  # Zone, hemisphere and datum, as written
-    units: str = ""  # Map units as written; empty where the header does not say
+    units: str = ""  # Map units as written; empty if absent
     rotation: float = 0.0  # Angle of the grid [degree], as written
 
 
@@ -90,15 +90,15 @@ class EnviHeader:
     dtype: np.dtype[Any]  # Type of a stored sample, byte order included
     # ``bil`` (line, band, sample), ``bip`` (line, sample, band) or ``bsq`` (band, line, sample)
     interleave: str
-    # wavelength, fwhm: Of each band [nm], in the order of the file, which need not be monotonic; None where
-    # unknown
+    # wavelength, fwhm: Values of the bands [nm], in the order of the file, which need not be monotonic; None
+    # where unknown
     wavelength: Floats | None = None
     fwhm: Floats | None = None
-    # False for bands the header marks as bad; None where it has no bad band list
+    # False for bands that the header marks as bad; None without a bad band list
     good: npt.NDArray[np.bool_] | None = None
     band_names: tuple[str, ...] = ()  # As written; empty where absent
     data_ignore_value: int | float | None = None  # Stored value that means "no data"
-    reflectance_scale_factor: float | None = None  # Stored value of a reflectance of one
+    reflectance_scale_factor: float | None = None  # Stored value of a reflectance of 1
     # data_gain_values, data_offset_values: Per band: physical = stored * gain + offset
     data_gain_values: Floats | None = None
     data_offset_values: Floats | None = None
@@ -108,7 +108,7 @@ class EnviHeader:
     fields: dict[str, str] = field(default_factory=dict)
     comments: dict[str, str] = field(default_factory=dict)  # ``;key = value`` lines, in the order of the file
     notes: tuple[str, ...] = ()  # Inferences and oddities
-    warnings: tuple[str, ...] = ()  # Those of the notes that may make values or wavelengths wrong
+    warnings: tuple[str, ...] = ()  # Notes about possibly wrong values or wavelengths
 
     @property
     def line_bytes(self) -> int:
@@ -135,7 +135,7 @@ def read_header(path: str | os.PathLike[str], limit: int = MAX_HEADER_BYTES) -> 
     problems are listed. Raises `OSError`: The file cannot be read.
     """
     with open_input(path, "an ENVI header") as file:
-        # read() sets aside all it is allowed to read
+        # read() allocates the requested size
         raw = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
     name = f"ENVI header {os.fspath(path)!r}"
     if len(raw) > limit:
@@ -182,19 +182,19 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
 
 
 class _Reader:
-    # Converts and checks raw values; notes a problem and returns None for a wrong one.
+    # Converts and checks raw values; for a wrong value it notes a problem and returns None.
     def __init__(self, fields: Mapping[str, str], findings: HeaderFindings) -> None:
         self.fields = fields
         self.findings = findings
 
-    def integer(self, key: str, *, least: int, default: int | None = None) -> int:
+    def integer(self, key: str, *, minimum: int, default: int | None = None) -> int:
         text = self.fields.get(key)
-        kind = "a whole number above 0" if least else "a whole number, 0 or above"
+        kind = "a whole number above 0" if minimum else "a whole number, 0 or above"
         if text is None:
             if default is None:
                 self.findings.add(f"{key!r} is missing", expected=kind, code="key-missing")
             return default or 0
-        if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < least:
+        if re.fullmatch(r"\+?[0-9]{1,30}", text) is None or int(text) < minimum:
             self.findings.add(f"{key!r} is {shown(text)}", expected=kind, code="value-out-of-range")
             return 0
         return int(text)
@@ -220,14 +220,14 @@ class _Reader:
             return None
 
     def numbers(self, key: str, count: int, per: str) -> Floats | None:
-        # A list with one finite number for each band.
+        # Return a list with one finite number per band.
         text = self.fields.get(key)
         if text is None or not bare(text):
             return None
-        if count < 1:  # noted already
+        if count < 1:  # already noted
             return None
         text = bare(text)
-        # counted before it is split: millions of values become objects only if the cube is as large
+        # counted before it is split: millions of values become objects only for a cube of that size
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
             self.findings.add(
@@ -242,16 +242,18 @@ class _Reader:
             self.findings.add(f"{key!r}: {error}", expected="numbers", code="number-unreadable")
             return None
         if not np.isfinite(values).all():
-            where = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
+            position = int(np.flatnonzero(~np.isfinite(values))[0]) + 1
             self.findings.add(
-                f"{key!r}: value {where} is {values[where - 1]}", expected="finite numbers", code="not-finite"
+                f"{key!r}: value {position} is {values[position - 1]}",
+                expected="finite numbers",
+                code="not-finite",
             )
             return None
         return values
 
 
 def _to_float(text: str) -> float:
-    # A number; unlike float(), refuse underscores and other scripts' digits.
+    # Return a number; unlike float(), refuse underscores and digits of other scripts.
     if len(text) <= 64 and text.isascii() and "_" not in text:
         try:
             return float(text)
@@ -262,8 +264,8 @@ def _to_float(text: str) -> float:
 
 def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
     reader = _Reader(scanned.fields, findings)
-    lines, samples, bands = (reader.integer(key, least=1) for key in ("lines", "samples", "bands"))
-    offset = reader.integer("header offset", least=0, default=0)
+    lines, samples, bands = (reader.integer(key, minimum=1) for key in ("lines", "samples", "bands"))
+    offset = reader.integer("header offset", minimum=0, default=0)
     # type and order of the samples
     code, order = reader.choice("data type", _DTYPES) or "u1", "<"
     if "byte order" in reader.fields:
@@ -287,11 +289,11 @@ def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
             code="layout-unsupported",
         )
     # bands
-    library = "spectral library" in scanned.fields.get("file type", "").lower()
-    count, per = (samples, "samples of a spectral library") if library else (bands, "bands")
+    is_library = "spectral library" in scanned.fields.get("file type", "").lower()
+    count, unit = (samples, "samples of a spectral library") if is_library else (bands, "bands")
     names = _band_names(reader, bands)
-    wavelength, fwhm = _spectral_axis(reader, count, per, names)
-    good = reader.numbers("bbl", count, per)
+    wavelength, fwhm = _spectral_axis(reader, count, unit, names)
+    good = reader.numbers("bbl", count, unit)
     if good is not None and not np.isin(good, (0.0, 1.0)).all():
         findings.add(
             "'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range"
@@ -301,7 +303,7 @@ def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
         findings.add(
             f"'reflectance scale factor' is {scale}", expected="a number above 0", code="value-out-of-range"
         )
-    # whole numbers stay integers: float64 cannot hold all 64-bit ones
+    # integers stay integers: float64 cannot hold all 64-bit integers
     text = bare(reader.fields.get("data ignore value", ""))
     ignore: int | float | None
     if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
@@ -355,7 +357,7 @@ def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
 def _spectral_axis(
     reader: _Reader, count: int, per: str, names: tuple[str, ...]
 ) -> tuple[Floats | None, Floats | None]:
-    # Wavelength and FWHM in nm.
+    # Return wavelength and FWHM in nm.
     wavelength, fwhm = reader.numbers("wavelength", count, per), reader.numbers("fwhm", count, per)
     text = bare(reader.fields.get("wavelength units", ""))
     unit = text.lower()
@@ -364,7 +366,7 @@ def _spectral_axis(
     if unit in _NOT_WAVELENGTHS:
         reader.findings.note(f"wavelength units are {text!r}: the lists are not read as wavelengths")
         return None, None
-    if unit not in _UNSAID and unit not in _NANOMETRES:
+    if unit not in _UNKNOWN_UNITS and unit not in _NANOMETRES:
         reader.findings.add(
             f"'wavelength units' is {shown(text)}",
             expected="Nanometers, Micrometers, Angstroms, Millimeters, Centimeters, Meters, Wavenumber, "
@@ -375,7 +377,7 @@ def _spectral_axis(
     if wavelength is None and "wavelength" not in reader.fields:
         wavelength = _wavelength_of_names(names, reader.findings)
         factor = _NANOMETRES.get(unit, 1.0)
-        if unit in _UNSAID:
+        if unit in _UNKNOWN_UNITS:
             reader.findings.note("no wavelength units: 'fwhm' taken as nanometres")
     else:
         factor = _nanometres_per_unit(unit, wavelength, reader.findings)
@@ -405,22 +407,24 @@ def _nanometres_per_unit(unit: str, wavelength: Floats | None, findings: HeaderF
     if wavelength is None or wavelength.size == 0:
         return _NANOMETRES.get(unit, 1.0)
     longest = float(wavelength.max())
-    small = longest < _LARGEST_MICROMETRE
-    if unit in _UNSAID:
-        assumption = "values below 100 taken as micrometres" if small else "values taken as nanometres"
+    is_micrometres = longest < _MAX_MICROMETRES
+    if unit in _UNKNOWN_UNITS:
+        assumption = (
+            "values below 100 taken as micrometres" if is_micrometres else "values taken as nanometres"
+        )
         findings.note(f"no wavelength units: {assumption}")
-        return 1e3 if small else 1.0
+        return 1e3 if is_micrometres else 1.0
     factor = _NANOMETRES[unit]
-    if (factor == 1.0 and small) or (factor == 1e3 and not small):
+    if (factor == 1.0 and is_micrometres) or (factor == 1e3 and not is_micrometres):
         findings.note(
-            f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: is the unit right?",
+            f"wavelength units are {unit!r} but the longest wavelength is {longest:g}: check the unit",
             warn=True,
         )
     return factor
 
 
 def _wavelength_of_names(names: tuple[str, ...], findings: HeaderFindings) -> Floats | None:
-    # The wavelengths that GDAL writes into band names, such as ``399.356 nm``.
+    # Return the wavelengths that GDAL writes into band names, such as ``399.356 nm``.
     centres = []
     for name in names:
         match = _NAMED_WAVELENGTH.search(name[:200])
@@ -441,11 +445,11 @@ def _map_info(reader: _Reader) -> MapInfo | None:
     if items[0].lower() == "arbitrary":
         reader.findings.note("map info is 'Arbitrary': taken as sensor geometry")
         return None
-    words = dict(item.lower().split("=", 1) for item in items if "=" in item)
-    plain = [item for item in items if "=" not in item]
+    options = dict(item.lower().split("=", 1) for item in items if "=" in item)
+    entries = [item for item in items if "=" not in item]
     try:
-        column, row, x, y, width, height = map(_to_float, [*plain[1:7], *[""] * (7 - len(plain))])
-        rotation = _to_float(words.get("rotation", "0").strip())
+        column, row, x, y, width, height = map(_to_float, [*entries[1:7], *[""] * (7 - len(entries))])
+        rotation = _to_float(options.get("rotation", "0").strip())
     except ValueError as error:
         reader.findings.add(
             f"'map info' is {shown(text)} ({error})",
@@ -462,11 +466,11 @@ def _map_info(reader: _Reader) -> MapInfo | None:
         )
         return None
     return MapInfo(
-        projection=plain[0],
+        projection=entries[0],
         reference_pixel=(column, row),
         reference=(x, y),
         pixel_size=(width, height),
-        details=tuple(plain[7:]),
-        units=words.get("units", "").strip(),
+        details=tuple(entries[7:]),
+        units=options.get("units", "").strip(),
         rotation=rotation,
     )

@@ -1,4 +1,4 @@
-"""Raw ENVI cubes without copying: slabs of whole lines are runs of bytes of the data file.
+"""References to raw ENVI cubes without copying: slabs of whole lines are byte ranges of the data file.
 
 `slab_lines` and `slab_offsets` give the slabs; `EnviParser` is a parser of VirtualiZarr.
 """
@@ -29,15 +29,15 @@ FILE_DIMS = {
     "bsq": (BAND, ALONG_TRACK, CROSS_TRACK),
 }
 
-# Lines of a slab: with fewer, overhead dominates a task; more take much memory.
+# Range of the lines of a slab: with fewer lines, overhead dominates a task; more lines take much memory.
 MIN_SLAB_LINES, MAX_SLAB_LINES = 8, 64
 
 
 def slab_lines(ends: Sequence[int]) -> int:
     """Return the lines of a slab for successive cubes.
 
-    ``ends``: the line after the last of each cube. The size with the fewest slabs that are short or span two
-    cubes; among equals the one nearest to that of stored chunks.
+    ``ends``: the line after the last line of each cube. The result gives the fewest slabs that are short or
+    span two cubes; among equal sizes, the one nearest to that of stored chunks.
 
     Examples
     --------
@@ -45,10 +45,10 @@ def slab_lines(ends: Sequence[int]) -> int:
     (40, 25, 32)
     """
 
-    def badness(lines: int) -> tuple[int, float]:
+    def cost(lines: int) -> tuple[int, float]:
         return len({end // lines for end in ends if end % lines}), abs(math.log(lines / CHUNK_LINES))
 
-    return min(range(MIN_SLAB_LINES, MAX_SLAB_LINES + 1), key=badness)
+    return min(range(MIN_SLAB_LINES, MAX_SLAB_LINES + 1), key=cost)
 
 
 def slab_offsets(lines: int, first: int, count: int, header_offset: int, line_bytes: int) -> Ints:
@@ -73,8 +73,8 @@ class EnviParser:
     variable
         Name of the array.
     lines
-        Lines of a chunk, which divide those of the cube, since grids of chunks are regular; by default the
-        divisor that is nearest to 32.
+        Lines of a chunk, a divisor of the lines of the cube, since chunk grids are regular; by default the
+        divisor nearest to 32.
 
     Examples
     --------
@@ -96,7 +96,7 @@ class EnviParser:
         ``obspec_utils.registry.ObjectStoreRegistry`` with a store that reaches both.
 
         Raises `FormatError`: the header is damaged, or does not fit the size of the data file, or the lines
-        of a chunk do not divide those of the cube; `MissingExtraError`: VirtualiZarr is not installed.
+        of a chunk do not divide the lines of the cube; `MissingExtraError`: VirtualiZarr is not installed.
         """
         with needs_extra("virtualizarr", "virtual", "parsing for VirtualiZarr"):
             from virtualizarr.manifests import ChunkManifest, ManifestArray, ManifestGroup, ManifestStore
@@ -128,7 +128,7 @@ class EnviParser:
         sizes = {ALONG_TRACK: header.lines, BAND: header.bands, CROSS_TRACK: header.samples}
         planes = header.bands if header.interleave == "bsq" else 1
         chunks = tuple({ALONG_TRACK: lines, BAND: sizes[BAND] // planes}.get(dim, sizes[dim]) for dim in dims)
-        # the slabs of all planes, one plane after the other: lines go on from plane to plane
+        # slabs of all planes in file order; line numbers continue from plane to plane
         row = header.line_bytes // planes
         offsets = slab_offsets(lines, 0, planes * header.lines // lines, header.header_offset, row)
         grid = tuple(sizes[dim] // chunk for dim, chunk in zip(dims, chunks, strict=True))

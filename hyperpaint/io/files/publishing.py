@@ -1,4 +1,4 @@
-"""Products that appear completely or not at all: a file, a folder, or several files that belong together.
+"""Products that are written completely or not at all: a file, a folder, or several related files.
 
 A product is built in a staging folder like a store's, ``.partial-<name>`` beside its place (see
 `hyperpaint.io.store.stage`), flushed to the disk, then moved to its place. One file is moved by one rename.
@@ -58,24 +58,26 @@ def check_place(
     overwrite: bool = False,
     error: type[PaintError] = StoreError,
 ) -> None:
-    """Check the place of a new file before anything is read or drawn; all problems are listed.
+    """Check the path of a new file before any input is read; all problems are listed.
 
     Messages name the ``product``, such as "the table", and an ``example`` of a name. ``kinds`` are the
     allowed suffixes, any by default; the file may not be inside ``store``.
     """
     problems = Problems(f"{product} cannot be written to {path}", error)
     if kinds and path.suffix.lower() not in kinds:
-        several = "one of " + ", ".join(kinds) if len(kinds) > 2 else " or ".join(kinds)
-        problems.add(f"the name ends in {path.suffix!r}", expected=several, code="suffix-unknown")
+        expected = "one of " + ", ".join(kinds) if len(kinds) > 2 else " or ".join(kinds)
+        problems.add(f"the name ends in {path.suffix!r}", expected=expected, code="suffix-unknown")
     with _errors_of(path):
         _recover(path)
     if store is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
-        problems.add("that is in the store itself", mend="choose another path", code="path-inside-store")
+        problems.add("the path is inside the store", mend="choose another path", code="path-inside-store")
     elif path.is_dir():
-        problems.add("that is a folder", mend=f"name a file in it, such as {example}", code="path-is-folder")
+        problems.add(
+            "the path is a folder", mend=f"name a file in it, such as {example}", code="path-is-folder"
+        )
     elif path.exists() and not overwrite:
         problems.add(
-            "it exists already",
+            "the file exists",
             mend="pass overwrite=True to replace it",
             option="pass --overwrite to replace it",
             code="file-exists",
@@ -93,7 +95,7 @@ def publish_file(path: Path, content: bytes, *, overwrite: bool) -> None:
 
 @contextlib.contextmanager
 def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path], str]) -> Iterator[Path]:
-    """Yield a folder to fill, which is moved to its place if the block succeeds; see `published_files`."""
+    """Yield a new folder, which is moved to its path if the block succeeds; see `published_files`."""
     with published_files([target], overwrite=overwrite, foreign=foreign) as (build,):
         build.mkdir()
         yield build
@@ -103,17 +105,17 @@ def published_folder(target: Path, *, overwrite: bool, foreign: Callable[[Path],
 def published_files(
     targets: Sequence[Path], *, overwrite: bool, foreign: Callable[[Path], str] | None = None
 ) -> Iterator[list[Path]]:
-    """Yield a path to write for each part of a product; they are moved to their places if the block succeeds.
+    """Yield a temporary path per part of a product; parts are moved to their paths if the block succeeds.
 
-    ``targets``: their places, in one folder or several; the last is the key, by which the product is opened;
-    ``overwrite``: whether an earlier product may be replaced; ``foreign``: given if the last is a folder,
-    which must be new, empty, or an earlier product; returns a description of foreign content, such as "other
-    files", empty for an earlier product. Foreign content is never replaced.
+    ``targets``: paths of the parts, in one or several folders; the last is the key, by which the product is
+    opened; ``overwrite``: whether an earlier product may be replaced; ``foreign``: passed if the last is a
+    folder, which must be new, empty, or an earlier product; returns a description of foreign content, such as
+    "other files", empty for an earlier product. Foreign content is never replaced.
 
-    Raises `StoreError`: A place holds something else, or a product that may not be replaced, or is being
+    Raises `StoreError`: A path holds foreign content, or a product that may not be replaced, or is being
     written by another process; or the system refuses. Existing files stay.
     """
-    if len({target.parent for target in targets}) > 1:  # one spelling a folder
+    if len({target.parent for target in targets}) > 1:  # one spelling per folder
         targets = [Path(os.path.realpath(target.parent), target.name) for target in targets]
     key, anchors, builds = targets[-1], _anchors(targets), {}
     with _errors_of(key), contextlib.ExitStack() as stack:
@@ -126,28 +128,37 @@ def published_files(
             builds[anchor.parent] = build = stage.build("", "product")
             stack.callback(discard, build)
             build.mkdir()
-        news = [builds[target.parent] / str(number) / target.name for number, target in enumerate(targets)]
-        for new in news:
-            new.parent.mkdir()
-        yield news
+        temporary_paths = [
+            builds[target.parent] / str(number) / target.name for number, target in enumerate(targets)
+        ]
+        for temporary_path in temporary_paths:
+            temporary_path.parent.mkdir()
+        yield temporary_paths
         for build in builds.values():
-            flush_group(build, [new for new in news if build in new.parents and not new.is_dir()])
+            flush_group(
+                build,
+                [
+                    temporary_path
+                    for temporary_path in temporary_paths
+                    if build in temporary_path.parents and not temporary_path.is_dir()
+                ],
+            )
         _refuse(targets, foreign, overwrite=overwrite)
         if len(targets) > 1:
             _swap(targets, builds)
-        elif news[0].is_dir():
-            stage.publish(news[0], "")
+        elif temporary_paths[0].is_dir():
+            stage.publish(temporary_paths[0], "")
         else:
-            os.replace(news[0], key)
+            os.replace(temporary_paths[0], key)
             sync(key.parent)
 
 
 def unwritable(place: Path, error: Exception) -> StoreError:
-    """Return the error of a place that cannot be written; on a full disk with its free space.
+    """Return the error of a path that cannot be written; on a full disk with its free space.
 
     GDAL hides the error number of the system: a probe file shows whether the disk is full.
     """
-    folder = next((each for each in place.absolute().parents if each.is_dir()), Path(place.anchor))
+    folder = next((parent for parent in place.absolute().parents if parent.is_dir()), Path(place.anchor))
     reason: str = getattr(error, "strerror", None) or str(error)
     code = getattr(error, "errno", None)
     if code is None:
@@ -155,8 +166,8 @@ def unwritable(place: Path, error: Exception) -> StoreError:
             with tempfile.TemporaryFile(dir=folder) as probe:
                 probe.write(bytes(_PROBE_BYTES))
                 probe.flush()
-        except OSError as full:
-            code, reason = full.errno, f"{full.strerror} ({reason})"
+        except OSError as probe_error:
+            code, reason = probe_error.errno, f"{probe_error.strerror} ({reason})"
     if code not in _FULL:
         return StoreError(f"{place} cannot be written: {reason}", code="file-unwritable")
     free = size_text(shutil.disk_usage(folder).free)
@@ -197,14 +208,14 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
         else:
             try:
                 is_empty = not any(target.iterdir())
-                other = "" if is_empty else foreign(target)
+                content = "" if is_empty else foreign(target)
             except OSError as error:
                 raise StoreError(
                     f"{target} cannot be read: {error.strerror or error}", code="file-unreadable"
                 ) from error
-            if other:
+            if content:
                 raise StoreError(
-                    f"{target} holds {other}", mend="choose a new or empty folder", code="folder-occupied"
+                    f"{target} holds {content}", mend="choose a new or empty folder", code="folder-occupied"
                 )
             if is_empty:
                 existing.remove(target)
@@ -222,9 +233,9 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
 
 
 def _anchors(targets: Sequence[Path]) -> list[Path]:
-    # The target that names the staging folder of each folder, the key last.
+    # Return the target that names the staging folder of each folder, the key last.
     key = targets[-1]
-    return [*{each.parent: each for each in targets if each.parent != key.parent}.values(), key]
+    return [*{part.parent: part for part in targets if part.parent != key.parent}.values(), key]
 
 
 def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:

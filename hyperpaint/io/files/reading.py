@@ -18,23 +18,23 @@ import xarray as xr
 from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import input_path, is_plain_file, read_limited
 
-# Longest text line [byte]: tables of spectra have some 12 bytes a cell.
+# Longest text line [byte]: tables of spectra have about 12 bytes per cell.
 MAX_LINE_BYTES = 2**20
 
 # Largest netCDF file that is loaded, by the size of its variables [byte].
 MAX_NETCDF_BYTES = 2**30
 
 
-# Most lines of a text whose rows are bands, points or samples: ten times the longest spectra.
+# Maximum number of lines of a text whose rows are bands, points or samples: ten times the longest spectra.
 MAX_TEXT_LINES = 200_000
 
 
 def read_limited_text(
     path: Path, limit: int, expected: str, lines: int = MAX_TEXT_LINES, mend: str = "check the file"
 ) -> bytes:
-    """Return the bytes of a text file, like `read_limited`; the lines are limited too, before any is split.
+    """Return the bytes of a text file, like `read_limited`; number and length of lines are limited too.
 
-    A line is split into cells, each of which takes thirty times its bytes; so does an empty line.
+    Callers split lines into cells, which take thirty times their bytes in memory; so do empty lines.
 
     Raises `FormatError`: As `read_limited`; there are more than ``lines``; or a line is longer than
     `MAX_LINE_BYTES`.
@@ -62,7 +62,7 @@ def read_limited_text(
 
 
 def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
-    r"""Yield the lines of a text with their numbers, one at a time: a list takes many times the text's size.
+    r"""Yield numbered lines of a text, one at a time: a list takes many times the memory of the text.
 
     Examples
     --------
@@ -79,10 +79,10 @@ def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 class PackedColumns(Mapping[str, list[str]]):
-    """Cells by column, stored as a few long texts a column: single cells take several times their length."""
+    """Cells by column, stored as a few long texts per column: single cells take several times the memory."""
 
     def __init__(self, names: Sequence[str]) -> None:
-        self._places = {name: place for place, name in enumerate(names)}
+        self._column_numbers = {name: column for column, name in enumerate(names)}
         self._packed: list[list[str]] = [[] for _ in names]
 
     def extend(self, columns: Iterable[Sequence[str]]) -> None:
@@ -91,13 +91,13 @@ class PackedColumns(Mapping[str, list[str]]):
             packed.append("\n".join(cells))
 
     def __getitem__(self, name: str) -> list[str]:
-        return [cell for packed in self._packed[self._places[name]] for cell in packed.split("\n")]
+        return [cell for packed in self._packed[self._column_numbers[name]] for cell in packed.split("\n")]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
+        return iter(self._column_numbers)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._column_numbers)
 
 
 def decoded_text(data: bytes) -> str:
@@ -117,7 +117,7 @@ def decoded_text(data: bytes) -> str:
 def number(text: str) -> float | None:
     """Return a number, NaN for an empty cell, None for other text.
 
-    Unlike float(), takes neither underscores, other scripts' digits, nor infinities.
+    Unlike float(), it accepts no underscores, no digits of other scripts, and no infinities.
     """
     text = text.strip()
     if not text:
@@ -132,7 +132,7 @@ def number(text: str) -> float | None:
 
 
 def numbers(cells: Iterable[str]) -> list[float] | None:
-    """Return cells as numbers (`number`); None if any is other text."""
+    """Return cells as numbers (`number`); None if a cell is other text."""
     values = [number(cell) for cell in cells]
     return None if None in values else [value for value in values if value is not None]
 
@@ -144,7 +144,7 @@ def unique_names(
     suffix: str = " ({})",
     fold: Callable[[str], str] = str,
 ) -> list[str]:
-    """Return the names, repeated ones with a number from 2 on.
+    """Return the names; repeated names get a number from 2 on.
 
     taken: names already in use; suffix: format of the number; fold: maps equivalent names to the same text.
 
@@ -153,15 +153,15 @@ def unique_names(
     >>> unique_names(["red", "Red", "blue"], ["blue"], suffix="_{}", fold=str.lower)
     ['red', 'Red_2', 'blue_2']
     """
-    used = set(map(fold, taken))
+    folded_names = set(map(fold, taken))
     last_numbers: dict[str, int] = {}
     unique: list[str] = []
     for name in names:
         candidate = name
-        while fold(candidate) in used:
+        while fold(candidate) in folded_names:
             last_numbers[fold(name)] = last_numbers.get(fold(name), 1) + 1
             candidate = name + suffix.format(last_numbers[fold(name)])
-        used.add(fold(candidate))
+        folded_names.add(fold(candidate))
         unique.append(candidate)
     return unique
 
@@ -169,8 +169,8 @@ def unique_names(
 def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
     """Load a small netCDF file completely.
 
-    Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is no plain file. A damaged file raises
-    the engine's error.
+    Raises `FormatError`: It declares more than `MAX_NETCDF_BYTES`, or is not a plain file. A damaged file
+    raises the engine's error.
     """
     if not is_plain_file(input_path(path, "a netCDF file")):
         raise FormatError(
@@ -186,14 +186,14 @@ def load_netcdf(path: Path, group: str | None = None) -> xr.Dataset:
         return dataset.load()
 
 
-#: Folders and files looked at before a pattern is called too wide.
+#: Maximum number of folders and files examined for a pattern.
 MAX_ENTRIES = 100_000
 MAX_PATTERN_CHARS = 1000
 _MAGIC = re.compile(r"[*?\[]")
 
 
 def is_pattern(text: str) -> bool:
-    """Return whether a text is a pattern, and not a plain path."""
+    """Return whether a text contains wildcards."""
     return _MAGIC.search(text) is not None
 
 
@@ -202,7 +202,7 @@ def matching_files(folder: Path, pattern: str, most: int = MAX_ENTRIES) -> list[
 
     Like `glob.glob`, but without leaving the folder or following links in circles: at most
     ``most`` entries are examined. Between the slashes of a pattern are names with ``*``, ``?`` and
-    ``[...]``; ``**`` stands for any folders, without links. None of these matches a leading dot.
+    ``[...]``; ``**`` matches any folders, without links. Wildcards do not match a leading dot.
 
     Raises `ValueError`: The pattern leads out of the folder, is too long, or matches too much; with the
     reason.
@@ -218,36 +218,36 @@ def matching_files(folder: Path, pattern: str, most: int = MAX_ENTRIES) -> list[
     parts = [part for part in pattern.replace(os.sep, "/").split("/") if part != "."]
     if os.path.isabs(pattern) or os.path.splitdrive(pattern)[0] or ".." in parts:
         raise ValueError("expected a pattern inside the folder of the file")
-    left = most
+    remaining = most
 
-    def look(number: int) -> None:
-        nonlocal left
-        left -= number
-        if left < 0:
-            raise ValueError(f"more than {most} files and folders to look at; name their folder")
+    def count_entries(number: int) -> None:
+        nonlocal remaining
+        remaining -= number
+        if remaining < 0:
+            raise ValueError(f"more than {most} files and folders to count_entries at; name their folder")
 
-    def entries(place: str) -> list[os.DirEntry[str]]:
-        look(1)
-        inside: list[os.DirEntry[str]] = []
-        # no folder, or not ours to read: nothing in it matches
-        with contextlib.suppress(OSError), os.scandir(place) as listed:
+    def entries(folder_path: str) -> list[os.DirEntry[str]]:
+        count_entries(1)
+        found: list[os.DirEntry[str]] = []
+        # not a folder, or not readable: nothing in it matches
+        with contextlib.suppress(OSError), os.scandir(folder_path) as listed:
             for entry in listed:
-                look(1)
-                inside.append(entry)
-        return inside
+                count_entries(1)
+                found.append(entry)
+        return found
 
     def matches(base: str, part: str) -> Iterator[str]:
         if part == "**":
             pending = [base]
             while pending:
-                yield (place := pending.pop())
-                shown = (entry for entry in entries(place) if not entry.name.startswith("."))
-                pending += [entry.path for entry in shown if entry.is_dir(follow_symlinks=False)]
+                yield (folder_path := pending.pop())
+                visible = (entry for entry in entries(folder_path) if not entry.name.startswith("."))
+                pending += [entry.path for entry in visible if entry.is_dir(follow_symlinks=False)]
         elif is_pattern(part):
             names = fnmatch.filter((entry.name for entry in entries(base)), part)
             yield from (os.path.join(base, n) for n in names if part.startswith(".") or not n.startswith("."))
         else:
-            look(1)
+            count_entries(1)
             if os.path.lexists(path := os.path.join(base, part)):
                 yield path
 

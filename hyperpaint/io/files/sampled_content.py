@@ -17,9 +17,9 @@ SAMPLE_BYTES = 16 * 1024
 def sampled_digest(path: Path) -> str:
     """Return a digest of a file's size and of blocks spread evenly over it, first and last block included.
 
-    Files of up to `SAMPLES` blocks are read completely. In a larger one a rewritten content is detected, a
-    change of a few bytes may not be: `hyperpaint verify --inputs` reads all. Name and time are ignored: a
-    copy has the same digest.
+    Files of up to `SAMPLES` blocks are read completely. In larger files rewritten content is detected, but a
+    change of a few bytes may be missed: `hyperpaint verify --inputs` reads all bytes. Name and time are
+    ignored: a copy has the same digest.
 
     Examples
     --------

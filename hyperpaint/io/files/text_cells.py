@@ -6,12 +6,12 @@ import re
 
 from .reading import number
 
-#: With the full-width signs, which spreadsheets take for the others, and blanks, which they pass over.
+#: Includes full-width signs, which spreadsheets treat like ASCII ones, and leading blanks, which they skip.
 _FORMULA = re.compile("'*(?:[\\t\\r]|\\s*[=+\\-@\uff1d\uff0b\uff0d\uff20])")
 
 
 def safe_cell(text: str) -> str:
-    """Return a text for a table, with an apostrophe before formulas; numbers stay unchanged.
+    """Return a text for a table, with an apostrophe before formulas; numbers are unchanged.
 
     Examples
     --------

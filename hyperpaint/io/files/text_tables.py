@@ -17,7 +17,7 @@ from .reading import MAX_TEXT_LINES, PackedColumns, numbered_lines, read_limited
 
 _MAX_SETTINGS = 16 << 20
 _MAX_TABLE = 1 << 28
-# Most rows of a record or index: 3 h 58 min of a camera at 140 Hz, 2 h 46 min of an inertial system at 200
+# Maximum rows of a record or index: 3 h 58 min of a camera at 140 Hz, 2 h 46 min of an inertial system at 200
 # Hz. A row takes 170 bytes of memory (frame index) to 240 (record of nine columns), half a gigabyte in all.
 MAX_TABLE_ROWS = 2_000_000
 
@@ -43,7 +43,7 @@ def read_text(path: Path, limit: int = _MAX_SETTINGS, lines: int = MAX_TEXT_LINE
             mend="export it: some systems write binary logs under the same name",
             code="text-unreadable",
         )
-    # as bytes, one copy after the other: such files have a hundred megabytes
+    # as bytes, one copy at a time: such files have a hundred megabytes
     data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").removeprefix(b"\xef\xbb\xbf")
     return data.decode("latin-1")
 
@@ -96,8 +96,8 @@ def read_table(path: str | Path, kind: str, *, needs: Sequence[str]) -> Table:
 
 
 def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
-    # A table whose lines all have as many tabs as its header; None for blank lines or other counts.
-    # Takes a third of the time of reading line by line.
+    # Return a table whose lines all have as many tabs as its header; None for blank lines or other counts.
+    # It takes a third of the time of reading line by line.
     start, end = text.find("\n") + 1, len(text) - text.endswith("\n")
     columns, rows = PackedColumns(names), 0
     if not 0 < start < end:
@@ -105,17 +105,17 @@ def _regular_table(name: str, names: Sequence[str], text: str) -> Table | None:
     while start < end:
         stop = text.find("\n", min(start + _BLOCK_CHARACTERS, end), end)
         stop = end if stop < 0 else stop
-        piece = text[start:stop]
-        codes = np.frombuffer(piece.encode("latin-1"), np.uint8)
-        marks = np.append(codes[(codes == _TAB) | (codes == _LINE_END)], np.uint8(_LINE_END))
-        cells = piece.replace("\n", "\t").split("\t")
-        if marks.size % len(names) or not all(map(str.strip, cells[:: len(names)])):
+        block = text[start:stop]
+        codes = np.frombuffer(block.encode("latin-1"), np.uint8)
+        separators = np.append(codes[(codes == _TAB) | (codes == _LINE_END)], np.uint8(_LINE_END))
+        cells = block.replace("\n", "\t").split("\t")
+        if separators.size % len(names) or not all(map(str.strip, cells[:: len(names)])):
             return None
-        by_line = marks.reshape(-1, len(names))
-        if (by_line[:, :-1] != _TAB).any() or (by_line[:, -1] != _LINE_END).any():
+        separators_by_line = separators.reshape(-1, len(names))
+        if (separators_by_line[:, :-1] != _TAB).any() or (separators_by_line[:, -1] != _LINE_END).any():
             return None
-        columns.extend([cells[place :: len(names)] for place in range(len(names))])
-        rows, start = rows + len(by_line), stop + 1
+        columns.extend([cells[column :: len(names)] for column in range(len(names))])
+        rows, start = rows + len(separators_by_line), stop + 1
     return Table(name, np.arange(2, rows + 2), columns)
 
 
@@ -126,12 +126,12 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
 
     Raises `FormatError`: There are no rows, or some have another number of cells than there are names.
     """
-    numbers, wrong = array("q"), array("q")
+    numbers, wrong_rows = array("q"), array("q")
     columns = PackedColumns(names)
     block: list[list[str]] = []
     for number, cells in rows:
         if len(cells) != len(names):
-            wrong.append(number)
+            wrong_rows.append(number)
             continue
         numbers.append(number)
         block.append(cells)
@@ -139,10 +139,10 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
             columns.extend(zip(*block, strict=True))
             block.clear()
     columns.extend(zip(*block, strict=True))
-    if wrong:
+    if wrong_rows:
         raise FormatError(
-            f"{path}: {name_rows(wrong)} without {len(names)} cells",
-            mend="mend or delete",
+            f"{path}: {name_rows(wrong_rows)} without {len(names)} cells",
+            mend="correct or delete them",
             code="length-mismatch",
         )
     if not numbers:
@@ -152,10 +152,10 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
 
 def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:
     """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: noun for a row."""
-    shown = ", ".join(str(int(number)) for number in rows[:5])
+    listed = ", ".join(str(int(number)) for number in rows[:5])
     if len(rows) == 1:
-        return f"{row} {shown}"
-    return f"{row}s {shown}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
+        return f"{row} {listed}"
+    return f"{row}s {listed}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
 
 
 def to_integers(table: Table, name: str) -> NDArray[np.int64]:
@@ -167,10 +167,12 @@ def to_integers(table: Table, name: str) -> NDArray[np.int64]:
     # the common case at a tenth of the time: digits only, none empty, none too long for int64
     if "".join(cells).isdecimal() and min(map(len, cells)) > 0 and max(map(len, cells)) <= 16:
         return np.array(list(map(int, cells)), np.int64)
-    wrong = [int(row) for row, cell in zip(table.rows, cells, strict=True) if not _INTEGER.fullmatch(cell)]
-    if wrong:
+    wrong_rows = [
+        int(row) for row, cell in zip(table.rows, cells, strict=True) if not _INTEGER.fullmatch(cell)
+    ]
+    if wrong_rows:
         raise FormatError(
-            f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong)}",
+            f"{table.name}: column {name!r} is not a whole number in {name_rows(wrong_rows)}",
             code="number-unreadable",
         )
     return np.array([int(cell.partition(".")[0]) for cell in cells], np.int64)

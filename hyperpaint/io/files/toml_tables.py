@@ -1,4 +1,4 @@
-"""TOML files as tables checked by their facts: every problem is noted, no file that they name is opened."""
+"""TOML files as tables checked by their facts: all problems are noted, named files are not opened."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from hyperpaint.base.input_files import read_limited
 
 from .reading import is_pattern, matching_files
 
-#: Stands where a value is still to be filled in.
+#: Placeholder of a value that the user has to fill in.
 UNKNOWN = "?"
 
 _MAX_BYTES = 1 << 20
-#: A key of 64 parts or more: tomllib's time for it grows with the square of their number.
+#: A key of 64 parts or more: the time of tomllib grows with the square of the number of parts.
 _LONG_KEY = re.compile(rb"""(?:\.[ \t]*(?:[A-Za-z0-9_-]+|"[^"\n]{0,99}"|'[^'\n]{0,99}')[ \t]*){64}""")
 
 
@@ -51,13 +51,14 @@ def suggestion(key: str, allowed: Iterable[str]) -> str:
 
 
 class TableReader:
-    """Takes checked values out of the tables of a file and notes every problem.
+    """Reads checked values from the tables of a file, and notes every problem.
 
     ``path``: the file; paths in it are relative to its folder; ``raw``: its tables; ``schema``: facts of
-    every key of every table; ``lists``: tables that may occur several times; ``problems``: takes the faults.
+    every key of every table; ``lists``: tables that may occur several times; ``problems``: receives the
+    faults.
 
     Attribute ``tables``: the valid keys of every table of the schema. In each, ``"?"`` is the set of keys in
-    the file: a wrong key is not missing. ``given``: names of the tables in the file.
+    the file, with wrong values too. ``given``: names of the tables in the file.
     """
 
     #: Whether patterns may begin outside the folder of the file, as plain paths may.
@@ -87,11 +88,11 @@ class TableReader:
         """Return the valid keys of the tables of this name; ``extra`` names another accepted value."""
         if value is None:
             return []
-        several = name in self.lists
+        is_list = name in self.lists
         tables = value if isinstance(value, list) else [value]
-        if isinstance(value, list) != several or not all(isinstance(table, dict) for table in tables):
-            shape = f"[[{name}]]" if several else f"[{name}]"
-            mend = f"write one table for each {name}" if several else "write it once"
+        if isinstance(value, list) != is_list or not all(isinstance(table, dict) for table in tables):
+            shape = f"[[{name}]]" if is_list else f"[{name}]"
+            mend = f"write one table for each {name}" if is_list else "write it once"
             self.problems.add(
                 f"{name!r} is {shown(value)}", expected=f"{shape}{extra}", mend=mend, code="table-shape"
             )
@@ -127,12 +128,12 @@ class TableReader:
 
     def exclude(self, place: str, table: Mapping[str, Any], *keys: str) -> None:
         """Note keys of a table that exclude each other."""
-        both = [key for key in keys if key in table["?"]]
-        if len(both) > 1:
-            self.problems.add(f"{place} has {' and '.join(both)}", mend="keep one", code="option-conflict")
+        present = [key for key in keys if key in table["?"]]
+        if len(present) > 1:
+            self.problems.add(f"{place} has {' and '.join(present)}", mend="keep one", code="option-conflict")
 
     def is_name(self, place: str, key: str, name: str, blanks: str = "") -> bool:
-        """Return whether a group of the store can have this name; otherwise note it."""
+        """Return whether a group of the store can have this name; otherwise note the fault."""
         if _NAME.fullmatch(name) and name not in _ZARR_NAMES:
             return True
         self.problems.add(
@@ -158,7 +159,7 @@ class TableReader:
         return path
 
     def files(self, place: str, key: str, value: str | list[str]) -> tuple[Path, ...]:
-        """Return the files of paths and patterns, each pattern sorted; one without a match is a problem."""
+        """Return the files of paths and patterns, sorted by pattern; note patterns without a match."""
         paths: list[Path] = []
         for text in value if isinstance(value, list) else [value]:
             if "\0" in text or not is_pattern(text) or os.path.lexists(self.folder / text):
@@ -173,7 +174,7 @@ class TableReader:
                     f"{place} {key} = {shown(text)}: {error}", mend="shorten it", code="pattern-invalid"
                 )
                 continue
-            for match in filter(_is_special, matches):  # left out silently, nobody would miss it
+            for match in filter(_is_special, matches):  # reported, since a missing match would not be noticed
                 self._note_special(f"{place} {key} = {text!r}: {match}")
             paths += matches
             if not matches:
@@ -201,14 +202,14 @@ def values(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _anchored(pattern: str) -> tuple[str, str]:
-    # Split a pattern after its plain folders, such as ``../asd``, in which a user may leave the folder.
+    # Split a pattern after its folders without wildcards, such as ``../asd``, which may leave the folder.
     parts = Path(pattern).parts
-    plain = list(itertools.takewhile(lambda part: not is_pattern(part), parts))
-    return str(Path(*plain)), "/".join(parts[len(plain) :])
+    folders = list(itertools.takewhile(lambda part: not is_pattern(part), parts))
+    return str(Path(*folders)), "/".join(parts[len(folders) :])
 
 
 def _is_special(path: Path) -> bool:
-    # Whether a path names a pipe or device: reading one would block or never end.
+    # Return whether a path names a pipe or device: reading it would block or never end.
     try:
         mode = path.stat().st_mode
     except OSError:

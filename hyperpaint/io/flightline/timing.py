@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
+from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
 from hyperpaint.base.errors import PaintWarning, Problems, TimeError
 from hyperpaint.io.navigation.clocks import Clock, ClockCorrection
 from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_time, read_imu_gps
@@ -156,7 +156,7 @@ def line_times(
         shown = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
         text = f"{cube.name}: {shown} lie outside {clock.source} and have no time and place"
         warnings.warn(PaintWarning(text, code="time-uncovered"), stacklevel=2)
-    half = np.round(np.asarray(exposure_time) * STAMP_TO_MID_EXPOSURES[timing.stamp] * _NS_PER_S).astype(
+    half = np.round(np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp] * _NS_PER_S).astype(
         "timedelta64[ns]"
     )
     time = time + half
@@ -169,7 +169,7 @@ def line_times(
 
 def _check(timing: Timing, exposure_s: float) -> None:
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
-    if timing.stamp not in STAMP_TO_MID_EXPOSURES:
+    if timing.stamp not in MID_EXPOSURE_OFFSETS:
         problems.add(
             f"stamp {timing.stamp!r}",
             expected="'start', 'mid' or 'end' of the exposure",

@@ -1,4 +1,4 @@
-"""Maps written as GeoTIFF: all bands, or a picture in true colours.
+"""Writing of maps as GeoTIFF: all bands, or a picture in true colours.
 
 Windows are written one row of tiles at a time; GDAL then streams the plain file into a cloud-optimised one.
 """
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     import dask.array as da
 
 _TILE = 256
-# Rows from which the brightness levels of a picture are computed.
-_SAMPLED = 64
-_BLOCK = 64 * 2**20
+# Number of rows from which the brightness range of a picture is computed.
+_SAMPLED_ROWS = 64
+_BLOCK_BYTES = 64 * 2**20
 # GDAL's default, 5 % of the machine's memory, would fill with bands that are written once.
 _CACHE_MB = 256
 
@@ -78,7 +78,7 @@ def write_geotiff(
     Raises
     ------
     SchemaError
-        There is no such variable or band, its dims are others, its position is unknown, or ``"rgb"`` has no
+        The variable or a band is missing, its dims are wrong, the position is unknown, or ``"rgb"`` has no
         bands near those wavelengths.
     StoreError
         A file exists, or cannot be written. An existing file stays.
@@ -109,14 +109,14 @@ def write_geotiff(
 def draw_geotiff(
     map: xr.Dataset,
     target: Path,
-    place: Path,
+    final_path: Path,
     variable: str | None = None,
     bands: Literal["all", "rgb"] | Sequence[int] = "all",
     cog: bool = True,
     stretch: tuple[float, float] = (2.0, 98.0),
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write a map as GeoTIFF to ``target``, later moved to ``place``; errors as of `write_geotiff`."""
+    """Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`."""
     with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
         import rasterio
         from rasterio.shutil import copy
@@ -131,21 +131,21 @@ def draw_geotiff(
     grid = required_grid(map)
     array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
     array = array.transpose("y", "x", BAND)
-    chosen = _chosen(map, array, bands)
-    array = array.isel({BAND: chosen})
-    picture = isinstance(bands, str) and bands == "rgb"
-    stored = _picture(array, stretch) if picture else _plain(array)
-    names, tags = _descriptions(map, str(array.name), chosen)
-    plain = target.with_name(f"plain-{target.name}") if cog else target
+    band_numbers = _band_indices(map, array, bands)
+    array = array.isel({BAND: band_numbers})
+    is_picture = isinstance(bands, str) and bands == "rgb"
+    stored = _picture(array, stretch) if is_picture else _storable(array)
+    names, tags = _descriptions(map, str(array.name), band_numbers)
+    uncompressed = target.with_name(f"plain-{target.name}") if cog else target
     try:
         with rasterio.Env(GDAL_CACHEMAX=_CACHE_MB):
-            _write(plain, stored, grid, picture, names, tags, progress)
+            _write(uncompressed, stored, grid, is_picture, names, tags, progress)
             if cog:
                 # nearest for spectra, which must not be mixed
-                resampling = "average" if picture else "nearest"
+                resampling = "average" if is_picture else "nearest"
                 options = {"blocksize": _TILE, "bigtiff": "if_safer", "predictor": "yes"}
                 copy(
-                    plain,
+                    uncompressed,
                     target,
                     driver="COG",
                     compress="deflate",
@@ -153,7 +153,7 @@ def draw_geotiff(
                     **options,
                 )
     except rasterio.errors.RasterioError as error:
-        raise unwritable(place, error) from error
+        raise unwritable(final_path, error) from error
 
 
 class GeotiffHeader(NamedTuple):
@@ -170,12 +170,12 @@ class GeotiffHeader(NamedTuple):
 def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
     """Return the metadata of a GeoTIFF; no cell is read.
 
-    Raises `FormatError`: it is no TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
+    Raises `FormatError`: it is not a TIFF, or damaged; `MissingExtraError`: rasterio is not installed.
     """
     with open_input(path, "a GeoTIFF") as file:
         if not file.read(4).startswith(TIFF):
             raise FormatError(
-                f"{path}: no TIFF, whatever its name says",
+                f"{path}: not a TIFF, in spite of its name",
                 mend="check what the file is",
                 code="format-unknown",
             )
@@ -191,7 +191,7 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
 # --- values ------------------------------------------------------------------------------------------------
 
 
-def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
+def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
     count = array.sizes[BAND]
     if isinstance(bands, str):
         if bands == "all":
@@ -218,7 +218,7 @@ def _chosen(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]:
     return [band % count for band in chosen]
 
 
-def _plain(array: xr.DataArray) -> xr.DataArray:
+def _storable(array: xr.DataArray) -> xr.DataArray:
     if array.dtype.kind == "f":
         return array.astype(stored_float(array), copy=False)
     if array.dtype == bool:
@@ -233,14 +233,14 @@ def _plain(array: xr.DataArray) -> xr.DataArray:
 
 
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
-    # 8-bit sRGB (y, x, band); 0 where a band is unknown.
+    # Return 8-bit sRGB (y, x, band); 0 where a band is unknown.
     if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
         raise SchemaError(
             f"stretch {stretch}",
             expected="two rising percentiles within 0 and 100",
             code="value-out-of-range",
         )
-    step = -(-array.sizes["y"] // _SAMPLED)
+    step = -(-array.sizes["y"] // _SAMPLED_ROWS)
     sample = array.isel(y=slice(step // 2, None, step)).values.astype(np.float64)
     complete = sample[np.isfinite(sample).all(axis=-1)]
     # one range for all bands keeps the colours
@@ -262,8 +262,10 @@ def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
     complete = np.isfinite(linear).all(axis=-1, keepdims=True)
     share = np.clip((np.where(complete, linear, low) - low) / (high - low), 0.0, 1.0)
     # IEC 61966-2-1
-    shown = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-    encoded: NDArray[np.uint8] = np.where(complete, np.round(1.0 + 254.0 * shown), 0.0).astype(np.uint8)
+    encoded_share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
+    encoded: NDArray[np.uint8] = np.where(complete, np.round(1.0 + 254.0 * encoded_share), 0.0).astype(
+        np.uint8
+    )
     return encoded
 
 
@@ -280,7 +282,7 @@ def _descriptions(map: xr.Dataset, name: str, chosen: list[int]) -> tuple[list[s
 
 
 class _Target:
-    # A raster that takes blocks (y, x, band) at their positions, one at a time.
+    # Raster to which blocks (y, x, band) are written at their positions, one at a time.
     def __init__(self, raster: Any, total: int, progress: Callable[[int, int], None] | None) -> None:
         self.raster, self.total, self.progress, self.done = raster, total, progress, 0
 
@@ -289,8 +291,8 @@ class _Target:
 
         raster = self.raster
         row, column, first = (
-            where.indices(size)[0]
-            for where, size in zip(region, (raster.height, raster.width, raster.count), strict=True)
+            part.indices(size)[0]
+            for part, size in zip(region, (raster.height, raster.width, raster.count), strict=True)
         )
         indexes = list(range(first + 1, first + 1 + block.shape[2]))
         window = Window(column, row, block.shape[1], block.shape[0])
@@ -304,7 +306,7 @@ def _write(
     path: Path,
     stored: xr.DataArray,
     grid: Grid,
-    picture: bool,
+    is_picture: bool,
     names: list[str],
     tags: list[dict[str, str]],
     progress: Callable[[int, int], None] | None,
@@ -325,19 +327,19 @@ def _write(
         "blockxsize": _TILE,
         "blockysize": _TILE,
         "bigtiff": "if_safer",
-        "interleave": "pixel" if picture else "band",
-        "nodata": 0 if picture else np.nan if stored.dtype.kind == "f" else None,
-        **({"photometric": "rgb"} if picture else {}),
+        "interleave": "pixel" if is_picture else "band",
+        "nodata": 0 if is_picture else np.nan if stored.dtype.kind == "f" else None,
+        **({"photometric": "rgb"} if is_picture else {}),
     }
     with rasterio.open(path, "w", **profile) as raster:
-        for place, (name, about) in enumerate(zip(names, tags, strict=True), start=1):
-            raster.set_band_description(place, name)
-            raster.update_tags(place, **about)
+        for number, (name, band_tags) in enumerate(zip(names, tags, strict=True), start=1):
+            raster.set_band_description(number, name)
+            raster.update_tags(number, **band_tags)
         target = _Target(raster, stored.size, progress)
         if stored.chunks is not None:
             _write_in_stages(stored.data, target)
             return
-        step = max(_TILE, _BLOCK // max(1, width * count * stored.dtype.itemsize) // _TILE * _TILE)
+        step = max(_TILE, _BLOCK_BYTES // max(1, width * count * stored.dtype.itemsize) // _TILE * _TILE)
         for first in range(0, height, step):
             rows = slice(first, min(first + step, height))
             target[rows, slice(None), slice(None)] = stored[rows].values
@@ -355,7 +357,7 @@ def _write_in_stages(array: da.Array, target: _Target) -> None:
             target[rows, columns, bands] = block
         return np.zeros((1,) * block.ndim, np.uint8)
 
-    places = array.map_blocks(
+    writes = array.map_blocks(
         write,
         dtype=np.uint8,
         chunks=tuple((1,) * count for count in array.numblocks),
@@ -363,7 +365,7 @@ def _write_in_stages(array: da.Array, target: _Target) -> None:
         name=f"write-{uuid.uuid4().hex}",
     )
     axis = 0 if array.numblocks[0] >= array.numblocks[1] else 1
-    stages = {(places.name, *index): index[axis] for index in np.ndindex(places.numblocks)}
-    graph = dict(places.__dask_optimize__(places.__dask_graph__(), list(stages)))
+    stages = {(writes.name, *index): index[axis] for index in np.ndindex(writes.numblocks)}
+    graph = dict(writes.__dask_optimize__(writes.__dask_graph__(), list(stages)))
     for _ in in_stages(dask.threaded.get, graph, stages):
         pass

@@ -22,7 +22,7 @@ _GEOMETRIES = ({ALONG_TRACK, CROSS_TRACK}, {"y", "x"})
 
 
 def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
-    """Return the variable to be written: the given one, else the first product present.
+    """Return the variable to be written: the requested one, else the first product present.
 
     Raises `SchemaError`: It is missing, or its dims are not those of a cube or of a plane.
     """
@@ -47,13 +47,13 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
 
 
 def stored_float(array: xr.DataArray) -> type[np.floating[Any]]:
-    """Return the type in which a variable of floats is written.
+    """Return the dtype in which a variable of floats is written.
 
     float32, except for map coordinates, which float32 would round to decimetres.
     """
-    row = VARIABLES.get(str(array.name))
-    exact = row is not None and row.dtype == "float64" and array.dtype.itemsize >= 8
-    return np.float64 if exact else np.float32
+    spec = VARIABLES.get(str(array.name))
+    is_float64 = spec is not None and spec.dtype == "float64" and array.dtype.itemsize >= 8
+    return np.float64 if is_float64 else np.float32
 
 
 def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int] | None:
@@ -64,11 +64,15 @@ def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int]
     >>> nearest_bands([450.0, 551.0, 645.0, 850.0], RGB_WAVELENGTHS)
     [2, 1, 0]
     """
-    nm = np.asarray(wavelength, np.float64)
-    away = np.abs(nm[None, :] - np.array(wanted)[:, None])
-    if not nm.size or not np.isfinite(nm).all() or (away.min(axis=1) > MAX_BAND_DISTANCE_NM).any():
+    wavelengths = np.asarray(wavelength, np.float64)
+    distance = np.abs(wavelengths[None, :] - np.array(wanted)[:, None])
+    if (
+        not wavelengths.size
+        or not np.isfinite(wavelengths).all()
+        or (distance.min(axis=1) > MAX_BAND_DISTANCE_NM).any()
+    ):
         return None
-    return [int(band) for band in away.argmin(axis=1)]
+    return [int(band) for band in distance.argmin(axis=1)]
 
 
 Transform = tuple[float, float, float, float, float, float]
@@ -116,21 +120,21 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
     transform = None if text is None else _numbers(text)
     axes = [dataset.variables.get(name) for name in ("x", "y")]
     if any(axis is None or axis.dims != (name,) for name, axis in zip("xy", axes, strict=True)):
-        places = [dataset.variables.get(name) for name in ("east", "north")]
-        is_placed = all(plane is not None and set(plane.dims) == {"y", "x"} for plane in places)
-        if transform is None or not is_placed:
+        planes = [dataset.variables.get(name) for name in ("east", "north")]
+        has_positions = all(plane is not None and set(plane.dims) == {"y", "x"} for plane in planes)
+        if transform is None or not has_positions:
             return None if transform is None else Grid(transform, wkt)
-        computed = _by_places(dataset, transform)
-        return Grid(transform if _same(computed, transform, dataset) else computed, wkt)
+        computed = _grid_through_positions(dataset, transform)
+        return Grid(transform if _agree(computed, transform, dataset) else computed, wkt)
     if transform is None:
         if any(dataset.sizes[name] < 2 for name in ("x", "y")):
             return None
-        (x, width), (y, height) = _windows(dataset, (math.nan, math.nan))
+        (x, width), (y, height) = _edges_and_steps(dataset, (math.nan, math.nan))
         return Grid((x, width, 0.0, y, 0.0, height), wkt)
     _, b, c, _, e, f = transform
     if c != 0.0 or e != 0.0:
-        computed = _along(dataset, transform)
-        if not _same(computed, transform, dataset):
+        computed = _grid_at_distances(dataset, transform)
+        if not _agree(computed, transform, dataset):
             raise SchemaError(
                 f"GeoTransform of {SPATIAL_REF} is rotated, and 'x' and 'y' are not the distances of all "
                 "cells from its corner, so the position of these cells is ambiguous",
@@ -138,10 +142,10 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
                 code="place-ambiguous",
             )
     else:
-        (x, width), (y, height) = _windows(dataset, (b, f))
+        (x, width), (y, height) = _edges_and_steps(dataset, (b, f))
         computed = x, width, 0.0, y, 0.0, height
-    # a transform that agrees keeps its bits
-    return Grid(transform if _same(computed, transform, dataset) else computed, wkt)
+    # a transform that agrees is returned unchanged, bit for bit
+    return Grid(transform if _agree(computed, transform, dataset) else computed, wkt)
 
 
 def required_grid(dataset: xr.Dataset) -> Grid:
@@ -149,16 +153,16 @@ def required_grid(dataset: xr.Dataset) -> Grid:
     grid = grid_of(dataset)
     if grid is None:
         raise SchemaError(
-            "the place of this map is unknown",
+            "the position of this map is unknown",
             expected="spatial_ref with a GeoTransform, or x and y",
             code="place-unknown",
         )
     return grid
 
 
-def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
-    # The grid through ``east`` and ``north`` of the first row and column.
-    # A single row or column has the step of ``transform``.
+def _grid_through_positions(dataset: xr.Dataset, transform: Transform) -> Transform:
+    # Return the grid through ``east`` and ``north`` of the first row and column.
+    # A single row or column gets the step of ``transform``.
     _, b, c, _, e, f = transform
     size = max(math.hypot(b, e), math.hypot(c, f))
     numbers: list[float] = []
@@ -168,10 +172,10 @@ def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
         for values, step in ((plane[0].values, by_column), (plane[:, 0].values, by_row)):
             if values.size > 1:
                 step = float(values[-1] - values[0]) / (values.size - 1)
-            even = values[0] + step * np.arange(values.size)
-            if not np.abs(values - even).max() <= _TOLERANCE * size + _ROUNDING:
+            even_values = values[0] + step * np.arange(values.size)
+            if not np.abs(values - even_values).max() <= _TOLERANCE * size + _ROUNDING:
                 raise SchemaError(
-                    f"the place of this map is unknown: {name!r} is not evenly spaced",
+                    f"the position of this map is unknown: {name!r} is not evenly spaced",
                     mend="choose cells at even steps",
                     code="spacing-uneven",
                 )
@@ -181,24 +185,24 @@ def _by_places(dataset: xr.Dataset, transform: Transform) -> Transform:
     return a, b, c, d, e, f
 
 
-def _along(dataset: xr.Dataset, transform: Transform) -> Transform:
-    # The grid whose cells lie at the distances ``x`` and ``y`` from the corner of ``transform``.
+def _grid_at_distances(dataset: xr.Dataset, transform: Transform) -> Transform:
+    # Return the grid whose cells lie at the distances ``x`` and ``y`` from the corner of ``transform``.
     a, b, c, d, e, f = transform
     sizes = math.hypot(b, e), math.hypot(c, f)
-    (x, width), (y, height) = _windows(dataset, sizes)
+    (x, width), (y, height) = _edges_and_steps(dataset, sizes)
     col, row, cols, rows = x / sizes[0], y / sizes[1], width / sizes[0], height / sizes[1]
     return a + col * b + row * c, cols * b, rows * c, d + col * e + row * f, cols * e, rows * f
 
 
-def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:
-    # The outer edge of the first pixel, and the step, of x and y; ``steps`` for single pixels.
-    problems = Problems("the place of this map is unknown", SchemaError)
+def _edges_and_steps(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:
+    # Return outer edge of the first pixel and step, of x and y; ``steps`` are used for single pixels.
+    problems = Problems("the position of this map is unknown", SchemaError)
     edges_and_steps = []
     for name, single in zip("xy", steps, strict=True):
         centres = np.asarray(dataset[name].values, np.float64)
         step = (centres[-1] - centres[0]) / (centres.size - 1) if centres.size > 1 else np.float64(single)
-        even = centres[0] + step * np.arange(centres.size)
-        if step == 0.0 or not np.abs(centres - even).max() <= _TOLERANCE * abs(step) + _ROUNDING:
+        even_centres = centres[0] + step * np.arange(centres.size)
+        if step == 0.0 or not np.abs(centres - even_centres).max() <= _TOLERANCE * abs(step) + _ROUNDING:
             problems.add(
                 f"{name!r} is not evenly spaced", mend="choose cells at even steps", code="spacing-uneven"
             )
@@ -207,10 +211,10 @@ def _windows(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[floa
     return edges_and_steps
 
 
-def _same(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
-    # Whether two grids agree over a whole map, but for rounding.
+def _agree(grid: Transform, reference: Transform, dataset: xr.Dataset) -> bool:
+    # Return whether two grids agree over a map, except for rounding.
     (a, b, c), (d, e, f) = (
-        [one - other for one, other in zip(grid[k : k + 3], reference[k : k + 3], strict=True)]
+        [value - other for value, other in zip(grid[k : k + 3], reference[k : k + 3], strict=True)]
         for k in (0, 3)
     )
     tolerance = _TOLERANCE * max(map(abs, (*reference[1:3], *reference[4:]))) + _ROUNDING
@@ -237,7 +241,7 @@ def _numbers(text: Any) -> Transform:
     return a, b, c, d, e, f
 
 
-# --- in ENVI's words ---------------------------------------------------------------------------------------
+# --- in ENVI's terms ---------------------------------------------------------------------------------------
 
 
 def envi_map_info(grid: Grid) -> dict[str, str]:
@@ -252,27 +256,27 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     a, b, c, d, e, f = grid.transform
     width, height = math.hypot(b, e), math.hypot(c, f)
     problems = Problems("ENVI cannot describe this grid", SchemaError)
-    turned = e != 0.0 or c != 0.0
+    is_rotated = e != 0.0 or c != 0.0
     if grid.mirrored:
         problems.add("it is mirrored", mend="reverse its rows", code="grid-mirrored")
     if abs(b * c + e * f) > 1e-9 * width * height:
         problems.add("its rows and columns do not cross at right angles", code="grid-sheared")
-    if turned and abs(width - height) > 1e-9 * width:
+    if is_rotated and abs(width - height) > 1e-9 * width:
         problems.add(
             f"it is rotated, and its pixels are not square: {width:g} x {height:g}", code="pixels-not-square"
         )
     problems.raise_if_any()
     projection, zone, units, entries = _reference_system(grid.wkt)
-    place = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
-    if turned or b < 0.0:
+    entries_of_map = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]
+    if is_rotated or b < 0.0:
         angle = math.degrees(math.atan2(e, b))
-        # GDAL reads 180 as rows that count upwards, and the next number above as a half turn
-        place.append(f"rotation={math.nextafter(180.0, 360.0) if abs(angle) == 180.0 else angle!r}")
-    return {"map info": ", ".join(place), **entries}
+        # GDAL reads 180 as rows that count upwards, and the next larger float as a half turn
+        entries_of_map.append(f"rotation={math.nextafter(180.0, 360.0) if abs(angle) == 180.0 else angle!r}")
+    return {"map info": ", ".join(entries_of_map), **entries}
 
 
 def _reference_system(wkt: str | None) -> tuple[str, list[str], str, dict[str, str]]:
-    # Projection, entries after the pixel size, map units, and the reference system as text.
+    # Return projection, entries after the pixel size, map units, and the reference system as text.
     if wkt is None:
         return "Arbitrary", [], "Meters", {}
     with needs_extra("pyproj", "geo", "a map with its reference system"):

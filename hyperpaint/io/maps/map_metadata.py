@@ -27,7 +27,7 @@ _MEDIA_TYPES = {
 
 
 def with_own_transform(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a map whose ``GeoTransform`` matches its cells; a selection still has that of the whole map.
+    """Return a map whose ``GeoTransform`` matches its cells; a selection has the transform of the whole map.
 
     Raises `SchemaError`: as `grid_of`.
     """
@@ -46,11 +46,11 @@ def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
     Raises `SchemaError`: its position is unknown; `MissingExtraError`: pyproj is not installed.
     """
     grid = required_grid(dataset)
-    at = "https://{}github{}.com/zarr-conventions/{}"
+    url = "https://{}github{}.com/zarr-conventions/{}"
     conventions = [
         {
-            "schema_url": f"{at.format('raw.', 'usercontent', repository)}/refs/tags/v1/schema.json",
-            "spec_url": f"{at.format('', '', repository)}/blob/v1/README.md",
+            "schema_url": f"{url.format('raw.', 'usercontent', repository)}/refs/tags/v1/schema.json",
+            "spec_url": f"{url.format('', '', repository)}/blob/v1/README.md",
             "uuid": identifier,
             "name": f"{name}:",
             "description": description,
@@ -132,7 +132,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
 
 
 def _reference_system(grid: Grid) -> dict[str, Any]:
-    # Code or WKT of the reference system, under the names that STAC and GeoZarr share.
+    # Return code or WKT of the reference system, under the names that STAC and GeoZarr share.
     if grid.wkt is None:
         return {}
     with needs_extra("pyproj", "geo", "the reference system of a map"):
@@ -143,21 +143,21 @@ def _reference_system(grid: Grid) -> dict[str, Any]:
 
 
 def _affine(grid: Grid) -> list[float]:
-    # Order: x by column, row and offset, then y: the order of the package affine, not of GDAL.
+    # Return the transform in the order of the package affine: x by column, row and offset, then y.
     a, b, c, d, e, f = map(float, grid.transform)
     return [b, c, a, e, f, d]
 
 
 def _corners(grid: Grid, shape: list[int]) -> tuple[list[float], list[float]]:
-    # (x, y) of the outer corners, counterclockwise from the first cell.
+    # Return x and y of the outer corners, counterclockwise from the first cell.
     a, b, c, d, e, f = map(float, grid.transform)
     rows, cols = shape
-    places = ((0, 0), (rows, 0), (rows, cols), (0, cols))
-    return [a + b * j + c * i for i, j in places], [d + e * j + f * i for i, j in places]
+    corners = ((0, 0), (rows, 0), (rows, cols), (0, cols))
+    return [a + b * j + c * i for i, j in corners], [d + e * j + f * i for i, j in corners]
 
 
 def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
-    # Name, wavelength and width [um] of the bands.
+    # Return name, wavelength and width [um] of the bands.
     axis = dataset.variables.get("wavelength")
     if axis is None or axis.dims != (BAND,):
         return []

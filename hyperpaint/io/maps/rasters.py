@@ -1,4 +1,4 @@
-"""Rasters of heights, read by GDAL: few drivers, one file, no network, only the needed window.
+"""Height rasters, read by GDAL: few drivers, a single file, no network, only the needed window.
 
 GDAL decides by content: text inside a ``.tif`` may be a virtual raster that names other files and URLs, files
 beside it are opened with it, and a tag may name a file of overviews. Only the ``.prj`` of an ASCII grid,
@@ -24,7 +24,7 @@ TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 #: First bytes of files, and the driver that opens them; all are single-file formats.
 _DRIVERS = ((TIFF, "GTiff"), ((b"UHL1", b"HDR1", b"VOL1"), "DTED"))
 #: First words of the header of an ASCII grid, in either case.
-_GRID = (
+_GRID_KEYWORDS = (
     b"ncols",
     b"nrows",
     b"xllcorner",
@@ -40,10 +40,10 @@ MAX_RASTER_BYTES = 2**40
 MAX_PRJ_BYTES = 2**16
 MAX_AUX_BYTES = 2**20
 
-# Most cells of a raster that is read completely; of a larger one a window is read.
+# Maximum number of cells of a raster that is read completely; from a larger raster, a window is read.
 MAX_WHOLE_CELLS = 2**24
 
-# Most cells of a window: half a gigabyte with all derived arrays.
+# Maximum number of cells of a window: half a gigabyte with all derived arrays.
 MAX_WINDOW_CELLS = 2**25
 
 # Largest block, tile or strip, which GDAL decodes completely even for one cell [byte].
@@ -64,24 +64,24 @@ _ENVIRONMENT = {
 def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     """Yield a raster opened by rasterio; ``purpose`` names the operation that needs rasterio.
 
-    Of files beside it only the ``.prj`` of an ASCII grid is read.
+    From files beside it, only the ``.prj`` of an ASCII grid is read.
 
-    Raises `FormatError`: It is no plain file, no raster of these kinds, damaged, or names other files; or its
-    ``.prj`` is no plain file, or of over 64 KiB.
-    Raises `MissingExtraError`: rasterio is not installed.
+    Raises `FormatError`: It is not a plain file, not a raster of these kinds, damaged, or names other files;
+    or its ``.prj`` is not a plain file, or larger than 64 KiB. Raises `MissingExtraError`: rasterio is not
+    installed.
     """
     with open_input(path, "a raster", MAX_RASTER_BYTES) as file:
-        head, place = file.read(64).lstrip(), os.path.abspath(path)
-    driver = next((name for heads, name in _DRIVERS if head.startswith(heads)), "")
-    driver = driver or ("AAIGrid" if head.lower().startswith(_GRID) else "")
-    driver = driver or ("SRTMHGT" if place.lower().endswith(".hgt") else "")
+        first_bytes, full_path = file.read(64).lstrip(), os.path.abspath(path)
+    driver = next((name for magic, name in _DRIVERS if first_bytes.startswith(magic)), "")
+    driver = driver or ("AAIGrid" if first_bytes.lower().startswith(_GRID_KEYWORDS) else "")
+    driver = driver or ("SRTMHGT" if full_path.lower().endswith(".hgt") else "")
     if not driver:
         raise FormatError(
-            f"{path}: no TIFF, ASCII grid, SRTM .hgt or DTED, whatever its name says",
+            f"{path}: not a TIFF, ASCII grid, SRTM .hgt or DTED, in spite of its name",
             mend="convert other rasters to GeoTIFF with gdal_translate",
             code="format-unknown",
         )
-    for prj in (os.path.splitext(place)[0] + suffix for suffix in (".prj", ".PRJ")):
+    for prj in (os.path.splitext(full_path)[0] + suffix for suffix in (".prj", ".PRJ")):
         if driver == "AAIGrid" and os.path.lexists(prj):
             open_input(prj, "the crs of an ASCII grid", MAX_PRJ_BYTES).close()
     with needs_extra("rasterio", "geo", purpose):
@@ -90,12 +90,12 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
         from rasterio.errors import CRSError
     try:
         with warnings.catch_warnings(), rasterio.Env(**_ENVIRONMENT):
-            warnings.simplefilter("ignore")  # about a file without position
-            with rasterio.open(place, driver=driver, sharing=False) as raster:
+            warnings.simplefilter("ignore")  # rasterio warns of files without position
+            with rasterio.open(full_path, driver=driver, sharing=False) as raster:
                 if raster.tags(ns="OVERVIEWS"):
                     raise FormatError(
                         f"{path} names another file for its overviews",
-                        mend="translate it anew with gdal_translate",
+                        mend="convert it with gdal_translate",
                         code="file-not-alone",
                     )
                 yield raster
@@ -108,7 +108,7 @@ def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
 
 
 def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None = None) -> xr.DataArray:
-    """Return a raster of heights (y, x), of a large one the window around a flight.
+    """Return a height raster (y, x); from a large raster, the window around a flight.
 
     path: A GeoTIFF, a grid of text (``.asc``), SRTM (``.hgt``) or DTED.
     around: Longitudes, latitudes [degree] and heights [m] of the flight, (time,) each: a raster of more
@@ -137,11 +137,12 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
                 code="grid-rotated",
             )
         _check_alone(raster, path)
-        high, wide = raster.block_shapes[0]
-        block = high * wide * np.dtype(raster.dtypes[0]).itemsize
-        if block > MAX_BLOCK_BYTES:
+        block_rows, block_columns = raster.block_shapes[0]
+        block_bytes = block_rows * block_columns * np.dtype(raster.dtypes[0]).itemsize
+        if block_bytes > MAX_BLOCK_BYTES:
             raise FormatError(
-                f"{path}: blocks of {high} x {wide} cells, {block} bytes, read whole for one cell",
+                f"{path}: blocks of {block_rows} x {block_columns} cells, {block_bytes} bytes, read "
+                "completely for each cell",
                 expected=f"at most {MAX_BLOCK_BYTES}",
                 mend="gdal_translate -co TILED=YES in.tif out.tif",
                 code="file-too-large",
@@ -149,7 +150,7 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         rows, columns = (0, raster.height), (0, raster.width)
         if raster.height * raster.width > MAX_WHOLE_CELLS:
             rows, columns = _window(raster, path, around)
-        values = _cells(raster, rows, columns)
+        values = _read_cells(raster, rows, columns)
         crs = None if raster.crs is None else raster.crs.to_wkt()
         # the declared unit of the heights, and their reference surface
         tags = raster.tags()
@@ -177,40 +178,42 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
     # Refuse a raster without a position, or with metadata in files beside it, which are not read.
     from rasterio.enums import MaskFlags
 
-    place = os.path.abspath(path)
-    stem = os.path.splitext(place)[0]
+    full_path = os.path.abspath(path)
+    stem = os.path.splitext(full_path)[0]
     is_masked = MaskFlags.per_dataset in raster.mask_flag_enums[0]
-    lacks = {
+    is_missing = {
         "a nodata": raster.nodata is None and not is_masked,
         "a transform": raster.transform.is_identity,
         "a crs": raster.crs is None,
     }
-    aux = head_of(f"{place}.aux.xml", MAX_AUX_BYTES)
-    beside = {
-        item: f"{place}.aux.xml"
+    aux = head_of(f"{full_path}.aux.xml", MAX_AUX_BYTES)
+    files_by_item = {
+        item: f"{full_path}.aux.xml"
         for element, item in _POSITION_ELEMENTS.items()
-        if lacks[item] and element in aux
+        if is_missing[item] and element in aux
     }
     for item, name in (
-        ("a nodata", f"{place}.msk"),
+        ("a nodata", f"{full_path}.msk"),
         *(("a transform", stem + suffix) for suffix in (".tfw", ".TFW", ".tifw", ".tiffw", ".wld")),
-        ("a transform", f"{place}w"),
+        ("a transform", f"{full_path}w"),
         ("a crs", f"{stem}.prj"),
     ):
-        if lacks[item] and os.path.exists(name):
-            beside.setdefault(item, name)
-    if beside:
-        named = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in beside.items())
-        srs = f" -a_srs {os.path.basename(stem)}.prj" if beside.get("a crs", "").endswith(".prj") else ""
+        if is_missing[item] and os.path.exists(name):
+            files_by_item.setdefault(item, name)
+    if files_by_item:
+        listed = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
+        srs = (
+            f" -a_srs {os.path.basename(stem)}.prj" if files_by_item.get("a crs", "").endswith(".prj") else ""
+        )
         raise FormatError(
-            f"{path} is read alone, but other files hold part of it: {named}",
+            f"{path} is read without other files, which hold part of its metadata: {listed}",
             mend=f"merge them: gdal_translate{srs} in.tif out.tif",
             code="file-not-alone",
         )
-    missing = [item for item in ("a transform", "a crs") if lacks[item]]
+    missing = [item for item in ("a transform", "a crs") if is_missing[item]]
     if missing:
         raise FormatError(
-            f"{path} has no place without {' and '.join(missing)}",
+            f"{path} has no position without {' and '.join(missing)}",
             mend="set it with gdal_translate -a_srs EPSG:<code> -a_ullr <west north east south>",
             code="place-unknown",
         )
@@ -223,20 +226,20 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
         )
 
 
-def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
+def _read_cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
     from rasterio.enums import MaskFlags
     from rasterio.windows import Window
 
     window = Window.from_slices(rows, columns)
     stored: np.ndarray[Any, Any] = raster.read(1, window=window)
-    narrow = stored.dtype.itemsize <= 2 or stored.dtype == np.float32
-    values = stored.astype(np.float32 if narrow else np.float64)
+    fits_float32 = stored.dtype.itemsize <= 2 or stored.dtype == np.float32
+    values = stored.astype(np.float32 if fits_float32 else np.float64)
     if raster.nodata is not None:
         values[stored == raster.nodata] = np.nan
     # a mask inside the file; masks beside it are not opened
     if MaskFlags.per_dataset in raster.mask_flag_enums[0]:
         values[raster.read_masks(1, window=window) == 0] = np.nan
-    # infinities, and signalling NaNs of a damaged file, which would warn in every sum
+    # replace infinities, and signalling NaNs of a damaged file, which would warn in every sum
     values[~np.isfinite(values)] = np.nan
     scale, offset = raster.scales[0], raster.offsets[0]
     if not (np.isfinite(scale) and np.isfinite(offset) and scale != 0.0):
@@ -249,77 +252,81 @@ def _cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.n
     return values if (scale, offset) == (1.0, 0.0) else values * scale + offset
 
 
-# Cells are read up to this distance from the flight, in heights above ground: 76 degrees off nadir.
-_REACH = 4.0
+# Cells are read up to this distance from the flight [heights above ground]: 76 degrees off nadir.
+_WINDOW_HEIGHTS = 4.0
 # Additional border on each side [cell].
-_BORDER = 64
+_BORDER_CELLS = 64
 _TRACK_POINTS = 257
 
 
 def _window(
     raster: Any, path: str | os.PathLike[str], around: tuple[Any, Any, Any] | None
 ) -> tuple[tuple[int, int], tuple[int, int]]:
-    # The rows and columns of a raster around a flight.
+    # Return the rows and columns of a raster around a flight.
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import CRSError, RasterioError
     from rasterio.warp import transform
 
-    large = f"{path} has {raster.height} x {raster.width} cells"
+    subject = f"{path} has {raster.height} x {raster.width} cells"
     points = None if around is None else np.stack([np.asarray(values, np.float64) for values in around])
     points = None if points is None else points[:, np.isfinite(points).all(axis=0)]
     if points is None or not points.size:
         raise SchemaError(
-            f"{large}, and the line has no positions to select a window by",
+            f"{subject}, and the line has no positions to select a window by",
             mend="cut out the area of the flight",
             code="positions-missing",
         )
     if raster.crs is None:
         raise FormatError(
-            f"{large}, and no crs to find the flight in it",
+            f"{subject}, and no crs to find the flight in it",
             mend="declare it with gdal_edit -a_srs",
             code="crs-missing",
         )
     longitude, latitude, _ = points[:, :: max(1, points.shape[1] // _TRACK_POINTS)]
     try:
-        x, y = (np.asarray(each) for each in transform("EPSG:4326", raster.crs, longitude, latitude))
+        x, y = (
+            np.asarray(coordinate) for coordinate in transform("EPSG:4326", raster.crs, longitude, latitude)
+        )
     except (CPLE_BaseError, CRSError, RasterioError) as error:
         raise FormatError(
-            f"{large}, and positions cannot be converted to its crs ({error!s:.200})",
+            f"{subject}, and positions cannot be converted to its crs ({error!s:.200})",
             mend="declare the right one with gdal_edit -a_srs",
             code="crs-unknown",
         ) from error
     column, row = ~raster.transform * (x, y)
-    column, row = (each[np.isfinite(column) & np.isfinite(row)] for each in (column, row))
-    inside = (row >= 0) & (row < raster.height) & (column >= 0) & (column < raster.width)
-    if not inside.any():
+    column, row = (coordinate[np.isfinite(column) & np.isfinite(row)] for coordinate in (column, row))
+    is_inside = (row >= 0) & (row < raster.height) & (column >= 0) & (column < raster.width)
+    if not is_inside.any():
         raise FormatError(
-            f"{large}, and the flight is outside of it",
+            f"{subject}, and the flight is outside of it",
             mend="give the DEM of this place",
             code="flight-outside",
         )
-    below = [
-        float(_cells(raster, (int(r), int(r) + 1), (int(k), int(k) + 1))[0, 0])
-        for r, k in zip(row[inside], column[inside], strict=True)
+    ground_heights = [
+        float(_read_cells(raster, (int(r), int(r) + 1), (int(k), int(k) + 1))[0, 0])
+        for r, k in zip(row[is_inside], column[is_inside], strict=True)
     ]
-    heights = np.array(below)
+    heights = np.array(ground_heights)
     lowest = float(heights[np.isfinite(heights)].min(initial=np.inf))
-    above = max(float(points[2].max()) - min(lowest, float(points[2].max())), 0.0)
-    metre = 1.0 if raster.crs.is_projected else 1.0 / 111_000.0
-    reach = _REACH * above * metre
-    widen = 1.0 if raster.crs.is_projected else 1.0 / max(float(np.cos(np.radians(latitude)).min()), 0.01)
-    sides = []
+    height_above_ground = max(float(points[2].max()) - min(lowest, float(points[2].max())), 0.0)
+    units_per_metre = 1.0 if raster.crs.is_projected else 1.0 / 111_000.0
+    reach = _WINDOW_HEIGHTS * height_above_ground * units_per_metre
+    longitude_factor = (
+        1.0 if raster.crs.is_projected else 1.0 / max(float(np.cos(np.radians(latitude)).min()), 0.01)
+    )
+    ranges = []
     for values, size, cells in (
         (row, raster.height, reach / abs(raster.transform.e)),
-        (column, raster.width, reach * widen / abs(raster.transform.a)),
+        (column, raster.width, reach * longitude_factor / abs(raster.transform.a)),
     ):
-        first = max(int(values.min() - cells) - _BORDER, 0)
-        sides.append((first, min(int(values.max() + cells) + _BORDER + 1, size)))
-    (top, bottom), (left, right) = sides
+        first = max(int(values.min() - cells) - _BORDER_CELLS, 0)
+        ranges.append((first, min(int(values.max() + cells) + _BORDER_CELLS + 1, size)))
+    (top, bottom), (left, right) = ranges
     if (bottom - top) * (right - left) > MAX_WINDOW_CELLS:
         raise FormatError(
-            f"{large}, {bottom - top} x {right - left} of them around this flight",
+            f"{subject}, {bottom - top} x {right - left} of them around this flight",
             expected=f"at most {MAX_WINDOW_CELLS} in all",
             mend="resample it with gdalwarp -tr",
             code="file-too-large",
         )
-    return sides[0], sides[1]
+    return ranges[0], ranges[1]

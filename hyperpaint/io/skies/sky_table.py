@@ -51,7 +51,7 @@ def sky_dataset(
     wavelength : (wavelength,)
         [nm]
     direct_normal, diffuse : (wavelength,)
-        Normal to the beam, and of the sky on level ground [W m-2 nm-1].
+        Irradiance normal to the beam, and by the sky on level ground [W m-2 nm-1].
     radiance
         Zenith angles (sky_zenith,) and azimuths from the sun (sky_azimuth,) [degree], and the radiance of the
         sky (wavelength, sky_zenith, sky_azimuth) [W m-2 sr-1 nm-1].
@@ -59,7 +59,7 @@ def sky_dataset(
     Raises
     ------
     FormatError
-        Values are not finite or negative, or wavelengths are there twice; all are listed.
+        Values are not finite or negative, or wavelengths repeat; all are listed.
 
     Examples
     --------
@@ -67,7 +67,7 @@ def sky_dataset(
     >>> sky_dataset("by hand", nm, np.array([0.8, 1.2]), np.array([0.05, 0.3])).diffuse.values
     array([0.3 , 0.05])
     """
-    problems = Problems(f"{source}: no light at the ground", FormatError)
+    problems = Problems(f"{source}: light at the ground cannot be used", FormatError)
     order = np.argsort(wavelength, kind="stable")
     if wavelength.size < 2 or not (np.diff(wavelength[order]) > 0.0).all():
         problems.add(
@@ -105,12 +105,12 @@ def sky_dataset(
 
 
 def read_sky_csv(path: str | Path) -> xr.Dataset:
-    """Return light at the ground from a table of commas, a row a wavelength and direction.
+    """Return light at the ground from a CSV table, one row per wavelength and direction.
 
     Parameters
     ----------
     path
-        Its first row that is no comment (``#``) has headings with units: ``wavelength [nm]``,
+        The first row that is not a comment (``#``) has headings with units: ``wavelength [nm]``,
         ``direct_normal [W m-2 nm-1]``, ``diffuse [W m-2 nm-1]`` and, for radiance by direction, ``zenith
         [degree]``, ``azimuth [degree]`` from the sun and ``radiance [W m-2 sr-1 nm-1]``; other units of the
         same dimension are converted.
@@ -118,7 +118,7 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     Raises
     ------
     FormatError
-        Headings are missing, rows are no numbers, or directions are not the same at every wavelength.
+        Headings are missing, cells are not numbers, or directions differ between wavelengths.
 
     Examples
     --------
@@ -136,22 +136,24 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     try:
         rows = list(csv.reader(lines))
     except csv.Error as error:
-        raise FormatError(f"{path}: no table of commas: {error}", code="text-unreadable") from error
-    problems = Problems(f"{path}: no table of a sky", FormatError)
+        raise FormatError(f"{path}: not a CSV table: {error}", code="text-unreadable") from error
+    problems = Problems(f"{path}: not a table of a sky", FormatError)
     names = [cell.split("[")[0].strip() for cell in rows[0]] if rows else []
-    needed = {"wavelength", "direct_normal", "diffuse"}
-    by_direction = "radiance" in names
-    needed |= {"zenith", "azimuth", "radiance"} if by_direction else set()
-    if needed - set(names):
+    required = {"wavelength", "direct_normal", "diffuse"}
+    has_directions = "radiance" in names
+    required |= {"zenith", "azimuth", "radiance"} if has_directions else set()
+    if required - set(names):
         problems.add(
-            f"columns {sorted(needed - set(names))} are missing, found {names}", code="column-missing"
+            f"columns {sorted(required - set(names))} are missing, found {names}", code="column-missing"
         )
     if len(set(names)) < len(names):
         problems.add(f"columns {names}: some are repeated", code="column-repeated")
-    ragged = [number for number, row in enumerate(rows) if len(row) != len(names)]
-    if ragged or len(rows) < 2:
+    ragged_rows = [number for number, row in enumerate(rows) if len(row) != len(names)]
+    if ragged_rows or len(rows) < 2:
         found = (
-            f"row {ragged[0] + 1} of {len(rows[ragged[0]])} cells" if ragged else "no row below the headings"
+            f"row {ragged_rows[0] + 1} of {len(rows[ragged_rows[0]])} cells"
+            if ragged_rows
+            else "no row below the headings"
         )
         problems.add(found, expected=f"rows of {len(names)}", code="length-mismatch")
     problems.raise_if_any()
@@ -170,23 +172,25 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
     with np.errstate(over="ignore", invalid="ignore"):  # checked below
         table = table * factors
     if not np.isfinite(table).all():
-        place = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
+        row_number = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
         raise FormatError(
-            f"{path}: row {place + 2} {rows[place + 1]}", expected="finite numbers", code="not-finite"
+            f"{path}: row {row_number + 2} {rows[row_number + 1]}",
+            expected="finite numbers",
+            code="not-finite",
         )
     columns = dict(zip(names, table.T, strict=True))
-    wavelength, first = np.unique(columns["wavelength"], return_index=True)
-    light = columns["direct_normal"][first], columns["diffuse"][first]
-    if not by_direction:
+    wavelength, first_rows = np.unique(columns["wavelength"], return_index=True)
+    light = columns["direct_normal"][first_rows], columns["diffuse"][first_rows]
+    if not has_directions:
         return sky_dataset(str(path), columns["wavelength"], columns["direct_normal"], columns["diffuse"])
     zenith, azimuth = np.unique(columns["zenith"]), np.unique(columns["azimuth"])
     shape = wavelength.size, zenith.size, azimuth.size
     order = np.lexsort((columns["azimuth"], columns["zenith"], columns["wavelength"]))
-    is_grid = math.prod(shape) == order.size  # checked first: the grid of scattered rows would be huge
+    is_grid = math.prod(shape) == order.size  # checked first: a grid of scattered directions would be huge
     if is_grid:
         grid = np.stack(np.meshgrid(wavelength, zenith, azimuth, indexing="ij")).reshape(3, -1)
-        rows_of_grid = np.stack([columns[name][order] for name in ("wavelength", "zenith", "azimuth")])
-        is_grid = np.array_equal(rows_of_grid, grid)
+        sorted_directions = np.stack([columns[name][order] for name in ("wavelength", "zenith", "azimuth")])
+        is_grid = np.array_equal(sorted_directions, grid)
     if not is_grid:
         raise FormatError(
             f"{path}: {order.size} rows",
@@ -202,7 +206,7 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
 # Irradiance from MODTRAN's ``tape7``, by the radiance of a grey ground of known reflectance.
 
 
-_NEEDED = ("FREQ", "TOT_TRANS", "GRND_RFLT", "DRCT_RFLT")
+_TAPE7_COLUMNS = ("FREQ", "TOT_TRANS", "GRND_RFLT", "DRCT_RFLT")
 #: Column names of two words in MODTRAN 4 and 5, of one word in 6.
 _TWO_WORDS = (
     "TOT TRANS", "PTH THRML", "THRML SCT", "THRML EM", "SURF EMIS", "SOL SCAT", "SING SCAT", "SNGL SCAT",
@@ -210,7 +214,7 @@ _TWO_WORDS = (
 )  # fmt: skip
 
 # Mark below the last row.
-_END = -9999.0
+_END_MARK = -9999.0
 
 
 @takes_quantities(sun_zenith="degree")
@@ -220,9 +224,9 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
     Parameters
     ----------
     path
-        With a line of names FREQ [cm-1], TOT_TRANS, GRND_RFLT and DRCT_RFLT [W cm-2 sr-1 / cm-1].
+        File with a line of names FREQ [cm-1], TOT_TRANS, GRND_RFLT and DRCT_RFLT [W cm-2 sr-1 / cm-1].
     sun_zenith
-        At the ground [degree].
+        Zenith angle of the sun at the ground [degree].
     ground
         Reflectance of the ground in the run, the same at all wavelengths, above 0 (``SURREF``).
 
@@ -234,8 +238,8 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
     Raises
     ------
     FormatError
-        There is no such line of names, as in ``.7sc`` and in runs over wavelengths, whose columns and units
-        are others: they are refused, not guessed.
+        The line of names is missing, as in ``.7sc`` and in runs over wavelengths, whose columns and units
+        differ: such files are refused.
     SchemaError
         The sun is not above the horizon, or the ground reflects nothing.
 
@@ -244,7 +248,7 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
     .. math:: E = \pi L_{GRND} / (\rho T), \quad E_{dir} = \pi L_{DRCT} / (\rho T), \quad
               L_\lambda = 10^{-3} \nu^2 L_\nu
 
-    with L per nm of m2 (L. Guanter et al., Int. J. Remote Sens. 30, 1407 (2009), has the same sums).
+    with L per m2 and nm (L. Guanter et al., Int. J. Remote Sens. 30, 1407 (2009), has the same sums).
 
     Examples
     --------
@@ -267,41 +271,41 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
             code="value-out-of-range",
         )
     lines = sky_lines(path)
-    place, names = next(((n, _names(line)) for n, line in enumerate(lines) if "FREQ" in line), (0, []))
-    if not set(_NEEDED) <= set(names):
+    name_line, names = next(((n, _names(line)) for n, line in enumerate(lines) if "FREQ" in line), (0, []))
+    if not set(_TAPE7_COLUMNS) <= set(names):
         raise FormatError(
-            f"{path}: no line of names with {', '.join(_NEEDED)}",
+            f"{path}: no line of names with {', '.join(_TAPE7_COLUMNS)}",
             expected="a tape7 over wavenumbers",
             mend="run MODTRAN with IEMSCT 2 and spectral units of cm-1, and give its tape7; give direct and "
             "diffuse light as CSV instead of a .7sc",
             code="model-output-wrong",
         )
     rows = []
-    for count, line in enumerate(lines[place + 1 :], place + 2):
+    for count, line in enumerate(lines[name_line + 1 :], name_line + 2):
         row = numbers(line.split())
-        if row is not None and row[:1] == [_END]:
+        if row is not None and row[:1] == [_END_MARK]:
             break
         if row is None or len(row) < len(names):
             raise FormatError(
                 f"{path}: line {count}: {line[:60]!r}",
-                expected=f"{len(names)} numbers or {_END:g}",
+                expected=f"{len(names)} numbers or {_END_MARK:g}",
                 code="number-unreadable",
             )
         rows.append(row[: len(names)])
     else:
         raise FormatError(
-            f"{path} ends without the mark {_END:g}: it was cut short",
+            f"{path} ends without the mark {_END_MARK:g}: it was cut short",
             mend="copy it again",
             code="file-truncated",
         )
     table = dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T, strict=True))
-    lit = (table["FREQ"] > 0.0) & (table["TOT_TRANS"] > 1e-6)
-    wavenumber, transmitted = table["FREQ"][lit], table["TOT_TRANS"][lit]
+    has_light = (table["FREQ"] > 0.0) & (table["TOT_TRANS"] > 1e-6)
+    wavenumber, transmittance = table["FREQ"][has_light], table["TOT_TRANS"][has_light]
     with np.errstate(over="ignore", invalid="ignore"):  # checked by sky_dataset
-        scale = np.pi * 1e-3 * wavenumber**2 / (ground * transmitted)
-        whole, direct = scale * table["GRND_RFLT"][lit], scale * table["DRCT_RFLT"][lit]
+        scale = np.pi * 1e-3 * wavenumber**2 / (ground * transmittance)
+        total, direct = scale * table["GRND_RFLT"][has_light], scale * table["DRCT_RFLT"][has_light]
         diffuse = np.where(
-            np.abs(whole - direct) <= 1e-5 * whole, 0.0, whole - direct
+            np.abs(total - direct) <= 1e-5 * total, 0.0, total - direct
         )  # rounding of the file
         normal, wavelength = direct / np.cos(np.radians(sun_zenith)), 1e7 / wavenumber
     return sky_dataset(str(path), wavelength, normal, diffuse)
@@ -335,9 +339,10 @@ def read_uvspec(
     sun_zenith, sun_azimuth
         ``sza`` and ``phi0`` of its input [degree].
     units
-        Units of its irradiance, which are those of the source, such as "mW m-2 nm-1"; not stated in the file.
+        Units of its irradiance, equal to those of the source file, such as "mW m-2 nm-1"; the output lacks
+        them.
     directions
-        Number of ``umu`` in its input, 0 for none. Of these those with umu < 0 look up, at the sky; a ``phi``
+        Number of ``umu`` in its input, 0 for none. Directions with umu < 0 look up at the sky; a ``phi``
         of ``phi0`` looks towards the sun.
 
     Returns
@@ -348,9 +353,9 @@ def read_uvspec(
     Raises
     ------
     FormatError
-        Lines are others than these (``output_user``, another solver): they are refused, not guessed.
+        Lines have another form (``output_user``, another solver): such files are refused.
     SchemaError
-        The sun is not above the horizon, or ``units`` are no irradiance of a wavelength.
+        The sun is not above the horizon, or ``units`` are not units of spectral irradiance.
 
     Examples
     --------
@@ -408,15 +413,15 @@ def read_uvspec(
             expected="the same at all wavelengths, some from -1 to 0",
             code="grid-mismatch",
         )
-    up = np.flatnonzero(cosine < 0.0)[::-1]  # from the zenith downwards
-    up = up[np.argsort(-cosine[up])[::-1]]
-    zenith = np.degrees(np.arccos(-cosine[up]))
+    sky_directions = np.flatnonzero(cosine < 0.0)[::-1]  # from the zenith downwards
+    sky_directions = sky_directions[np.argsort(-cosine[sky_directions])[::-1]]
+    zenith = np.degrees(np.arccos(-cosine[sky_directions]))
     from_sun = (np.array(azimuths) - sun_azimuth) % 360.0
-    return sky_dataset(str(path), *light, (zenith, from_sun, factor * radiance[:, up, 2:]))
+    return sky_dataset(str(path), *light, (zenith, from_sun, factor * radiance[:, sky_directions, 2:]))
 
 
 # ----------------------------------------------------------------------------------------------------------
-# Output of 6S: one monochromatic run a wavelength.
+# Output of 6S: one monochromatic run per wavelength.
 
 
 _WAVELENGTH = re.compile(r"monochromatic calculation at wl\s*[:=]\s*([0-9.]+)\s*micron")
@@ -424,20 +429,20 @@ _WAVELENGTH = re.compile(r"monochromatic calculation at wl\s*[:=]\s*([0-9.]+)\s*
 
 @takes_quantities(sun_zenith="degree")
 def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
-    """Return light at the ground from the outputs of 6S, one monochromatic run a file.
+    """Return light at the ground from the outputs of 6S, one monochromatic run per file.
 
     Parameters
     ----------
     paths
-        Each with "monochromatic calculation at wl" [micron] and, under "irr. at ground level
+        Files with "monochromatic calculation at wl" [micron] and, under "irr. at ground level
         (w/m2/mic)", "direct solar irr.", "atm. diffuse irr." and "environment irr" on level ground.
     sun_zenith
-        Of the runs [degree].
+        Zenith angle of the sun in the runs [degree].
 
     Returns
     -------
     Dataset
-        See `sky_dataset`; ``diffuse`` is of atmosphere and environment.
+        See `sky_dataset`; ``diffuse`` includes atmosphere and environment.
 
     Raises
     ------
@@ -473,14 +478,14 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
 
 
 def _run(path: str | Path) -> tuple[float, ...]:
-    # Wavelength [micron] and the three irradiances [W m-2 micron-1].
+    # Return wavelength [micron] and the three irradiances [W m-2 micron-1].
     lines = sky_lines(path)
     wavelength = next((match[1] for line in lines if (match := _WAVELENGTH.search(line))), None)
-    place = next((n for n, line in enumerate(lines[:-1]) if "direct solar irr." in line), None)
-    if wavelength is None or place is None:
+    heading_line = next((n for n, line in enumerate(lines[:-1]) if "direct solar irr." in line), None)
+    if wavelength is None or heading_line is None:
         raise FormatError(
-            f"{path}: no monochromatic run of 6S with its irradiance at ground level",
-            mend="run 6S with a single wavelength (IWAVE -1), a file each",
+            f"{path}: not a monochromatic run of 6S with irradiance at ground level",
+            mend="run 6S with a single wavelength (IWAVE -1) per file",
             code="model-output-wrong",
         )
     micron = number(wavelength)
@@ -490,10 +495,10 @@ def _run(path: str | Path) -> tuple[float, ...]:
             expected="a number [micron]",
             code="number-unreadable",
         )
-    values = numbers(lines[place + 1].replace("*", " ").split())
+    values = numbers(lines[heading_line + 1].replace("*", " ").split())
     if values is None or len(values) != 3:
         raise FormatError(
-            f"{path}: line {place + 2}: {lines[place + 1][:60]!r}",
+            f"{path}: line {heading_line + 2}: {lines[heading_line + 1][:60]!r}",
             expected="three irradiances",
             code="number-unreadable",
         )

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.constants import STAMP_TO_MID_EXPOSURES
+from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
 from hyperpaint.base.daylight import DULL_MEDIAN, HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
@@ -158,7 +158,7 @@ def open_irradiance(
         series = _from_files(find_files(paths), quantity, utc_offset_h, units, calibration)
     window = series.averaging_s if averaging_s is None else np.full(len(series.stamps), averaging_s)
     # UTC at the middle of each sample
-    shift_s = STAMP_TO_MID_EXPOSURES[stamp] * window
+    shift_s = MID_EXPOSURE_OFFSETS[stamp] * window
     seconds = clock_offset_s - np.asarray(series.utc_offset_h, np.float64) * 3600.0 + shift_s
     times = series.stamps + np.rint(seconds * 1e9).astype("timedelta64[ns]")
     order = np.argsort(times, kind="stable")
@@ -210,9 +210,9 @@ def _check_arguments(
         )
     if not np.isfinite(clock_offset_s):
         problems.add(f"clock_offset_s={clock_offset_s}", expected="seconds", code="not-finite")
-    if stamp not in STAMP_TO_MID_EXPOSURES:
+    if stamp not in MID_EXPOSURE_OFFSETS:
         problems.add(
-            f"stamp={stamp!r}", expected=f"one of {', '.join(STAMP_TO_MID_EXPOSURES)}", code="choice-unknown"
+            f"stamp={stamp!r}", expected=f"one of {', '.join(MID_EXPOSURE_OFFSETS)}", code="choice-unknown"
         )
     if max_gap_s is not None and not (np.isfinite(max_gap_s) and max_gap_s > 0):
         problems.add(f"max_gap_s={max_gap_s}", expected="a positive number", code="value-out-of-range")

@@ -85,7 +85,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     >>> print(int(mean.n), f"{float(mean.u_random):.4f} {float(mean.u_systematic):.4f}")
     600 0.0004 0.0060
     """
-    over = [dims] if isinstance(dims, str) else list(dims or (ALONG_TRACK, CROSS_TRACK))
+    mean_dims = [dims] if isinstance(dims, str) else list(dims or (ALONG_TRACK, CROSS_TRACK))
     names = ("reflectance", *UNCERTAINTIES)
     problems = Problems("a mean with its uncertainty cannot be computed", SchemaError)
     for name in (name for name in names if name not in region.variables):
@@ -94,7 +94,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
             mend="add it by .paint.reflectance(uncertainty=True)",
             code="variable-missing",
         )
-    for dim in over:
+    for dim in mean_dims:
         if dim not in region.dims:
             problems.add(
                 f"the region has no dim {dim!r}",
@@ -102,36 +102,39 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
                 code="dim-missing",
             )
     problems.raise_if_any()
-    rest = [dim for dim in region["reflectance"].dims if dim not in over]
-    cubes = [region[name].transpose(*rest, *over).values.astype(np.float64) for name in names]
-    shape = cubes[0].shape[: len(rest)]
-    value, random, systematic = (cube.reshape(-1, *cube.shape[len(rest) :]) for cube in cubes)
+    other_dims = [dim for dim in region["reflectance"].dims if dim not in mean_dims]
+    cubes = [region[name].transpose(*other_dims, *mean_dims).values.astype(np.float64) for name in names]
+    shape = cubes[0].shape[: len(other_dims)]
+    value, random, systematic = (cube.reshape(-1, *cube.shape[len(other_dims) :]) for cube in cubes)
     pixels = tuple(range(1, value.ndim))
-    valid = np.isfinite(value)
-    n = valid.sum(axis=pixels)
+    is_valid = np.isfinite(value)
+    n = is_valid.sum(axis=pixels)
     divisor = np.where(n > 0, n, np.nan)
-    mean, square, common = (
-        np.where(valid, cube, 0.0).sum(axis=pixels) / divisor for cube in (value, random**2, systematic)
+    mean, mean_square, mean_systematic = (
+        np.where(is_valid, cube, 0.0).sum(axis=pixels) / divisor for cube in (value, random**2, systematic)
     )
-    errors = _errors_of(region, over, cubes)
-    # NaN where no component is known; arithmetic of xarray may drop the attribute, then all values are zero
+    errors = _errors_of(region, mean_dims, cubes)
+    # NaN without a known component; arithmetic of xarray may drop the attribute, then all values are zero
     if region[names[2]].attrs.get("components") == NONE_KNOWN or not np.nan_to_num(systematic).any():
-        common = np.full_like(common, np.nan)
-    effective = np.array([effective_number(plane) for plane in value])
+        mean_systematic = np.full_like(mean_systematic, np.nan)
+    n_effective = np.array([effective_number(plane) for plane in value])
     estimates = {
         "mean": (mean, "Mean reflectance"),
         "n": (n, "Pixels"),
-        "n_eff": (effective, "Independent pixels"),
-        "u_random": (np.sqrt(square / np.where(n > 0, effective, np.nan)), "Random uncertainty of the mean"),
-        "u_systematic": (common, "Systematic uncertainty of the mean"),
+        "n_eff": (n_effective, "Independent pixels"),
+        "u_random": (
+            np.sqrt(mean_square / np.where(n > 0, n_effective, np.nan)),
+            "Random uncertainty of the mean",
+        ),
+        "u_systematic": (mean_systematic, "Systematic uncertainty of the mean"),
     }
     if errors is not None:
         estimates["u_random"] = (np.where(n > 0, errors.u_random, np.nan), estimates["u_random"][1])
         estimates["u_systematic"] = (errors.u_systematic, estimates["u_systematic"][1])
-    coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(rest)}
+    coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(other_dims)}
     result = xr.Dataset(
         {
-            k: (rest, v.reshape(shape), {"units": "1", "long_name": text})
+            k: (other_dims, v.reshape(shape), {"units": "1", "long_name": text})
             for k, (v, text) in estimates.items()
         },
         coords,
@@ -152,14 +155,14 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     return result
 
 
-def _errors_of(region: xr.Dataset, over: Sequence[str], cubes: Sequence[Floats]) -> MeanErrors | None:
-    # Errors of the mean, source by source; None where they cannot be separated
-    if set(over) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(schema.CUBE):
+def _errors_of(region: xr.Dataset, mean_dims: Sequence[str], cubes: Sequence[Floats]) -> MeanErrors | None:
+    # Return the errors of the mean by source; None where they cannot be separated.
+    if set(mean_dims) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(schema.CUBE):
         return None
     line = line_errors(region)
     if line is None:
         return None
-    order = [over.index(dim) for dim in (ALONG_TRACK, CROSS_TRACK)]
+    order = [mean_dims.index(dim) for dim in (ALONG_TRACK, CROSS_TRACK)]
     value, random = (cube.transpose(0, *(1 + axis for axis in order)) for cube in cubes[:2])
     along, across = (axis.ravel() for axis in np.indices(value.shape[1:]))
     sums = RegionSums(line, along, across)
@@ -169,12 +172,12 @@ def _errors_of(region: xr.Dataset, over: Sequence[str], cubes: Sequence[Floats])
 
 
 def effective_number(plane: Floats) -> float:
-    """Return the number of independent values that are equivalent to values on a grid; NaN are left out."""
-    valid = np.isfinite(plane)
-    n = int(valid.sum())
+    """Return the number of independent values equivalent to the values of a grid; NaN is ignored."""
+    is_valid = np.isfinite(plane)
+    n = int(is_valid.sum())
     if n < 3:
         return float(n)
-    departure = np.where(valid, plane - plane[valid].mean(), 0.0)
+    departure = np.where(is_valid, plane - plane[is_valid].mean(), 0.0)
     if not departure.any():
         return float(n)
     size, axes = [2 * length for length in plane.shape], range(plane.ndim)
@@ -184,18 +187,20 @@ def effective_number(plane: Floats) -> float:
         return np.asarray(np.fft.irfftn(power, size, axes))
 
     # number and product of pairs by their distance in rings
-    pairs, products = np.rint(correlate(valid.astype(np.float64))), correlate(departure)
-    places = [np.minimum(np.arange(length), length - np.arange(length)) for length in size]
-    ring = np.zeros(size, np.int64)
-    for axis, place in enumerate(places):
-        ring = np.maximum(ring, place.reshape([-1 if a == axis else 1 for a in range(plane.ndim)]))
-    count = np.bincount(ring.ravel(), pairs.ravel())
-    total = np.bincount(ring.ravel(), products.ravel()) / (products.flat[0] / n)
-    # subtracting the mean leaves -1/n in every pair
+    pairs, products = np.rint(correlate(is_valid.astype(np.float64))), correlate(departure)
+    distances = [np.minimum(np.arange(length), length - np.arange(length)) for length in size]
+    ring_of_pair = np.zeros(size, np.int64)
+    for axis, distance in enumerate(distances):
+        ring_of_pair = np.maximum(
+            ring_of_pair, distance.reshape([-1 if a == axis else 1 for a in range(plane.ndim)])
+        )
+    count = np.bincount(ring_of_pair.ravel(), pairs.ravel())
+    total = np.bincount(ring_of_pair.ravel(), products.ravel()) / (products.flat[0] / n)
+    # subtracting the mean adds -1/n to every pair
     correlation = (total + count / n) / np.maximum(count, 1.0)
-    # every pair is counted from both ends
-    correlated = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
-    correlated[0] = True
-    reach = int(np.argmin(correlated)) if not correlated.all() else correlated.size
+    # every pair is counted twice
+    is_correlated = (correlation > 2.0 / np.sqrt(np.maximum(count / 2.0, 1.0))) & (count > 0)
+    is_correlated[0] = True
+    reach = int(np.argmin(is_correlated)) if not is_correlated.all() else is_correlated.size
     excess = float((correlation[1:reach] * count[1:reach]).sum()) / n
     return float(np.clip(n / (1.0 + excess), 1.0, n))

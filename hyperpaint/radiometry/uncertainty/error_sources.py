@@ -1,6 +1,6 @@
 """Known errors of a flight line, source by source, and the samples that share each of them.
 
-Small tables, whatever the number of lines of a cube: `mean_errors` sums them over the pixels of a region.
+The tables are small for any number of lines: `mean_errors` sums them over the pixels of a region.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.light.synchrony import line_light
 from hyperpaint.radiometry.stray_light import SHIFT_TIME, STRAY, STRAY_LIGHT, STRAY_U
 
-from .irradiance_noise import USUAL_SHARE, at_bands, matched_noise
+from .irradiance_noise import COMMON_SHARE, at_bands, matched_noise
 from .propagation import (
     MASKED,
     NOISE,
@@ -35,7 +35,7 @@ from .propagation import (
 
 
 class Form(NamedTuple):
-    """Samples that share an error, dim by dim, in the words of FIDUCEO and obsarray."""
+    """Samples that share an error, dim by dim, in the terms of FIDUCEO and obsarray."""
 
     along_track: str
     band: str
@@ -87,57 +87,57 @@ MAX_HARMONICS = 20
 class LightErrors(NamedTuple):
     """Irradiance of the bands, and its noise."""
 
-    #: before, after (line,) int64, weight (line,) float64: samples around every line, and that of the later
+    #: before, after (line,) int64, weight (line,) float64: samples around every line, and weight of the later
     before: Array
     after: Array
     weight: Floats
     level: Floats  #: (band,) float64: irradiance, mean over the record [W m-2 nm-1]
-    covariance: Floats  #: (band, band) float64: of the noise of one sample, relative [1]
+    covariance: Floats  #: (band, band) float64: covariance of the noise of one sample, relative [1]
 
 
 @dataclass(frozen=True)
 class LineErrors:
-    """Standard uncertainties of a line by their sources; (band, column) where no dims are given."""
+    """Standard uncertainties of a line by their sources; (band, column) unless noted."""
 
     per_electron: Floats  #: Counts per electron
     noise_floor: Floats  #: Variance of a count without light [count2]
-    whole: bool  #: Whether counts are whole numbers
+    is_integer: bool  #: Whether counts are integers
     read_noise: Floats  #: [count]
     dark: Floats  #: Uncertainty of each mean dark [count]
     dark_weights: Floats  #: (line, dark): weight of each dark in a line
     gain_of_elements: Floats  #: Relative [1]
     common: Mapping[str, Floats]  #: Errors that all samples share, relative [1], by source
     dark_offset: Floats  #: Error of the dark that all elements share [count]
-    pedestal_variance: float  #: Of the pedestal of a line [count2]
+    pedestal_variance: float  #: Variance of the pedestal of a line [count2]
     wavelength_u: Floats  #: (band,) [nm]
     wavelength: Floats  #: (band,) [nm]
-    light: LightErrors | None  #: None where neither its noise nor errors of wavelength are known
-    #: (band, band): uncertainty of the light that each band gets from each, counts per count; None without
+    light: LightErrors | None  #: None without noise of irradiance and without errors of wavelength
+    #: (band, band): uncertainty of the light from a source band, counts per count; None without stray light
     stray_light: Floats | None
 
 
 def line_errors(line: xr.Dataset) -> LineErrors | None:
     """Return the errors of a line whose reflectance has uncertainties; None where they cannot be separated.
 
-    Reads the small variables. They can be separated where the line still holds the variables that its
-    uncertainties were computed from: reflectance from a store or a map without its calibration has their sum
-    alone.
+    Reads the small variables. Errors can be separated if the line still holds the variables that its
+    uncertainties were computed from: reflectance from a store or a map without calibration has only their
+    sum.
     """
     if not {"reflectance", *UNCERTAINTIES} <= set(line.variables):
         return None
     attrs = [line[name].attrs for name in UNCERTAINTIES]
     random, systematic = (str(texts.get("components", "")).split(", ") for texts in attrs)
     components = [name for name in systematic if name in SYSTEMATIC]
-    needed = [*NOISE, *components, "dark_counts", "exposure_time", *(["time"] if components else [])]
-    is_ours = tuple(random) == NOISE and WHOLE_COUNTS in attrs[0]
-    if not is_ours or not set(needed) <= set(line.variables):
+    required = [*NOISE, *components, "dark_counts", "exposure_time", *(["time"] if components else [])]
+    is_known_form = tuple(random) == NOISE and WHOLE_COUNTS in attrs[0]
+    if not is_known_form or not set(required) <= set(line.variables):
         return None
     try:
-        arrays = schema.require(line, needed, "errors of a region")
+        arrays = schema.require(line, required, "errors of a region")
         values = dict(zip(arrays, dask.compute(*(array.values for array in arrays.values())), strict=True))
         return _line_errors(line, values)
     except (SchemaError, ValueError):
-        # bands or a record that were cut since do not fit their matrices
+        # bands or record were cut afterwards and do not fit the matrices
         return None
 
 
@@ -148,14 +148,14 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
     def of(name: str) -> Floats:
         return np.broadcast_to(element_rows(values.get(name, 0.0), shape), shape)
 
-    whole = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
-    floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
+    is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
+    floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
     masked = attrs.get(MASKED, masked_elements(line) if "masked" in line.variables else 0)
     sources = {name: of(variable) for name, variable in _COMMON.items() if variable in values}
     if "irradiance_u_systematic" in values:
         channels = line[schema.IRRADIANCE_WAVELENGTH].values
-        at = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
-        sources["irradiance"] = np.broadcast_to(at[:, None], shape)
+        band_values = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
+        sources["irradiance"] = np.broadcast_to(band_values[:, None], shape)
     if "panel_scale_u" in line.variables:
         sources["panel"] = np.full(shape, float(np.nanmean(line["panel_scale_u"].values)))
     elif PANEL_U in attrs:
@@ -165,7 +165,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
     return LineErrors(
         per_electron=1.0 / of("electrons_per_count"),
         noise_floor=floor,
-        whole=whole,
+        is_integer=is_integer,
         read_noise=of("read_noise"),
         dark=of("dark_counts_u_random"),
         dark_weights=_dark_weights(line),
@@ -183,7 +183,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
 
 
 def _dark_weights(line: xr.Dataset) -> Floats:
-    # Weight of each dark reference in every line (line, dark)
+    # Return the weight of every dark in every line (line, dark).
     from hyperpaint.radiometry.planning import dark_weights
 
     names = ("time", "dark_time", "dark_exposure_time")
@@ -216,14 +216,14 @@ def _light_errors(line: xr.Dataset) -> LightErrors:
     arrays |= {name: line.attrs.get(name, "gaussian") for name in ("srf_shape", "irradiance_srf_shape")}
     spectra = arrays["irradiance"]
     finite = np.isfinite(spectra)
-    whole = finite[:, finite.mean(axis=0) > USUAL_SHARE].all(axis=1)
-    levels = np.where(whole, np.where(finite, spectra, 0.0).sum(axis=1), np.nan)
-    around = line_light(
+    is_complete = finite[:, finite.mean(axis=0) > COMMON_SHARE].all(axis=1)
+    levels = np.where(is_complete, np.where(finite, spectra, 0.0).sum(axis=1), np.nan)
+    neighbours = line_light(
         line["time"].values, arrays[schema.IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
     )
     noise = matched_noise(arrays)
-    weight = np.nan_to_num(around.weight)
-    return LightErrors(around.before, around.after, weight, noise.level, noise.covariance)
+    weight = np.nan_to_num(neighbours.weight)
+    return LightErrors(neighbours.before, neighbours.after, weight, noise.level, noise.covariance)
 
 
 def rounding_variance(variance: Array) -> Floats:
@@ -231,8 +231,8 @@ def rounding_variance(variance: Array) -> Floats:
 
     ``variance``: of the counts before rounding [count2]. The mean of rounded counts is off by
     :math:`\sum_k (-1)^k e^{-2 \pi^2 k^2 \sigma^2} \sin(2 \pi k x) / (\pi k)` (Widrow and Kollar,
-    Quantization Noise, 2008); here is the mean square over all levels x: 1/12 without noise, nothing from
-    half a count of noise on.
+    Quantization Noise, 2008). The result is the mean square over all levels x: 1/12 without noise, 0 above
+    half a count of noise.
     """
     squares = (np.arange(1, MAX_HARMONICS + 1) ** 2).reshape(-1, *[1] * np.ndim(variance))
     return np.asarray((np.exp(-4.0 * np.pi**2 * squares * variance) / (2.0 * np.pi**2 * squares)).sum(axis=0))

@@ -11,17 +11,17 @@ import numpy as np
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.light.illumination import imager_of, matched_series
 
-#: Variance between two samples of irradiance over that of one: mean of (1 - w)^2 + w^2 over w.
+#: Variance of irradiance interpolated between two samples over that of a sample: mean of (1 - w)^2 + w^2.
 INTERPOLATED = 2.0 / 3.0
 
-#: Share of the samples that must have a channel for a sample without it to be left out.
-USUAL_SHARE = 0.9
-#: Numbers of samples between two others that the noise of a record is estimated from.
+#: A channel is common if it is present in this share of the samples; samples without it are left out.
+COMMON_SHARE = 0.9
+#: Minimum and maximum number of triples of successive samples for an estimate of noise.
 MIN_TRIPLES, MAX_TRIPLES = 4, 256
 #: Number of spectra whose mean gives the level of a record.
 MAX_MEAN_SPECTRA = 64
 _WINDOW_CHANNELS = 21
-#: Longest interval between neighbours, in median intervals [1].
+#: Longest interval between neighbouring samples [median intervals].
 MAX_INTERVALS = 2.5
 #: Standard deviation over median absolute deviation of a normal distribution [1].
 SD_PER_MEDIAN_DEVIATION = 1.4826
@@ -40,8 +40,8 @@ def matched_noise(arrays: Mapping[str, Any]) -> MatchedNoise:
     Zero without ``irradiance_u_random``.
     """
     record = arrays["irradiance"]
-    sampled = np.linspace(0, len(record) - 1, min(len(record), MAX_MEAN_SPECTRA)).astype(np.intp)
-    spectra = np.asarray(record[sampled], np.float64)
+    sample_numbers = np.linspace(0, len(record) - 1, min(len(record), MAX_MEAN_SPECTRA)).astype(np.intp)
+    spectra = np.asarray(record[sample_numbers], np.float64)
     finite = np.isfinite(spectra)
     mean = np.where(finite, spectra, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
     imager = imager_of(arrays, arrays["srf_shape"])
@@ -67,47 +67,58 @@ def at_bands(values: Any, channels: Any, wavelength: Any) -> Floats:
     """Return values of channels, interpolated to the wavelengths of bands (band,)."""
     channels = np.asarray(channels, np.float64)
     order = np.argsort(channels, kind="stable")
-    of_channels = np.broadcast_to(np.asarray(values, np.float64), channels.shape)
-    return np.asarray(np.interp(np.asarray(wavelength, np.float64), channels[order], of_channels[order]))
+    channel_values = np.broadcast_to(np.asarray(values, np.float64), channels.shape)
+    return np.asarray(np.interp(np.asarray(wavelength, np.float64), channels[order], channel_values[order]))
 
 
 def noise_of_record(spectra: Array, times: Array, *, fewest: int = MIN_TRIPLES) -> Floats | None:
     """Return the relative noise of single irradiance samples (channel,) [1]; None for too few samples.
 
-    ``spectra`` (sample, channel), any scale; ``times`` (sample,) datetime64. The departure of a sample from
-    the straight line between its neighbours in time, less the departure of neighbouring channels, since light
-    changes smoothly over wavelength; median over samples and 21 channels. Noise that channels share is not
-    measured; samples without light or values are left out. ``fewest``: least number of samples between two
-    others.
+    ``spectra`` (sample, channel), any scale; ``times`` (sample,) datetime64. The noise is the departure of a
+    sample from the straight line between its neighbours in time, minus the departure of neighbouring
+    channels, since light changes smoothly over wavelength; median over samples and 21 channels. Noise common
+    to channels is not measured; samples without light or values are left out. ``fewest``: minimum number of
+    triples of successive samples.
     """
     from scipy import ndimage
 
     seconds = np.asarray(times).astype("datetime64[ns]").astype(np.int64) / 1e9
     steps = np.diff(seconds)
-    near = steps <= MAX_INTERVALS * np.median(steps) if steps.size else np.zeros(0, bool)
-    middle = np.flatnonzero(near[:-1] & near[1:]) + 1
-    if middle.size < fewest:
+    is_near = steps <= MAX_INTERVALS * np.median(steps) if steps.size else np.zeros(0, bool)
+    middle_samples = np.flatnonzero(is_near[:-1] & is_near[1:]) + 1
+    if middle_samples.size < fewest:
         return None
-    middle = middle[np.linspace(0, middle.size - 1, min(middle.size, MAX_TRIPLES)).astype(np.intp)]
-    # triples of complete samples, and channels that all of them have
-    triples = np.stack([spectra[middle + step] for step in (-1, 0, 1)]).astype(np.float64)
-    valid = np.isfinite(triples) & (triples > 0)
-    whole = (valid.sum(axis=2) > USUAL_SHARE * valid.any(axis=(0, 1)).sum()).all(axis=0)
-    if whole.sum() < fewest:
+    middle_samples = middle_samples[
+        np.linspace(0, middle_samples.size - 1, min(middle_samples.size, MAX_TRIPLES)).astype(np.intp)
+    ]
+    # triples of complete samples, and channels that all triples have
+    triples = np.stack([spectra[middle_samples + step] for step in (-1, 0, 1)]).astype(np.float64)
+    is_valid = np.isfinite(triples) & (triples > 0)
+    is_complete = (is_valid.sum(axis=2) > COMMON_SHARE * is_valid.any(axis=(0, 1)).sum()).all(axis=0)
+    if is_complete.sum() < fewest:
         return None
-    triples, middle, usable = triples[:, whole], middle[whole], valid[:, whole].all(axis=(0, 1))
-    if usable.sum() < _WINDOW_CHANNELS:
+    triples, middle_samples, is_usable = (
+        triples[:, is_complete],
+        middle_samples[is_complete],
+        is_valid[:, is_complete].all(axis=(0, 1)),
+    )
+    if is_usable.sum() < _WINDOW_CHANNELS:
         return None
-    # departure from the straight line in time, with the variance of one sample, less that of its neighbours
-    before, here, after = np.log(triples[:, :, usable])
-    weight = ((seconds[middle] - seconds[middle - 1]) / (seconds[middle + 1] - seconds[middle - 1]))[:, None]
-    away = here - (before + weight * (after - before))
-    away /= np.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2)
-    others = np.ones((1, _WINDOW_CHANNELS), bool)
-    others[0, _WINDOW_CHANNELS // 2] = False
-    away -= ndimage.median_filter(away, footprint=others)
-    spread = SD_PER_MEDIAN_DEVIATION * np.median(np.abs(away), axis=0)
-    # the median of n neighbours has pi / (2 n) of the variance of one
-    spread = ndimage.median_filter(spread, _WINDOW_CHANNELS) / np.sqrt(1.0 + np.pi / (2.0 * others.sum()))
-    channels = np.arange(usable.size)
-    return np.asarray(np.interp(channels, channels[usable], spread))
+    # departure from the straight line in time, scaled to one sample, minus departure of neighbouring channels
+    before, centre, after = np.log(triples[:, :, is_usable])
+    weight = (
+        (seconds[middle_samples] - seconds[middle_samples - 1])
+        / (seconds[middle_samples + 1] - seconds[middle_samples - 1])
+    )[:, None]
+    departure = centre - (before + weight * (after - before))
+    departure /= np.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2)
+    neighbour_mask = np.ones((1, _WINDOW_CHANNELS), bool)
+    neighbour_mask[0, _WINDOW_CHANNELS // 2] = False
+    departure -= ndimage.median_filter(departure, footprint=neighbour_mask)
+    spread = SD_PER_MEDIAN_DEVIATION * np.median(np.abs(departure), axis=0)
+    # the median of n neighbours has pi / (2 n) of the variance of a single one
+    spread = ndimage.median_filter(spread, _WINDOW_CHANNELS) / np.sqrt(
+        1.0 + np.pi / (2.0 * neighbour_mask.sum())
+    )
+    channels = np.arange(is_usable.size)
+    return np.asarray(np.interp(channels, channels[is_usable], spread))

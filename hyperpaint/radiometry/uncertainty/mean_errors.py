@@ -1,7 +1,7 @@
 """Propagate the errors of a line to the mean over a region, and their correlation between bands.
 
-Random errors average out over the samples that do not share them; shared errors stay. The sums are of columns
-and of lines: bounded, whatever the number of pixels.
+Random errors average out over samples that do not share them; shared errors stay. Sums are stored by column
+and by line, so that memory does not depend on the number of pixels.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hyperpaint.radiometry.spectral_axis import NominalAxis
 from .error_sources import COMPONENTS, FORMS, LineErrors, rounding_variance
 from .propagation import NONE_KNOWN, band_steps
 
-#: Least correlation of two bands that is stored [1].
+#: Smallest correlation of two bands that is stored [1].
 MIN_CORRELATION = 0.01
 #: Largest distance of two bands whose correlation is stored [band].
 MAX_LAGS = 48
@@ -30,10 +30,11 @@ class MeanErrors(NamedTuple):
     """Errors of a mean spectrum."""
 
     sources: tuple[str, ...]  #: Known sources of `FORMS`
-    #: (source, band) float64: standard uncertainty by each; with its sign where all bands share the error
+    #: (source, band) float64: standard uncertainty by source; signed where all bands share the error
     sizes: Floats
     u_random: Floats  #: (band,) float64: uncertainty by errors that bands do not share
-    #: (lag, band) float32: correlation of that error with the band `lag` bands later; NaN beyond the last
+    #: (lag, band) float32: correlation of the random error with the band `lag` bands later; NaN beyond the
+    #: last
     correlation: Array
 
     @property
@@ -46,26 +47,26 @@ class MeanErrors(NamedTuple):
 
     @property
     def systematic(self) -> Array:
-        """Whether each source is one error of all bands (source,)."""
+        """Whether all bands share the error of a source (source,)."""
         return np.array([FORMS[name].band == "systematic" for name in self.sources], bool)
 
     @property
     def u_systematic(self) -> Floats:
-        """Uncertainty by errors that all bands share (band,); NaN where none is known."""
+        """Uncertainty by errors that all bands share (band,); NaN without known errors."""
         if not self.systematic.any():
             return np.full(self.sizes.shape[1], np.nan)
         return np.asarray(np.sqrt((self.sizes[self.systematic] ** 2).sum(axis=0)))
 
 
 def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArray]:
-    """Return the errors of several means of the same bands as library variables; {} where none has any."""
-    present = [mean for mean in errors if mean is not None]
-    if not present:
+    """Return the errors of several means of the same bands as library variables; {} without errors."""
+    available = [mean for mean in errors if mean is not None]
+    if not available:
         return {}
-    sources = [name for name in FORMS if any(name in mean.sources for mean in present)]
-    bands = present[0].sizes.shape[1]
+    sources = [name for name in FORMS if any(name in mean.sources for mean in available)]
+    bands = available[0].sizes.shape[1]
     sizes = np.full((len(errors), len(sources), bands), np.nan)
-    lags = np.zeros((len(errors), max(len(mean.correlation) for mean in present), bands), np.float32)
+    lags = np.zeros((len(errors), max(len(mean.correlation) for mean in available), bands), np.float32)
     for number, mean in enumerate(errors):
         if mean is None:
             lags[number] = np.nan
@@ -80,9 +81,9 @@ def error_variables(errors: Sequence[MeanErrors | None]) -> dict[str, xr.DataArr
         "error_correlation": lags,
         "lag": np.arange(lags.shape[1]),
     }
-    rows = {name: LIBRARY_VARIABLES[name] for name in values}
+    specs = {name: LIBRARY_VARIABLES[name] for name in values}
     variables = {
-        name: xr.DataArray(values[name], dims=row.dims, attrs=row.attrs) for name, row in rows.items()
+        name: xr.DataArray(values[name], dims=spec.dims, attrs=spec.attrs) for name, spec in specs.items()
     }
     variables["error_correlation"].attrs["bands"] = bands
     return variables
@@ -101,30 +102,30 @@ class RegionSums:
         self._count, self._noise, self._level = np.zeros(shape), np.zeros(shape), np.zeros(shape)
         self._per_count = np.zeros((darks, *shape))
         self._lines = np.zeros(bands)
-        self._lit_by: Array = np.zeros((2, 0), np.int64)
+        self._sample_of_line: Array = np.zeros((2, 0), np.int64)
         if line.light is not None and line.light.covariance.any():
-            around = np.stack([line.light.before[self._rows], line.light.after[self._rows]])
-            self._lit_by = np.unique(around, return_inverse=True)[1].reshape(around.shape)
-        self._samples = np.zeros((int(self._lit_by.max(initial=-1)) + 1, bands))
+            neighbours = np.stack([line.light.before[self._rows], line.light.after[self._rows]])
+            self._sample_of_line = np.unique(neighbours, return_inverse=True)[1].reshape(neighbours.shape)
+        self._samples = np.zeros((int(self._sample_of_line.max(initial=-1)) + 1, bands))
 
     def add(self, band: int, reflectance: Array, u_random: Array) -> None:
         """Add a band of all pixels (pixel,): measured reflectance, and its noise."""
         line, column = self._line, self._column
-        valid = np.isfinite(reflectance) & np.isfinite(u_random)
-        value = np.where(valid, reflectance, 0.0).astype(np.float64)
-        variance = np.where(valid, u_random, 0.0).astype(np.float64) ** 2
-        per_electron, floor = (
+        is_valid = np.isfinite(reflectance) & np.isfinite(u_random)
+        value = np.where(is_valid, reflectance, 0.0).astype(np.float64)
+        variance = np.where(is_valid, u_random, 0.0).astype(np.float64) ** 2
+        per_electron, noise_floor = (
             table[band, self._columns][column] for table in (line.per_electron, line.noise_floor)
         )
-        # variance = m^2 (value / (m k) + floor), solved for m, reflectance per count, without a difference
+        # variance = m^2 (value / (m k) + floor), solved for m, reflectance per count, without cancellation
         shot = np.maximum(value, 0.0) * per_electron
-        root = shot + np.sqrt(shot**2 + 4.0 * floor * variance)
+        root = shot + np.sqrt(shot**2 + 4.0 * noise_floor * variance)
         per_count = np.divide(2.0 * variance, root, out=np.zeros_like(root), where=root > 0)
 
         def of_columns(values: Floats) -> Floats:
             return np.asarray(np.bincount(column, values, self._columns.size), np.float64)
 
-        self._count[band] = of_columns(valid.astype(np.float64))
+        self._count[band] = of_columns(is_valid.astype(np.float64))
         self._noise[band] = of_columns(variance)
         self._level[band] = of_columns(value)
         for dark, share in enumerate(line.dark_weights[self._rows].T):
@@ -134,61 +135,74 @@ class RegionSums:
         if len(self._samples) and line.light is not None:
             sums = np.bincount(self._row, value, self._rows.size)
             weight = line.light.weight[self._rows]
-            for lit_by, share in zip(self._lit_by, (1.0 - weight, weight), strict=True):
-                np.add.at(self._samples[:, band], lit_by, share * sums)
+            for sample_numbers, share in zip(self._sample_of_line, (1.0 - weight, weight), strict=True):
+                np.add.at(self._samples[:, band], sample_numbers, share * sums)
 
     def errors(self, axis: NominalAxis | None = None, smoothing: Array | None = None) -> MeanErrors:
-        """Return the errors of the mean, interpolated to nominal wavelengths and smoothed as its pixels were.
+        """Return the errors of the mean, interpolated to nominal wavelengths and smoothed like its pixels.
 
         ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
         """
         line, columns = self._line, self._columns
-        onto = _onto(len(self._count), columns, axis)
-        count = onto @ self._count.ravel()
+        averaging = _averaging_matrix(len(self._count), columns, axis)
+        count = averaging @ self._count.ravel()
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(count > 0.5, 1.0 / count, np.nan)
 
         def mean(table: Floats) -> Floats:
-            return np.asarray(onto @ np.nan_to_num(table).ravel()) * share
+            return np.asarray(averaging @ np.nan_to_num(table).ravel()) * share
 
         def independent(table: Floats) -> Floats:
-            square = onto.multiply(np.nan_to_num(table).ravel()) @ onto.T
+            square = averaging.multiply(np.nan_to_num(table).ravel()) @ averaging.T
             return np.asarray(square.toarray() * share * share[:, None])
 
         level, per_count = mean(self._level), self._per_count.sum(axis=0)
         dark = line.dark[:, columns]
-        between = {"noise": independent(self._noise)}
+        covariances = {"noise": independent(self._noise)}
         dark_variance = (self._per_count**2).sum(axis=0) * dark**2 + self._rounded(per_count)
         if dark_variance.any():
-            between["mean dark"] = independent(dark_variance)
+            covariances["mean dark"] = independent(dark_variance)
         if line.gain_of_elements.any():
-            between["gain of elements"] = independent((self._level * line.gain_of_elements[:, columns]) ** 2)
+            covariances["gain of elements"] = independent(
+                (self._level * line.gain_of_elements[:, columns]) ** 2
+            )
         if len(self._samples) and line.light is not None:
-            with np.errstate(invalid="ignore", divide="ignore"):  # part of the mean that each sample lights
+            with np.errstate(
+                invalid="ignore", divide="ignore"
+            ):  # part of the mean by every irradiance sample
                 samples = np.nan_to_num(self._samples / self._level.sum(axis=1) * level)
-            between["irradiance noise"] = (samples.T @ samples) * line.light.covariance
-        shared = {name: mean(self._level * relative[:, columns]) for name, relative in line.common.items()}
+            covariances["irradiance noise"] = (samples.T @ samples) * line.light.covariance
+        shared_errors = {
+            name: mean(self._level * relative[:, columns]) for name, relative in line.common.items()
+        }
         if line.pedestal_variance:
-            shared["pedestal"] = np.sqrt(self._lines * line.pedestal_variance) / self._count.sum(axis=1)
+            shared_errors["pedestal"] = np.sqrt(self._lines * line.pedestal_variance) / self._count.sum(
+                axis=1
+            )
         if line.dark_offset.any():
-            shared["dark"] = mean(per_count * line.dark_offset[:, columns])
+            shared_errors["dark"] = mean(per_count * line.dark_offset[:, columns])
         if line.wavelength_u.any() and line.light is not None:
-            shared["wavelength"] = _moved(line, level)
+            shared_errors["wavelength"] = _change_by_wavelength(line, level)
         if line.stray_light is not None:
             counts = np.divide(self._level, per_count, out=np.zeros_like(per_count), where=per_count > 0)
-            shared["stray light"] = mean(per_count * (line.stray_light @ counts))
+            shared_errors["stray light"] = mean(per_count * (line.stray_light @ counts))
         if smoothing is not None:
-            filled = np.nan_to_num(smoothing)
-            between = {name: filled @ np.nan_to_num(square) @ filled.T for name, square in between.items()}
-            shared = {name: filled @ np.nan_to_num(size) for name, size in shared.items()}
-        sizes = {name: np.sqrt(np.diagonal(square)) for name, square in between.items()} | shared
+            smoothing_matrix = np.nan_to_num(smoothing)
+            covariances = {
+                name: smoothing_matrix @ np.nan_to_num(square) @ smoothing_matrix.T
+                for name, square in covariances.items()
+            }
+            shared_errors = {
+                name: smoothing_matrix @ np.nan_to_num(size) for name, size in shared_errors.items()
+            }
+        sizes = {name: np.sqrt(np.diagonal(square)) for name, square in covariances.items()} | shared_errors
         names = tuple(name for name in FORMS if name in sizes)
-        total = np.sum(list(between.values()), axis=0)
-        return MeanErrors(names, np.array([sizes[name] for name in names]), *_correlated(total))
+        total = np.sum(list(covariances.values()), axis=0)
+        return MeanErrors(names, np.array([sizes[name] for name in names]), *_sd_and_correlation(total))
 
     def _rounded(self, per_count: Floats) -> Floats:
-        # Variance that rounding leaves in sums over the lines of a column (band, column)
-        if not self._line.whole:
+        # Return the variance of rounding in sums over the lines of a column (band, column).
+        if not self._line.is_integer:
             return np.zeros_like(per_count)
         line, columns = self._line, self._columns
         read = line.read_noise[:, columns] ** 2
@@ -200,33 +214,35 @@ class RegionSums:
         )
 
 
-def _onto(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_array:
-    # Matrix from spectra of columns, (band, column) in a row, to nominal wavelengths (band,)
-    place = np.arange(bands * columns.size).reshape(bands, columns.size)
-    band = np.broadcast_to(np.arange(bands)[:, None], place.shape)
+def _averaging_matrix(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_array:
+    # Return the matrix from flattened spectra of columns (band, column) to nominal wavelengths (band,).
+    flat_index = np.arange(bands * columns.size).reshape(bands, columns.size)
+    band = np.broadcast_to(np.arange(bands)[:, None], flat_index.shape)
     if axis is None:
-        return sparse.csr_array((np.ones(place.size), (band.ravel(), place.ravel())), (bands, place.size))
+        return sparse.csr_array(
+            (np.ones(flat_index.size), (band.ravel(), flat_index.ravel())), (bands, flat_index.size)
+        )
     weights = np.nan_to_num(axis.weights[:, columns].astype(np.float64))
-    taps = axis.first[:, columns, None] + np.arange(weights.shape[2])
-    source = place[taps, np.arange(columns.size)[None, :, None]]
+    tap_bands = axis.first[:, columns, None] + np.arange(weights.shape[2])
+    source = flat_index[tap_bands, np.arange(columns.size)[None, :, None]]
     rows = np.broadcast_to(band[..., None], weights.shape)
-    return sparse.csr_array((weights.ravel(), (rows.ravel(), source.ravel())), (bands, place.size))
+    return sparse.csr_array((weights.ravel(), (rows.ravel(), source.ravel())), (bands, flat_index.size))
 
 
-def _correlated(covariance: Floats) -> tuple[Floats, Array]:
-    # Standard deviations (band,) and correlations (lag, band) up to the last notable lag
+def _sd_and_correlation(covariance: Floats) -> tuple[Floats, Array]:
+    # Return standard deviations (band,) and correlations (lag, band) up to the last significant lag.
     sd = np.sqrt(np.diagonal(covariance))
     bands = sd.size
     lags = np.full((min(MAX_LAGS, bands), bands), np.nan, np.float32)
     with np.errstate(invalid="ignore", divide="ignore"):
         for lag in range(len(lags)):
             lags[lag, : bands - lag] = np.diagonal(covariance, lag) / (sd[: bands - lag] * sd[lag:])
-    notable = np.flatnonzero((np.nan_to_num(np.abs(lags)) > MIN_CORRELATION).any(axis=1))
-    return sd, lags[: notable.max(initial=0) + 1]
+    significant = np.flatnonzero((np.nan_to_num(np.abs(lags)) > MIN_CORRELATION).any(axis=1))
+    return sd, lags[: significant.max(initial=0) + 1]
 
 
-def _moved(line: LineErrors, level: Floats) -> Floats:
-    # Change of a mean with an error of the wavelength scale (band,)
+def _change_by_wavelength(line: LineErrors, level: Floats) -> Floats:
+    # Return the change of a mean by an error of the wavelength scale (band,).
     assert line.light is not None
     light = line.light.level
     steps = band_steps(line.wavelength)

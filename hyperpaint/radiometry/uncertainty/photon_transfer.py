@@ -32,21 +32,21 @@ from hyperpaint.base.schema import (
 
 from .irradiance_noise import noise_of_record
 
-#: Lines of a block, within which a column should show one surface.
+#: Lines of a block, in which a column should show a single surface.
 BLOCK_LINES = 8
-#: Most samples that are read of a flight; more would add nothing.
+#: Maximum number of samples read from a flight; more do not improve the estimate.
 MAX_SAMPLES = 3_000_000
-#: Least signal in spreads of a dark count [1]; the mean of a block is then known to 3 %.
+#: Minimum signal in spreads of a dark count [1], at which the mean of a block is accurate to 3 %.
 MIN_SIGNAL_SD = 12.0
-#: Largest change of brightness that is texture [1]; beyond is an edge or a glint.
+#: Largest change of brightness by texture [1]; larger changes are edges or glint.
 MAX_TEXTURE = 0.15
 MIN_VARIANCES = 200
 _BINS = 24
 #: Groups of blocks of the jackknife.
-_PARTS = 16
-#: Share of the variances that is used, without the highest [1].
+_JACKKNIFE_GROUPS = 16
+#: Share of the variances that is used; the highest are left out [1].
 USED_SHARE = 0.999
-#: Standard deviations by which a block may vary more than noise [1].
+#: Largest excess variation of a block over noise [standard deviations].
 MAX_BLOCK_SD = 4.0
 #: Largest relative uncertainty of electrons per count [1].
 MAX_RELATIVE_U = 0.1
@@ -57,10 +57,10 @@ MIN_RECORD_NOISE = 1e-5
 
 
 @dataclass(frozen=True)
-class _Points:
-    # Variances with their regressors: the factors of slope and intercept of the photon transfer
+class _VariancePoints:
+    # Variances with their regressors, the factors of slope and intercept of the photon transfer.
     #: variance, by_signal, by_floor (block, band): mean square, and its regressors: the expected value is
-    #: by_signal / k + by_floor x floor; NaN left out
+    #: by_signal / k + by_floor x floor; NaN for excluded values
     variance: Floats
     by_signal: Floats
     by_floor: Floats
@@ -108,7 +108,7 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
 
     Notes
     -----
-    A surface's texture is no noise, but is larger: 2 % of 2000 counts are 40, shot noise is 10. Within eight
+    Texture of a surface is larger than noise: 2 % of 2000 counts are 40, shot noise is 10. Within eight
     lines of one column the deviation of a band from the mean is therefore compared with that of its
     neighbour bands, relative to their signals,
 
@@ -116,9 +116,9 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
               \left(\frac{r_{b-1}}{\bar S_{b-1}} + \frac{r_{b+1}}{\bar S_{b+1}}\right),
 
     which removes all brightness changes that are smooth over three bands, including those of the light. Its
-    variance is still linear in :math:`1/k` and :math:`\sigma_r^2`. Left out are bands too dark for their
-    signal to be known, blocks whose brightness changes by more than 15 % (an edge, a glint) or whose bands
-    vary more than noise does, and the highest one in a thousand of all values, with the resulting bias
+    variance is still linear in :math:`1/k` and :math:`\sigma_r^2`. The fit excludes bands too dark for their
+    signal to be measured, blocks whose brightness changes by more than 15 % (an edge, a glint) or whose bands
+    vary more than noise, and the highest one in a thousand of all values, with the resulting bias
     corrected. Uncertainties are from the jackknife over groups of blocks.
 
     References
@@ -138,7 +138,7 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
     else:
         dataset = schema.rename_to_roles(dataset)
         points, floor, source = _line_points(dataset, repeated)
-    estimate = _labelled(_fit(points), points, floor, source)
+    estimate = _labelled(_fit_transfer(points), points, floor, source)
     if {"irradiance", IRRADIANCE_TIME} <= set(dataset.variables):
         record = schema.require(dataset, ["irradiance", IRRADIANCE_TIME], "noise of irradiance")
         noise = noise_of_record(record["irradiance"].values, record[IRRADIANCE_TIME].values)
@@ -151,7 +151,7 @@ def estimate_noise(dataset: xr.Dataset, *, repeated: bool = False) -> xr.Dataset
 # --- gathering variances
 
 
-def _sweep_points(dataset: xr.Dataset) -> tuple[_Points, float, str]:
+def _sweep_points(dataset: xr.Dataset) -> tuple[_VariancePoints, float, str]:
     names = ["counts", "counts_variance", "dark_counts", "frame_count"]
     names += ["saturation_count"] if "saturation_count" in dataset.variables else []
     arrays = schema.require(dataset, names, "photon transfer of a sweep", schema.SWEEP_VARIABLES)
@@ -168,15 +168,15 @@ def _sweep_points(dataset: xr.Dataset) -> tuple[_Points, float, str]:
         )
     if "saturation_count" in arrays:
         # clipping lowers the variance before the mean reaches saturation
-        room = SATURATION_MARGIN_COUNTS + 5.0 * np.sqrt(np.maximum(variance, 0.0))
-        variance[counts.values + room >= np.asarray(arrays["saturation_count"], np.float64)] = np.nan
+        margin = SATURATION_MARGIN_COUNTS + 5.0 * np.sqrt(np.maximum(variance, 0.0))
+        variance[counts.values + margin >= np.asarray(arrays["saturation_count"], np.float64)] = np.nan
     bands = signal.shape[1]
     freedom = np.repeat(np.broadcast_to(frames - 1.0, len(signal)), signal.shape[2])[:, None]
-    points = _Points(_by_band(variance), _by_band(signal), np.ones((len(freedom), bands)), freedom)
+    points = _VariancePoints(_by_band(variance), _by_band(signal), np.ones((len(freedom), bands)), freedom)
     return points, QUANTISATION_VARIANCE_COUNT2, f"{len(signal)} steps of {frames.min():g} frames or more"
 
 
-def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_Points, float, str]:
+def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, float, str]:
     names = ["counts", "dark_counts"]
     names += [n for n in ("saturation_count", "radiance_gain", "time") if n in dataset.variables]
     arrays = schema.require(dataset, names, "photon transfer of a line")
@@ -186,21 +186,21 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_Points, float, s
     starts = _block_starts(counts.shape)
     lines = (starts[:, None] + np.arange(BLOCK_LINES)).ravel()
     blocks = counts.isel({ALONG_TRACK: lines}).values
-    valid = np.ones(blocks.shape[:1], bool)
+    has_time = np.ones(blocks.shape[:1], bool)
     if "time" in arrays:
-        valid = ~np.isnat(arrays["time"].isel({ALONG_TRACK: lines}).values)
+        has_time = ~np.isnat(arrays["time"].isel({ALONG_TRACK: lines}).values)
     cube = blocks.astype(np.float32) - dark.values.astype(np.float32)
     if "saturation_count" in arrays:
         limit = np.asarray(arrays["saturation_count"], np.float64) - SATURATION_MARGIN_COUNTS
         cube[blocks >= limit] = np.nan
     if "radiance_gain" in arrays:
         cube[:, ~np.isfinite(arrays["radiance_gain"].values)] = np.nan
-    cube[~valid] = np.nan
-    whole = np.issubdtype(counts.dtype, np.integer)
-    shaped = cube.reshape(len(starts), BLOCK_LINES, *cube.shape[1:])
-    points = _repeated_points(shaped) if repeated else _block_points(shaped)
+    cube[~has_time] = np.nan
+    is_integer = np.issubdtype(counts.dtype, np.integer)
+    block_cube = cube.reshape(len(starts), BLOCK_LINES, *cube.shape[1:])
+    points = _repeated_points(block_cube) if repeated else _block_points(block_cube)
     source = "repeated frames" if repeated else "blocks of a flight, texture taken out over bands"
-    quantisation = QUANTISATION_VARIANCE_COUNT2 if whole else 0.0
+    quantisation = QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0
     return points, quantisation, f"{len(starts)} x {BLOCK_LINES} lines: {source}"
 
 
@@ -218,51 +218,55 @@ def _block_starts(shape: tuple[int, ...]) -> Ints:
 
 
 def _by_band(array: Array) -> Array:
-    # Values (block, band, column) as (block x column, band)
+    # Return values (block, band, column) as (block x column, band).
     return np.moveaxis(array, 1, 2).reshape(-1, array.shape[1])
 
 
-def _repeated_points(cube: Array) -> _Points:
-    # Variances (block x column, band) of frames (block, frame, band, column) of one scene
+def _repeated_points(cube: Array) -> _VariancePoints:
+    # Return variances (block x column, band) of frames (block, frame, band, column) of a scene.
     variance = cube.var(axis=1, ddof=1, dtype=np.float64)
     variance, signal = _by_band(variance), _by_band(cube.mean(axis=1, dtype=np.float64))
-    return _Points(variance, signal, np.ones_like(signal), np.full((1, 1), cube.shape[1] - 1.0))
+    return _VariancePoints(variance, signal, np.ones_like(signal), np.full((1, 1), cube.shape[1] - 1.0))
 
 
-def _block_points(cube: Array) -> _Points:
-    # Variances (block x column, band) of bands relative to their neighbours.
-    # `cube` is (block, line, band, column). Bands whose signal is itself uncertain by noise are left out.
+def _block_points(cube: Array) -> _VariancePoints:
+    # Return variances (block x column, band) of bands relative to their neighbours.
+    # `cube` is (block, line, band, column). Bands whose signal is uncertain by noise are left out.
     mean = cube.mean(axis=1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # columns without a value
         total = np.nansum(np.where(np.isfinite(mean)[:, None], cube, np.nan), axis=2)
-        even = np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < MAX_TEXTURE
-    mean[~(even[:, None] & (mean > 0))] = np.nan
+        is_even = np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < MAX_TEXTURE
+    mean[~(is_even[:, None] & (mean > 0))] = np.nan
     mean[mean < MIN_SIGNAL_SD * _dark_noise(cube, mean)] = np.nan
     # contrast of a band with its neighbours, relative to their signals
     relative = (cube - mean[:, None]) / mean[:, None]
-    middle = mean[:, 1:-1]
+    mean_inside = mean[:, 1:-1]
     contrast = relative[:, :, 1:-1] - 0.5 * (relative[:, :, :-2] + relative[:, :, 2:])
     freedom = cube.shape[1] - 1.0
-    variance = middle**2 * (contrast**2).sum(axis=1) / np.float32(freedom)
-    ratio = [(middle / other).astype(np.float64) for other in (mean[:, :-2], mean[:, 2:])]
-    near = np.ones(middle.shape, bool)
-    for r in ratio:
-        # the noise of a weak neighbour would exceed the noise of the band
-        near &= (r > 0.5) & (r < 2.0)
-    by_signal = middle * (1.0 + 0.25 * (ratio[0] + ratio[1]))
-    values = (np.where(near, variance, np.nan), by_signal, 1.0 + 0.25 * (ratio[0] ** 2 + ratio[1] ** 2))
+    variance = mean_inside**2 * (contrast**2).sum(axis=1) / np.float32(freedom)
+    ratios = [(mean_inside / neighbour).astype(np.float64) for neighbour in (mean[:, :-2], mean[:, 2:])]
+    is_similar = np.ones(mean_inside.shape, bool)
+    for ratio in ratios:
+        # noise of a much weaker neighbour would exceed noise of the band
+        is_similar &= (ratio > 0.5) & (ratio < 2.0)
+    by_signal = mean_inside * (1.0 + 0.25 * (ratios[0] + ratios[1]))
+    values = (
+        np.where(is_similar, variance, np.nan),
+        by_signal,
+        1.0 + 0.25 * (ratios[0] ** 2 + ratios[1] ** 2),
+    )
     variances, signals, floors = (_by_band(array).astype(np.float64) for array in values)
-    return _Points(variances, signals, floors, np.full((1, 1), freedom))
+    return _VariancePoints(variances, signals, floors, np.full((1, 1), freedom))
 
 
 def _dark_noise(cube: Array, mean: Array) -> float:
-    # Spread of a count in the darkest tenth of the samples [count]
+    # Return the spread of a count in the darkest tenth of the samples [count].
     valid = np.isfinite(mean)
     if not valid.any():
         return 0.0
-    darkest = valid & (mean <= np.quantile(mean[valid], 0.1))
-    return float(np.sqrt(np.median(cube.var(axis=1, ddof=1)[darkest])))
+    is_darkest = valid & (mean <= np.quantile(mean[valid], 0.1))
+    return float(np.sqrt(np.median(cube.var(axis=1, ddof=1)[is_darkest])))
 
 
 # --- fitting the line
@@ -274,10 +278,10 @@ class _Transfer:
     slope: float
     height: float
     covariance: Floats
-    used: Bools
+    is_used: Bools
 
 
-def _fit(points: _Points) -> _Transfer:
+def _fit_transfer(points: _VariancePoints) -> _Transfer:
     from scipy.stats import chi2
 
     valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
@@ -289,29 +293,31 @@ def _fit(points: _Points) -> _Transfer:
         )
     slope, height = _first_guess(points, valid, np.broadcast_to(points.freedom, valid.shape))
     edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
-    # the mean of the values below the edge is a little below the mean of all
-    loss = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
-    # neighbours in band share two thirds of their contrast
+    # mean of the values below the edge relative to the mean of all values
+    truncated_mean = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
+    # neighbouring bands share two thirds of their contrast
     spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(valid.sum(axis=1), 1)))
-    used = valid
+    is_used = valid
     for _ in range(8):
         model = np.maximum(slope * points.by_signal + height * points.by_floor, 1e-6)
         ratio = np.where(valid, points.variance / model, np.nan)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
-            typical = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
-        used = valid & (typical < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
-        if used.sum() < MIN_VARIANCES:
+            block_ratio = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
+        is_used = valid & (block_ratio < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
+        if is_used.sum() < MIN_VARIANCES:
             raise SchemaError(
                 "noise cannot be estimated, since no block is homogeneous",
                 mend="pass repeated frames, or a lab sweep",
                 code="noise-not-estimable",
             )
-        before = slope
-        slope, height, covariance = _solve(points, used, model * loss, points.variance / loss)
-        if abs(slope - before) < 1e-4 * abs(slope):
+        previous_slope = slope
+        slope, height, covariance = _solve_with_jackknife(
+            points, is_used, model * truncated_mean, points.variance / truncated_mean
+        )
+        if abs(slope - previous_slope) < 1e-4 * abs(slope):
             break
-    low, high = np.percentile(points.by_signal[used] / points.by_floor[used], [1, 99])
+    low, high = np.percentile(points.by_signal[is_used] / points.by_floor[is_used], [1, 99])
     error = np.sqrt(covariance[0, 0])
     if not (slope > 0 and error / max(slope, 1e-300) < MAX_RELATIVE_U):
         raise SchemaError(
@@ -320,10 +326,10 @@ def _fit(points: _Points) -> _Transfer:
             mend="take a line with dark and bright surfaces, or repeated frames of several levels",
             code="electrons-uncertain",
         )
-    return _Transfer(slope, height, covariance, used)
+    return _Transfer(slope, height, covariance, is_used)
 
 
-def _first_guess(points: _Points, valid: Bools, freedom: Floats) -> tuple[float, float]:
+def _first_guess(points: _VariancePoints, valid: Bools, freedom: Floats) -> tuple[float, float]:
     from scipy.stats import chi2
 
     signal = points.by_signal[valid] / points.by_floor[valid]
@@ -331,8 +337,8 @@ def _first_guess(points: _Points, valid: Bools, freedom: Floats) -> tuple[float,
         points.variance[valid] / points.by_floor[valid] * (freedom[valid] / chi2.median(freedom[valid]))
     )
     edges = np.unique(np.quantile(signal, np.linspace(0, 1, _BINS + 1)))
-    place = np.clip(np.searchsorted(edges, signal, side="right") - 1, 0, max(len(edges) - 2, 0))
-    bins = [place == i for i in range(max(len(edges) - 1, 1))]
+    bin_of_point = np.clip(np.searchsorted(edges, signal, side="right") - 1, 0, max(len(edges) - 2, 0))
+    bins = [bin_of_point == i for i in range(max(len(edges) - 1, 1))]
     x = np.array([np.median(signal[b]) for b in bins if b.any()])
     y = np.array([np.median(variance[b]) for b in bins if b.any()])
     if x.size < 2 or np.ptp(x) <= 0:
@@ -343,44 +349,52 @@ def _first_guess(points: _Points, valid: Bools, freedom: Floats) -> tuple[float,
     return float(slope), float(height)
 
 
-def _solve(points: _Points, used: Bools, model: Floats, variance: Floats) -> tuple[float, float, Floats]:
-    weight = np.where(used, 1.0 / model**2, 0.0)
-    value = np.where(used, variance, 0.0)
-    a, b = (np.where(used, v, 0.0) for v in (points.by_signal, points.by_floor))
-    part = np.arange(len(used)) * _PARTS // len(used)
+def _solve_with_jackknife(
+    points: _VariancePoints, is_used: Bools, model: Floats, variance: Floats
+) -> tuple[float, float, Floats]:
+    weight = np.where(is_used, 1.0 / model**2, 0.0)
+    value = np.where(is_used, variance, 0.0)
+    a, b = (np.where(is_used, v, 0.0) for v in (points.by_signal, points.by_floor))
+    part = np.arange(len(is_used)) * _JACKKNIFE_GROUPS // len(is_used)
 
     def sums(product: Floats) -> Floats:
-        return np.bincount(part, (weight * product).sum(axis=1), minlength=_PARTS).astype(np.float64)
+        return np.bincount(part, (weight * product).sum(axis=1), minlength=_JACKKNIFE_GROUPS).astype(
+            np.float64
+        )
 
     normal = np.array([[sums(a * a), sums(a * b)], [sums(a * b), sums(b * b)]])
     right = np.array([sums(a * value), sums(b * value)])
-    # signals of hundreds beside a constant of 1
+    # scale the columns: signals are hundreds, the constant is 1
     scale = np.sqrt(np.maximum(normal.sum(axis=-1).diagonal(), 1e-300))
 
     def solution(left_out: int | None) -> Floats:
-        parts = np.arange(_PARTS) != (-1 if left_out is None else left_out)
+        parts = np.arange(_JACKKNIFE_GROUPS) != (-1 if left_out is None else left_out)
         matrix, vector = normal[..., parts].sum(axis=-1), right[..., parts].sum(axis=-1)
         scaled, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, rcond=None)
         return np.asarray(scaled / scale)
 
-    whole = solution(None)
-    others = np.stack([solution(i) for i in range(_PARTS)])
+    is_integer = solution(None)
+    others = np.stack([solution(i) for i in range(_JACKKNIFE_GROUPS)])
     departure = others - others.mean(axis=0)
-    return float(whole[0]), float(whole[1]), (_PARTS - 1) / _PARTS * departure.T @ departure
+    return (
+        float(is_integer[0]),
+        float(is_integer[1]),
+        (_JACKKNIFE_GROUPS - 1) / _JACKKNIFE_GROUPS * departure.T @ departure,
+    )
 
 
-def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source: str) -> xr.Dataset:
-    signal, variance, expected = _curve(transfer, points)
+def _labelled(transfer: _Transfer, points: _VariancePoints, quantisation: float, source: str) -> xr.Dataset:
+    signal, variance, expected = _binned_curve(transfer, points)
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
-    chance = np.sqrt(4.0 / (float(points.freedom.mean()) * transfer.used.sum() / variance.size))
-    if misfit > MAX_MISFIT + 4.0 * chance:
+    misfit_sd = np.sqrt(4.0 / (float(points.freedom.mean()) * transfer.is_used.sum() / variance.size))
+    if misfit > MAX_MISFIT + 4.0 * misfit_sd:
         text = (
             f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
             "within blocks, or the light flickers; look at 'transfer_variance'"
         )
         warnings.warn(PaintWarning(text, code="transfer-misfit"), stacklevel=3)
     noise = float(np.sqrt(max(transfer.height - quantisation, 0.0)))
-    # at zero noise only its square has an uncertainty
+    # at zero noise, only the variance has an uncertainty
     noise_u = float(np.sqrt(transfer.covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
     limit = float(transfer.covariance[1, 1]) ** 0.25
     values = {
@@ -403,13 +417,13 @@ def _labelled(transfer: _Transfer, points: _Points, quantisation: float, source:
     )
     attrs = {"units": "count", "long_name": "Counts above the dark"}
     estimate = estimate.assign_coords(transfer_signal=("transfer_signal", signal, attrs))
-    estimate.attrs["noise_source"] = f"photon transfer, {source}; {int(transfer.used.sum())} variances"
+    estimate.attrs["noise_source"] = f"photon transfer, {source}; {int(transfer.is_used.sum())} variances"
     return estimate
 
 
-def _curve(transfer: _Transfer, points: _Points) -> tuple[Floats, Floats, Floats]:
-    # Mean signals, variances and fitted variances, in bins with equal numbers of points
-    a, b, v = (array[transfer.used] for array in (points.by_signal, points.by_floor, points.variance))
+def _binned_curve(transfer: _Transfer, points: _VariancePoints) -> tuple[Floats, Floats, Floats]:
+    # Return mean signals, variances and fitted variances in bins with equal numbers of points.
+    a, b, v = (array[transfer.is_used] for array in (points.by_signal, points.by_floor, points.variance))
     order = np.argsort(a / b, kind="stable")
     bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))
     x = np.array([(a[i] / b[i]).mean() for i in bins])

@@ -1,7 +1,7 @@
 """Propagate the known errors of the instrument to the uncertainty of every reflectance.
 
-Errors are of two kinds. Random ones are independent in every sample. Systematic ones are shared: by a flight,
-or by the lines of a column, as the noise of the mean dark and of a calibration.
+Errors are random or systematic. Random errors are independent in every sample. Systematic errors are shared
+by a flight, or by the lines of a column, like the noise of the mean dark and of a calibration.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SYSTEMATIC = (
     "dark_counts_u_systematic",
     "linearity_u",
 )
-#: Attributes of uncertainties: their inputs that no variable of the line holds.
+#: Attributes of uncertainties, for inputs that are not variables of the line.
 WHOLE_COUNTS, MASKED, PANEL_U = "whole_counts", "masked_elements", "panel_u"
 
 UNCERTAINTIES = ("reflectance_u_random", "reflectance_u_systematic")
@@ -77,9 +77,9 @@ def uncertainty_inputs(dataset: xr.Dataset, panel: float | None) -> dict[str, An
 def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict[str, Any]) -> xr.Dataset:
     """Return the dataset with both uncertainties, in obsarray's terms.
 
-    obsarray knows errors that are independent and errors that are common along a dim. The errors of an
-    element's own gain and dark are common to all lines only; treated as common to all samples they are never
-    underestimated. `hyperpaint.radiometry.mean_uncertainty` treats each exactly.
+    obsarray distinguishes errors that are independent and errors that are common along a dim. The errors of
+    an element's gain and dark are common to all lines only; treated as common to all samples they are never
+    underestimated. `hyperpaint.radiometry.mean_uncertainty` treats them exactly.
     """
     systematic = [name for name in SYSTEMATIC if name in uncertain]
     if "panel_u" in uncertain:
@@ -87,18 +87,20 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
             n for n in systematic if n not in ("radiance_gain_u_systematic", "irradiance_u_systematic")
         ]
         systematic.append("panel")
-    entered = {
+    components = {
         "reflectance_u_random": [name for name in NOISE if name in uncertain],
         "reflectance_u_systematic": systematic,
     }
-    facts: dict[str, dict[str, Any]] = {
+    extra_attrs: dict[str, dict[str, Any]] = {
         "reflectance_u_random": {WHOLE_COUNTS: int(np.issubdtype(result["counts"].dtype, np.integer))},
         "reflectance_u_systematic": {},
     }
     if "masked" in result.variables and result["masked"].chunks is None:
-        facts["reflectance_u_systematic"][MASKED] = masked_elements(result)
+        extra_attrs["reflectance_u_systematic"][MASKED] = masked_elements(result)
     if "panel_u" in uncertain:
-        facts["reflectance_u_systematic"][PANEL_U] = np.asarray(uncertain["panel_u"], np.float64).tolist()
+        extra_attrs["reflectance_u_systematic"][PANEL_U] = np.asarray(
+            uncertain["panel_u"], np.float64
+        ).tolist()
     for name, cube in zip(UNCERTAINTIES, cubes, strict=True):
         attrs = {
             "pdf_shape": "gaussian",
@@ -106,8 +108,8 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
             "err_corr_1_form": name.rpartition("_")[2],
             "err_corr_1_units": [],
             "err_corr_1_params": [],
-            "components": ", ".join(entered[name]) or NONE_KNOWN,
-            **facts[name],
+            "components": ", ".join(components[name]) or NONE_KNOWN,
+            **extra_attrs[name],
         }
         result[name] = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **attrs)
     result["reflectance"].attrs["unc_comps"] = list(UNCERTAINTIES)
@@ -117,8 +119,8 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
 def masked_elements(line: xr.Dataset) -> int:
     """Return the number of elements of a line that receive no light."""
     masked = line["masked"]
-    rest = [line.sizes[dim] for dim in (schema.BAND, CROSS_TRACK) if dim not in masked.dims]
-    return int(masked.values.sum()) * math.prod(rest)
+    other_sizes = [line.sizes[dim] for dim in (schema.BAND, CROSS_TRACK) if dim not in masked.dims]
+    return int(masked.values.sum()) * math.prod(other_sizes)
 
 
 def error_terms(
@@ -130,25 +132,25 @@ def error_terms(
     masked: int = 0,
     dark_share: float = 1.0,
 ) -> ErrorTerms:
-    """Return the terms of the uncertainty of every sample; unknown ones are zero.
+    """Return the terms of the uncertainty of every sample; unknown terms are zero.
 
     ``uncertain`` as of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
     by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements whose
-    mean is the pedestal of a line, and so has a noise that all of the line shares; ``dark_share`` is the
+    mean is the pedestal of a line, whose noise all samples of the line share; ``dark_share`` is the
     largest root sum of squares of the weights with which a line's darks are subtracted.
 
     Raises
     ------
     SchemaError
-        Values that no uncertainty can have; all are listed.
+        Values are impossible for uncertainties; all are listed.
     """
     _check_uncertainties(uncertain, bad)
 
     def of(name: str) -> Floats:
         return element_rows(uncertain.get(name, 0.0), bad.shape)
 
-    whole = np.issubdtype(np.dtype(dtype), np.integer)
-    floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if whole else 0.0)
+    is_integer = np.issubdtype(np.dtype(dtype), np.integer)
+    floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
     element_dark = (dark_share * of("dark_counts_u_random")) ** 2
     dark_variance = of("dark_counts_u_systematic") ** 2 + element_dark
     if masked:
@@ -179,7 +181,7 @@ def error_terms(
 
 
 def element_rows(values: Any, shape: tuple[int, ...]) -> Floats:
-    """Return a value, one a band, or one an element as (1 or band, column)."""
+    """Return a scalar, a value per band, or a value per element as (1 or band, column)."""
     array = np.asarray(values, np.float64)
     if array.ndim == 1:
         array = array[:, None]
@@ -189,39 +191,39 @@ def element_rows(values: Any, shape: tuple[int, ...]) -> Floats:
 def band_steps(wavelength: Floats) -> Floats:
     """Return weights of the differences to the band above and from the band below (band, 4) [nm-1].
 
-    With both neighbours they give the slope between these, with one neighbour the slope to it. A neighbour
-    across a join of two detectors, where wavelengths turn back, stand still or jump, does not count.
+    With two neighbours they give the slope between them, with one neighbour the slope to it. A neighbour
+    across a join of two detectors, where wavelengths decrease, repeat or jump, is ignored.
     """
     step = np.diff(wavelength)
-    usual = np.median(step) if step.size else 1.0
+    median_step = np.median(step) if step.size else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        alone = np.where((step / usual > 0.0) & (step / usual < 3.0), 1.0 / step, 0.0)
-    up, down = np.append(alone, 0.0), np.insert(alone, 0, 0.0)
-    both = np.zeros_like(wavelength)
-    inside = (up != 0.0) & (down != 0.0)
-    both[inside] = 1.0 / (1.0 / up[inside] + 1.0 / down[inside])
-    return np.stack([np.where(inside, both, up), up, np.where(inside, both, down), down], axis=1)
+        inverse_step = np.where((step / median_step > 0.0) & (step / median_step < 3.0), 1.0 / step, 0.0)
+    up, down = np.append(inverse_step, 0.0), np.insert(inverse_step, 0, 0.0)
+    between = np.zeros_like(wavelength)
+    has_both = (up != 0.0) & (down != 0.0)
+    between[has_both] = 1.0 / (1.0 / up[has_both] + 1.0 / down[has_both])
+    return np.stack([np.where(has_both, between, up), up, np.where(has_both, between, down), down], axis=1)
 
 
 def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
     problems = Problems("uncertainties cannot be computed", SchemaError)
     for name, value in uncertain.items():
         array = np.asarray(value, np.float64)
-        used = array[~bad] if array.shape == bad.shape else array
-        used = used[~np.isnan(used)]
-        if used.size == 0:
+        values = array[~bad] if array.shape == bad.shape else array
+        values = values[~np.isnan(values)]
+        if values.size == 0:
             problems.add(f"{name!r} holds no value", code="not-finite")
             continue
-        positive = name == "electrons_per_count"
-        if not np.isfinite(used).all() or used.min() < 0 or (positive and used.min() == 0):
+        is_positive = name == "electrons_per_count"
+        if not np.isfinite(values).all() or values.min() < 0 or (is_positive and values.min() == 0):
             problems.add(
-                f"{name!r} is {used.min():g} to {used.max():g}",
-                expected=f"finite and {'positive' if positive else '0 or more'}",
+                f"{name!r} is {values.min():g} to {values.max():g}",
+                expected=f"finite and {'positive' if is_positive else '0 or more'}",
                 code="value-out-of-range",
             )
-        elif name not in _ABSOLUTE and used.max() > 1.0:
+        elif name not in _ABSOLUTE and values.max() > 1.0:
             problems.add(
-                f"{name!r} is {used.max():g}",
+                f"{name!r} is {values.max():g}",
                 expected="a fraction of 1, such as 0.02",
                 code="value-out-of-range",
             )
