@@ -63,7 +63,6 @@ GROUPS = {
     "Care": {
         "verify": "Check every chunk of a store.",
         "croissant": "Describe a store to machine-learning tools.",
-        "warm": "Compile the kernels in advance.",
     },
 }
 
