@@ -27,7 +27,7 @@ _CALLED_BY_OTHERS = {
     "description", "guess_can_open", "open_groups_as_dict", "get_partial_values", "_repr_html_",
     "_repr_mimebundle_", "get_command", "list_commands", "resolve_command", "parse_args",
     "format_commands", "format_epilog", "save", "worked_example",
-    "add_overload", "ensure_cache_path", "load_overload", "_finalize_final_module",  # by numba
+    "add_overload", "load_overload", "_finalize_final_module",  # by numba
 }  # fmt: skip
 
 Names = list[str]
