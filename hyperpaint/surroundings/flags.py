@@ -20,7 +20,7 @@ from hyperpaint.base.arrays import Array, Bools, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, flags_set_from
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
@@ -295,7 +295,7 @@ def _shaded(missing: Array, model: SceneModel, lines: slice, limit: float) -> Bo
     return np.asarray(near & (missing >= limit) | on_things & (missing >= most))
 
 
-_LOOKED_FOR = Quality.GLINT | Quality.SHADOW | Quality.ADJACENCY | Quality.MIXED_EDGE
+_LOOKED_FOR = flags_set_from("scene")
 _LIMITS = ("glint", "shadow", "adjacency", "edge")
 
 

@@ -106,9 +106,6 @@ def compute_into(lazy: Sequence[da.Array], outs: Sequence[Array], progress: Prog
     """Compute arrays of equal chunks along their lines into other arrays, some chunks at a time."""
     import dask
 
-    from hyperpaint.io.store.budget import share_one_heap
-
-    share_one_heap()
     edges = [0, *np.cumsum(lazy[0].chunks[0]).tolist()]
     for first in range(0, len(edges) - 1, CHUNKS_AT_ONCE):
         part = slice(edges[first], edges[min(first + CHUNKS_AT_ONCE, len(edges) - 1)])
