@@ -274,6 +274,8 @@ class Fact:
             return float(value)
         if self.kind == "time":  # TOML's own times as text that numpy reads
             return str(value).replace(" ", "T")
+        if self.scale == 1.0:
+            return float(value)
         return value if self.scale is None else float(f"{value * self.scale:.12g}")
 
 
@@ -294,6 +296,8 @@ def toml_text(value: Any) -> str:
 def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
     """Return a dataclass field with its declaration; the kind follows from the default unless given.
 
+    A field with `dataclasses.MISSING` as its default must be given.
+
     Examples
     --------
     >>> @dataclass
@@ -307,7 +311,8 @@ def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
     if not kind:
         kinds = {bool: "flag", int: "whole", float: "number", tuple: "numbers"}
         kind = "choice" if options.get("choices") else kinds.get(type(default), "text")
-    declared = Fact(doc=doc, kind=kind, default=default, optional=default is None, **options)
+    known = None if default is dataclasses.MISSING else default
+    declared = Fact(doc=doc, kind=kind, default=known, optional=default is None, **options)
     return dataclasses.field(default=default, metadata={"fact": declared})
 
 
@@ -324,6 +329,11 @@ def by_key(facts: Iterable[Fact]) -> dict[str, Fact]:
     return {one.key or one.name: one.in_file() for one in facts}
 
 
+def arguments_of(facts: Facts, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments in Python for checked values of a file by key."""
+    return {facts[key].name: facts[key].argument(value) for key, value in values.items()}
+
+
 #: Returns a name and its value as the user wrote them.
 Spelling = Callable[[str, Any], str]
 
@@ -333,11 +343,18 @@ def as_argument(name: str, value: Any) -> str:
     return f"{name}={shown(value)}"
 
 
+def check_values(
+    facts: Facts, values: Mapping[str, Any], problems: Problems, spelled: Spelling = as_argument
+) -> None:
+    """Note every value that the declaration of its name does not accept."""
+    for name, value in values.items():
+        facts[name].note(problems, spelled(name, value), value)
+
+
 def check_fields(settings: Any, problems: Problems, spelled: Spelling = as_argument) -> None:
     """Note every field of a dataclass whose value its declaration does not accept."""
-    for name, declared in facts_of(settings).items():
-        value = getattr(settings, name)
-        declared.note(problems, spelled(name, value), value)
+    facts = facts_of(settings)
+    check_values(facts, {name: getattr(settings, name) for name in facts}, problems, spelled)
 
 
 # --- docstrings and tables ---------------------------------------------------------------------------------

@@ -11,7 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.base.facts import Fact, Facts, Spelling, as_argument, by_key, fact, facts_of, shown
+from hyperpaint.base.facts import (
+    Fact,
+    Facts,
+    Spelling,
+    arguments_of,
+    as_argument,
+    by_key,
+    fact,
+    facts_of,
+    shown,
+)
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
 from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES
 from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS
@@ -19,7 +29,8 @@ from hyperpaint.simulation.rendering.four_curves import PRESETS
 from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_faults
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
-from hyperpaint.simulation.settings import CAMERA_FIELDS, FLEETS, MAX_SEED, MOST_SAMPLES, SimulationSettings
+from hyperpaint.simulation.rendering.scene_record import TraceSettings
+from hyperpaint.simulation.settings import CAMERA_FIELDS, FLEETS, MAX_SEED, SimulationSettings
 
 #: Kinds of generated scenes; any of them may hold meshes as well.
 SCENE_KINDS = ("car_park", "plane", "empty")
@@ -52,21 +63,6 @@ class AtmosphereEntry:
 
 
 @dataclass(frozen=True)
-class Sampling:
-    """``[sampling]``: rays of a pixel, scatterings of a ray, stored paths of a pixel, and the seed."""
-
-    samples: int = fact(
-        64, "rays of a pixel: noise falls with the root of their number", least=1, most=MOST_SAMPLES
-    )
-    depth: int = fact(4, "scatterings of a ray", least=1, most=16)
-    slots: int | None = fact(
-        None, "stored paths of a pixel; by default enough for the lights", kind="whole", least=1, most=1024
-    )
-    seed: int = fact(0, "chooses the rays", least=0, most=MAX_SEED)
-    sun_radius_deg: float = fact(0.267, "angular radius of the sun", unit="degree", least=0.0, most=5.0)
-
-
-@dataclass(frozen=True)
 class SceneFile:
     """Content of a ``scene.toml``; its paths are absolute and exist."""
 
@@ -77,7 +73,7 @@ class SceneFile:
     platform: Mapping[str, Any]  #: Arguments of `hyperpaint.simulation.rendering.platforms.pushbroom`.
     camera: Mapping[str, Any]  #: Fields of `hyperpaint.simulation.SimulationSettings`.
     atmospheres: tuple[AtmosphereEntry, ...]  #: At least one.
-    sampling: Sampling
+    sampling: Mapping[str, Any]  #: Every key of ``[sampling]``.
     spectra: Mapping[str, Path]
     paints: Mapping[str, str]  #: Name of a spectrum, material or instance: name of its new spectrum.
     product: str = fact("radiance", "quantity of the cube", choices=PRODUCTS)
@@ -190,11 +186,13 @@ SCHEMA: Mapping[str, Facts] = {
         _number("oktas", "eighths of the sky that clouds cover", 0.0, 8.0),
         _number("overcast_share", "share of the diffuse light that is brighter overhead", 0.0, 1.0),
     ]),
-    "sampling": by_key(facts_of(Sampling).values()),
+    "sampling": by_key(facts_of(TraceSettings).values()),
     "spectra": {},
     "paints": {},
     "output": by_key(facts_of(SceneFile).values()),
 }  # fmt: skip
+
+_DEFAULT_SAMPLING = {key: one.default for key, one in SCHEMA["sampling"].items()}
 
 #: Tables whose keys are the user's names, each with a text.
 NAMED = {
@@ -236,7 +234,7 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
     scene_file = SceneFile(
         path=path, name=reader.one("scene").get("name", path.stem), scene=_scene(reader),
         meshes=_meshes(reader), platform=platform, camera=camera, atmospheres=_atmospheres(reader),
-        sampling=Sampling(**values(reader.one("sampling"))),
+        sampling=_DEFAULT_SAMPLING | values(reader.one("sampling")),
         spectra={name: file for name, file in spectra.items() if file is not None},
         paints=values(reader.one("paints")), **values(reader.one("output")),
     )  # fmt: skip
@@ -334,11 +332,7 @@ def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
             reader.problems.add(
                 f"[platform] {key} is missing", mend="state the size of the cube", code="key-missing"
             )
-    facts = {name: SCHEMA[name] for name in tables}
-    platform, camera = (
-        {facts[name][key].name: facts[name][key].argument(value) for key, value in values(table).items()}
-        for name, table in tables.items()
-    )
+    platform, camera = (arguments_of(SCHEMA[name], values(table)) for name, table in tables.items())
     problems, before = reader.problems, len(reader.problems)
     # the tables are compared where each of them is right
     wrong = any(set(values(table)) != table["?"] for table in tables.values())

@@ -9,8 +9,9 @@ from typing import Any
 
 import pytest
 
-from hyperpaint.base.errors import PaintError
+from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.simulation.rendering.scene_record import TraceSettings
 from hyperpaint.workflows.scene_files import read_scene_file
 
 COLLECT = """\
@@ -68,6 +69,18 @@ samples = 64
 [output]
 product = "counts"
 """
+
+EMPTY_SCENE = """\
+[scene]
+[platform]
+lines = 20
+columns = 16
+[[atmospheres]]
+preset = "noon"
+[sampling]
+"""
+
+SUNS = ((25.0, 180.0),)
 
 FILES = (
     "calibration.zarr",
@@ -191,6 +204,19 @@ CASES: list[tuple[str, str, str, str, str, str, str]] = [
      "one of radiance, counts", 'leave the key out for "radiance"', CHOICE),
 ]  # fmt: skip
 
+# table, line in it, call with the same value, expected, code
+DOORS: list[tuple[str, str, Callable[[], Any], str, str]] = [
+    ("[sampling]", "samples = 0", lambda: TraceSettings(SUNS, samples=0), "a whole number from 1 to 16384",
+     RANGE),
+    ("[sampling]", "depth = 33", lambda: TraceSettings(SUNS, depth=33), "a whole number from 1 to 32", RANGE),
+    ("[sampling]", "slots = 4097", lambda: TraceSettings(SUNS, slots=4097), "a whole number from 1 to 4096",
+     RANGE),
+    ("[sampling]", "seed = 1.5", lambda: TraceSettings(SUNS, seed=1.5),  # type: ignore[arg-type]
+     "a whole number from 0 to 9223372036854775807", TYPE),
+    ("[sampling]", "sun_radius_deg = nan", lambda: TraceSettings(SUNS, sun_radius=float("nan")),
+     "a number from 0 to 45", "not-finite"),
+]  # fmt: skip
+
 READERS: dict[str, tuple[str, Callable[..., Any]]] = {
     "collect": (COLLECT, read_collect),
     "scene": (SCENE, read_scene_file),
@@ -236,6 +262,18 @@ def test_a_fault_is_told_once(
     assert problem.expected or problem.mend
     assert f"{kind}.toml cannot be" in str(error)
     assert kind == "collect" or "collect " not in str(error).replace(str(folder), "")
+
+
+@pytest.mark.parametrize(("table", "line", "call", "expected", "code"), DOORS)
+def test_a_file_and_a_call_have_the_same_ranges(
+    folder: Path, table: str, line: str, call: Callable[[], Any], expected: str, code: str
+) -> None:
+    (in_file,) = refusal(folder, "scene", EMPTY_SCENE.replace(f"{table}\n", f"{table}\n{line}\n")).problems
+    with pytest.raises(SchemaError) as caught:
+        call()
+    (in_call,) = caught.value.problems
+    assert in_file.found == f"{table}{' 1' * table.startswith('[[')} {line}"
+    assert (in_file.expected, in_file.code) == (in_call.expected, in_call.code) == (expected, code)
 
 
 @pytest.mark.parametrize("kind", READERS)

@@ -61,7 +61,7 @@ def test_the_example_says_what_it_says(write: Write) -> None:
         "exposure_time": 0.005, "frame_period": 0.007,
     }  # fmt: skip
     assert [each.name for each in file.atmospheres] == ["noon", "near_sunset", "cloudy"]
-    assert (file.sampling.samples, file.sampling.depth, file.product) == (64, 4, "counts")
+    assert (file.sampling["samples"], file.sampling["depth"], file.product) == (64, 4, "counts")
     assert file.camera["first_wavelength"] == 399.356
 
 
