@@ -30,6 +30,7 @@ from hyperpaint.simulation.rendering.materials import KINDS
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_faults
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
+from hyperpaint.simulation.rendering.sky_models import SKY
 from hyperpaint.simulation.settings import CAMERA_FIELDS, FLEETS, MAX_SEED, SimulationSettings
 
 #: Kinds of generated scenes; any of them may hold meshes as well.
@@ -59,7 +60,7 @@ class AtmosphereEntry:
     preset: str | None = None
     table: Path | None = None
     irradiance: tuple[Path, ...] = ()
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)  #: ``time`` and numbers of `SKY`, by argument.
 
 
 @dataclass(frozen=True)
@@ -174,17 +175,11 @@ SCHEMA: Mapping[str, Facts] = {
     ),
     "atmospheres": by_key([
         Fact(name="name", doc="name of the group in the store; by default the preset"),
-        Fact(name="preset", kind="choice", choices=PRESETS, doc="light of a kind of sky"),
+        Fact(name="preset", kind="choice", choices=tuple(PRESETS), doc="light of a kind of sky"),
         Fact(name="table", doc="file of wavelength, direct and diffuse irradiance, in place of a preset"),
         Fact(name="irradiance", kind="texts", doc="files of a spectrometer, in place of a preset"),
         Fact(name="time", kind="time", doc="time in that record; by default all of it"),
-        _number("direct_fraction", "direct share of that irradiance", 0.0, 1.0),
-        _number("sun_zenith_deg", "zenith angle of the sun", 0.0, 89.0, unit="degree"),
-        _number("sun_azimuth_deg", "azimuth of the sun, clockwise from north", -360.0, 360.0, unit="degree"),
-        _number("aerosol", "optical depth of the aerosol, with a preset", 0.0, 10.0),
-        _number("water", "precipitable water, with a preset", 0.0, 100.0),
-        _number("oktas", "eighths of the sky that clouds cover", 0.0, 8.0),
-        _number("overcast_share", "share of the diffuse light that is brighter overhead", 0.0, 1.0),
+        *SKY.values(),
     ]),
     "sampling": by_key(facts_of(TraceSettings).values()),
     "spectra": {},
@@ -419,8 +414,8 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
                 code="key-misplaced",
             )
     files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
-    skipped = {"?", "name", *_SOURCES}
-    options = {key: value for key, value in table.items() if key not in skipped}
+    sky = {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)}
+    options = arguments_of(SCHEMA["atmospheres"], sky)
     preset = table.get("preset", None if sources else name)
     return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
 

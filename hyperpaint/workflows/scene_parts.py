@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.simulation.camera import Camera
@@ -208,29 +206,22 @@ def _atmospheres(file: SceneFile) -> tuple[Atmosphere, ...]:
 
 def _atmosphere(entry: AtmosphereEntry) -> Atmosphere:
     options = dict(entry.options)
-    oktas, time = options.pop("oktas", None), options.pop("time", None)
-    sun: dict[str, Any] = {
-        key: float(options.pop(f"{key}_deg"))
-        for key in ("sun_zenith", "sun_azimuth")
-        if f"{key}_deg" in options
-    }
-    sky = {key: options.pop(key) for key in ("overcast_share", "direct_fraction") if key in options}
-    clear = {key: options.pop(key) for key in ("aerosol", "water") if key in options}
+    oktas = options.pop("oktas", None)
     if entry.table is not None:
-        atmosphere = Atmosphere.from_table(entry.table, **sun, **sky)
+        atmosphere = Atmosphere.from_table(entry.table, **options)
     elif entry.irradiance:
-        moment = None if time is None else np.datetime64(str(time).replace(" ", "T"), "ns")
-        atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), time=moment, **sun, **sky)
+        atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), **options)
     else:
         atmosphere = preset_atmosphere(entry.preset or entry.name)
-        if sun or clear or oktas is not None:
+        share = options.pop("overcast_share", None)
+        if options or oktas is not None:
             oktas = 8.0 if oktas is None and atmosphere.overcast_share > 0.0 else oktas
-            sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth} | sun
-            atmosphere = Atmosphere.clear(**sun, **clear)
-        if sky:
-            atmosphere = replace(atmosphere, **sky)
+            sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth}
+            atmosphere = Atmosphere.clear(**{**sun, **options})
+        if share is not None:
+            atmosphere = replace(atmosphere, overcast_share=share)
     if oktas:
-        atmosphere = atmosphere.clouded(float(oktas))
+        atmosphere = atmosphere.clouded(oktas)
     return replace(atmosphere, name=entry.name)
 
 

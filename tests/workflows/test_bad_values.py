@@ -7,10 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
 from hyperpaint.workflows.scene_files import read_scene_file
 
@@ -81,6 +83,12 @@ preset = "noon"
 """
 
 SUNS = ((25.0, 180.0),)
+
+
+def atmosphere(**options: Any) -> Atmosphere:
+    grid = np.array([400.0, 1000.0])
+    return Atmosphere(grid, grid, grid, grid, grid, **{"sun_zenith": 25.0, "sun_azimuth": 180.0, **options})
+
 
 FILES = (
     "calibration.zarr",
@@ -215,6 +223,19 @@ DOORS: list[tuple[str, str, Callable[[], Any], str, str]] = [
      "a whole number from 0 to 9223372036854775807", TYPE),
     ("[sampling]", "sun_radius_deg = nan", lambda: TraceSettings(SUNS, sun_radius=float("nan")),
      "a number from 0 to 45", "not-finite"),
+    ("[[atmospheres]]", "sun_zenith_deg = 90.0", lambda: atmosphere(sun_zenith=90.0), "a number from 0 to 89",
+     RANGE),
+    ("[[atmospheres]]", "sun_zenith_deg = '60'", lambda: atmosphere(sun_zenith="60"), "a number from 0 to 89",
+     TYPE),
+    ("[[atmospheres]]", "sun_azimuth_deg = 400.0", lambda: atmosphere(sun_azimuth=400.0),
+     "a number from -360 to 360", RANGE),
+    ("[[atmospheres]]", "overcast_share = 1.5", lambda: atmosphere(overcast_share=1.5),
+     "a number from 0 to 1", RANGE),
+    ("[[atmospheres]]", "aerosol = -0.1", lambda: Atmosphere.clear(aerosol=-0.1), "a number from 0 to 10",
+     RANGE),
+    ("[[atmospheres]]", "water = inf", lambda: Atmosphere.clear(water=float("inf")), "a number from 0 to 100",
+     "not-finite"),
+    ("[[atmospheres]]", "oktas = 9", lambda: atmosphere().clouded(9), "a number from 0 to 8", RANGE),
 ]  # fmt: skip
 
 READERS: dict[str, tuple[str, Callable[..., Any]]] = {

@@ -75,7 +75,7 @@ def test_what_the_example_has_commented_out_is_known_too(write: Write, tmp_path:
     assert file.scene["neighbours"] == ["trees", "walls", "lamps"]
     assert file.platform["centre"] == (0.0, 11.0)
     assert file.platform["start_time"] == "2021-07-20T17:10:00"
-    assert file.atmospheres[-1].options == {"sun_zenith_deg": 60.0, "sun_azimuth_deg": 100.0, "oktas": 3}
+    assert file.atmospheres[-1].options == {"sun_zenith": 60.0, "sun_azimuth": 100.0, "oktas": 3.0}
     assert file.paints == {"car_003": "mine", "red": "dark_red"}
     parts = build_parts(file)
     assert "truck" not in {each.name for each in parts.scene.instances}
