@@ -26,7 +26,7 @@ from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
 from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES
 from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS
 from hyperpaint.simulation.rendering.four_curves import PRESETS
-from hyperpaint.simulation.rendering.materials import KINDS
+from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_faults
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
@@ -94,16 +94,26 @@ def _whole(name: str, doc: str, least: int, most: int, **options: Any) -> Fact:
     return Fact(name=name, kind="whole", doc=doc, least=least, most=most, **options)
 
 
-#: Keys of a material of a mesh.
-MATERIAL = by_key([
-    Fact(name="spectrum", doc="name of the reflectance spectrum", example="red"),
-    Fact(name="class", kind="choice", choices=KINDS, doc="class of the surface"),
-    _number("coat_index", "refractive index of the clear coat", 1.0, 3.0),
-    _number("coat_roughness", "roughness of the clear coat, in place of its gloss", 0.0, 1.0),
-    _number("coat_gloss", "gloss of the clear coat at 20 degrees, in gloss units", 1.0, 100.0),
-    _number("coat_waviness_deg", "waviness of the clear coat", 0.0, 5.0, unit="degree"),
-    _number("flakes", "share of the surface below the coat that metal flakes cover", 0.0, 1.0),
+#: Keys of a clear coat; without any of them, a paint keeps its coat.
+COAT = by_key([
+    *(dataclasses.replace(declared, default=None) for declared in facts_of(Coat).values()),
+    Fact(
+        name="gloss", key="coat_gloss", kind="number", scale=1.0, least=1.0, most=100.0,
+        doc="gloss of the clear coat at 20 degrees, in gloss units, in place of the roughness",
+    ),
 ])  # fmt: skip
+
+#: Keys of a material of a mesh.
+MATERIAL = {
+    **by_key(
+        [
+            Fact(name="spectrum", doc="name of the reflectance spectrum", example="red"),
+            Fact(name="class", kind="choice", choices=KINDS, doc="class of the surface"),
+            facts_of(Flakes)["share"],
+        ]
+    ),
+    **COAT,
+}
 
 _SEED = _whole("seed", "chooses cars, paints, places and trees", 0, MAX_SEED, default=0)
 
@@ -143,8 +153,7 @@ SCHEMA: Mapping[str, Facts] = {
         Fact(name="panels", kind="flag", default=True, doc="grey panels of known reflectance in the aisle"),
         Fact(name="islands", kind="flag", default=True, doc="kerbed islands with grass between bays"),
         Fact(name="coat", kind="flag", default=True, doc="clear coats; false leaves Lambert paints"),
-        *(MATERIAL[f"coat_{name}"]
-          for name in ("index", "roughness", "gloss", "waviness_deg")),
+        *COAT.values(),
         _number("line_width_m", "width of the lines between bays", 0.02, 1.0, unit="m", default=0.12),
         _whole("leaves", "leaves of a tree", 0, 100_000, default=2000),
         _number("margin_m", "width of the ground around the car park", 0.0, 10_000.0, unit="m", default=30.0),

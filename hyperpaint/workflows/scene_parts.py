@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
+from hyperpaint.base.facts import arguments_of
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.rendering.appearance import coat_of_gloss
@@ -20,7 +21,7 @@ from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
 from hyperpaint.simulation.settings import SimulationSettings
 
 from .render_libraries import read_spectra
-from .scene_files import MATERIAL, AtmosphereEntry, MeshEntry, SceneFile, camera_fields
+from .scene_files import COAT, MATERIAL, AtmosphereEntry, MeshEntry, SceneFile, camera_fields
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,6 @@ def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, 
 
 #: Keys of a car park in metres; without the unit they are arguments of `car_park`.
 _IN_METRES = ("length_m", "width_m", "line_width_m", "margin_m")
-#: Keys of a clear coat behind ``coat_``, to arguments of `Coat`.
-_COAT = {"index": "index", "roughness": "roughness", "gloss": "gloss", "waviness_deg": "waviness"}
 
 
 def _scene(file: SceneFile) -> Scene:
@@ -106,11 +105,12 @@ def _car_park(file: SceneFile) -> Scene:
     for key in _IN_METRES:
         if key in options:
             options[key.removesuffix("_m")] = float(options.pop(key))
-    coat = {key: options.pop(f"coat_{key}") for key in _COAT if f"coat_{key}" in options}
+    options = {key: value for key, value in options.items() if key not in COAT}
+    coat = _coat(file.scene)
     if not options.pop("coat", True):
         options["coat"] = None
-    elif coat:
-        options["coat"] = _coat(coat)
+    elif coat is not None:
+        options["coat"] = coat
     return car_park(**options)
 
 
@@ -146,26 +146,25 @@ def _mesh(entry: MeshEntry) -> Scene:
     return mesh.moved(options.get("offset_m", (0.0, 0.0, 0.0)), float(options.get("heading_deg", 0.0)))
 
 
-def _coat(table: Mapping[str, Any]) -> Coat:
-    # its gloss takes precedence over its roughness
-    arguments = {_COAT[key]: float(value) for key, value in table.items() if key != "gloss"}
-    if "gloss" in table:
-        arguments.pop("roughness", None)
-        return coat_of_gloss(float(table["gloss"]), **arguments)
-    return Coat(**arguments)
+def _coat(table: Mapping[str, Any]) -> Coat | None:
+    # None without keys of a coat; gloss takes precedence over roughness
+    options = arguments_of(COAT, {key: table[key] for key in COAT if key in table})
+    if "gloss" not in options:
+        return Coat(**options) if options else None
+    options.pop("roughness", None)
+    return coat_of_gloss(options.pop("gloss"), **options)
 
 
 def _material(name: str, table: str | Mapping[str, Any], kind: str) -> Material:
     # on a car it is paint unless the table has another class
     table = {"spectrum": table} if isinstance(table, str) else table
     surface = table.get("class", "paint" if kind == "car" else "other")
-    coat = {key: table[f"coat_{key}"] for key in _COAT if f"coat_{key}" in table}
-    share = float(table.get("flakes", 0.0))
+    coat, share = _coat(table), float(table.get("flakes", 0.0))
     return Material(
         f"paint of {name}" if surface == "paint" else name,
         table["spectrum"],
         surface,
-        _coat(coat) if coat or share or surface == "paint" else None,
+        Coat() if coat is None and (share or surface == "paint") else coat,
         Flakes(share) if share else None,
     )
 

@@ -13,6 +13,7 @@ import pytest
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.rendering.materials import Coat
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
 from hyperpaint.workflows.scene_files import read_scene_file
 
@@ -168,7 +169,7 @@ CASES: list[tuple[str, str, str, str, str, str, str]] = [
      CHOICE),
     ("scene", "length_m = 22.0", "size_m = 3.0", "[scene] size_m with kind = 'car_park'", "kind = plane",
      "remove the key, or change the kind", "key-misplaced"),
-    ("scene", "length_m = 22.0", "coat_index = 4", "[scene] coat_index = 4", "a number from 1 to 3",
+    ("scene", "length_m = 22.0", "coat_index = 4", "[scene] coat_index = 4", "a number from 1.001 to 3",
      "correct it, or leave the key out", RANGE),
     ("scene", 'spectrum = "red"', "", "[[meshes]] 1 spectrum is missing", "",
      "name a spectrum, or materials, part by part", "key-missing"),
@@ -223,6 +224,10 @@ DOORS: list[tuple[str, str, Callable[[], Any], str, str]] = [
      "a whole number from 0 to 9223372036854775807", TYPE),
     ("[sampling]", "sun_radius_deg = nan", lambda: TraceSettings(SUNS, sun_radius=float("nan")),
      "a number from 0 to 45", "not-finite"),
+    ("[scene]", "coat_index = 1.0", lambda: Coat(index=1.0), "a number from 1.001 to 3", RANGE),
+    ("[scene]", "coat_roughness = nan", lambda: Coat(roughness=float("nan")), "a number from 0 to 1",
+     "not-finite"),
+    ("[scene]", "coat_waviness_deg = 6", lambda: Coat(waviness=6), "a number from 0 to 5", RANGE),
     ("[[atmospheres]]", "sun_zenith_deg = 90.0", lambda: atmosphere(sun_zenith=90.0), "a number from 0 to 89",
      RANGE),
     ("[[atmospheres]]", "sun_zenith_deg = '60'", lambda: atmosphere(sun_zenith="60"), "a number from 0 to 89",
