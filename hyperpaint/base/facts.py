@@ -219,13 +219,13 @@ class Fact:
             return next(filter(None, map(self._number_fault, value)), None)
         if self.kind == "choice":
             return None if value in self.choices else "choice-unknown"
-        if self.kind == "words" and self.choices and isinstance(value, list):
+        if self.kind == "words" and self.choices and isinstance(value, list | tuple):
             return None if all(word in self.choices for word in value) else "choice-unknown"
         tests: Mapping[str, Callable[[Any], bool]] = {
             "flag": lambda value: isinstance(value, bool),
             "text": is_text,
             "texts": lambda value: all(map(is_text, value if isinstance(value, list) and value else [value])),
-            "words": lambda value: isinstance(value, list) and all(map(is_text, value)),
+            "words": lambda value: isinstance(value, list | tuple) and all(map(is_text, value)),
             "time": lambda value: isinstance(value, str | datetime.date),
             "table": lambda value: isinstance(value, dict),
         }
@@ -327,6 +327,17 @@ def facts_of(owner: Any) -> dict[str, Fact]:
 def by_key(facts: Iterable[Fact]) -> dict[str, Fact]:
     """Return declarations by the keys of a TOML table, in the units of the file."""
     return {one.key or one.name: one.in_file() for one in facts}
+
+
+def argument_facts(function: Callable[..., Any], facts: Iterable[Fact]) -> dict[str, Fact]:
+    """Return declarations by argument, with the defaults of a function; they complete its docstring."""
+    parameters = inspect.signature(function).parameters
+    complete = {}
+    for entry in facts:
+        default = parameters[entry.name].default
+        complete[entry.name] = dataclasses.replace(entry, default=default, optional=default is None)
+    documented(**{name: described(entry) for name, entry in complete.items()})(function)
+    return complete
 
 
 def arguments_of(facts: Facts, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,15 +23,14 @@ from hyperpaint.base.facts import (
     shown,
 )
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
-from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES
-from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS
+from hyperpaint.simulation.rendering.car_parks import BAY, CAR_PARK, note_car_park_faults
 from hyperpaint.simulation.rendering.four_curves import PRESETS
 from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_faults
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
 from hyperpaint.simulation.rendering.sky_models import SKY
-from hyperpaint.simulation.settings import CAMERA_FIELDS, FLEETS, MAX_SEED, SimulationSettings
+from hyperpaint.simulation.settings import CAMERA_FIELDS, SimulationSettings
 
 #: Kinds of generated scenes; any of them may hold meshes as well.
 SCENE_KINDS = ("car_park", "plane", "empty")
@@ -90,9 +89,8 @@ def _number(name: str, doc: str, least: float | None, most: float | None, **opti
     return Fact(name=name, kind="number", doc=doc, least=least, most=most, **options)
 
 
-def _whole(name: str, doc: str, least: int, most: int, **options: Any) -> Fact:
-    return Fact(name=name, kind="whole", doc=doc, least=least, most=most, **options)
-
+#: Keys of a car park but for its coat.
+PARK = by_key((CAR_PARK | {"fleet": dataclasses.replace(CAR_PARK["fleet"], default="real")}).values())
 
 #: Keys of a clear coat; without any of them, a paint keeps its coat.
 COAT = by_key([
@@ -115,8 +113,6 @@ MATERIAL = {
     **COAT,
 }
 
-_SEED = _whole("seed", "chooses cars, paints, places and trees", 0, MAX_SEED, default=0)
-
 #: Fields of the camera's settings that are keys of ``[camera]``; ``[platform]`` has the columns.
 _CAMERA_FIELDS = CAMERA_FIELDS - {"columns"} | {"noise", "dark_frames"}
 
@@ -125,38 +121,14 @@ SCHEMA: Mapping[str, Facts] = {
     "scene": by_key([
         Fact(name="name", doc="name of the scene; by default the name of the file"),
         Fact(name="kind", kind="choice", choices=SCENE_KINDS, default="car_park", doc="kind of scene"),
-        _SEED,
-        # of a plane
         Fact(
             name="size_m", kind="numbers", length=2, single=True, unit="m", least=0.0, above=True,
             default=1000.0, doc="side of a plane, or both of its sides",
         ),
         Fact(name="spectrum", default="asphalt", doc="spectrum of a plane"),
-        # of a car park
-        _number("length_m", "length northwards from y = 0", 1.0, 2000.0, unit="m", default=50.0),
-        _number(
-            "width_m", "width; 16 m hold two rows of cars and an aisle, 32 m four rows", 1.0, 500.0, unit="m",
-            default=32.0,
-        ),
-        _whole("rows", "rows of bays; by default as many as fit", 1, 100),
-        _number("occupancy", "share of the bays that are taken", 0.0, 1.0, default=0.85),
-        Fact(name="paints", kind="words", doc="spectra of the cars, in place of those of the fleet"),
-        Fact(
-            name="fleet", kind="choice", choices=FLEETS, default="real",
-            doc="real: colours, finishes, age and dust of real car parks; solid: fourteen paints",
-        ),
-        Fact(name="types", kind="words", choices=tuple(CAR_TYPES), doc="types of cars; by default all"),
-        Fact(
-            name="neighbours", kind="words", choices=NEIGHBOURS, default=["trees", "walls", "lamps"],
-            doc="things around the car park; [] for an open place",
-        ),
-        Fact(name="panels", kind="flag", default=True, doc="grey panels of known reflectance in the aisle"),
-        Fact(name="islands", kind="flag", default=True, doc="kerbed islands with grass between bays"),
+        *PARK.values(),
         Fact(name="coat", kind="flag", default=True, doc="clear coats; false leaves Lambert paints"),
         *COAT.values(),
-        _number("line_width_m", "width of the lines between bays", 0.02, 1.0, unit="m", default=0.12),
-        _whole("leaves", "leaves of a tree", 0, 100_000, default=2000),
-        _number("margin_m", "width of the ground around the car park", 0.0, 10_000.0, unit="m", default=30.0),
     ]),
     "meshes": by_key([
         Fact(name="path", needed=True, doc="file of triangles: .obj, or .glb and .ply with hyperpaint[mesh]"),
@@ -250,7 +222,7 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
 #: Keys of [scene] for one kind of scene only.
 _KEYS_OF_KIND = {
     "plane": {"size_m", "spectrum"},
-    "car_park": set(SCHEMA["scene"]) - {"name", "kind", "seed", "size_m", "spectrum"},
+    "car_park": {*PARK, "coat", *COAT} - {"seed"},
     "empty": set(),
 }
 
@@ -276,7 +248,14 @@ def _scene(reader: TableReader) -> dict[str, Any]:
         )
     if "scene" not in reader.given:
         kind = "empty"
+    if kind == "car_park" and set(values(table)) == table["?"]:
+        note_car_park_faults(park_arguments(table), reader.problems, _spelled({"scene": table}, ["scene"]))
     return {**{key: value for key, value in values(table).items() if key != "name"}, "kind": kind}
+
+
+def park_arguments(scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `car_park` that a table ``[scene]`` gives, but for the coat."""
+    return arguments_of(PARK, {key: scene.get(key, declared.default) for key, declared in PARK.items()})
 
 
 def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
@@ -452,7 +431,7 @@ def _check_size(scene_file: SceneFile, problems: Problems) -> None:
 
 def _triangles(scene: Mapping[str, Any]) -> float:
     # 1300 a car, two a leaf
-    length, width = scene.get("length_m", 50.0), scene.get("width_m", 32.0)
-    bays = length / 2.5 * scene.get("rows", width / 8.0)
-    trees = length / 7.5 + bays / 10.0 if "trees" in scene.get("neighbours", ["trees"]) else 0.0
-    return float(1300.0 * bays * scene.get("occupancy", 0.85) + 2.0 * trees * scene.get("leaves", 1500))
+    park = park_arguments(scene)
+    bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
+    trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
+    return float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])

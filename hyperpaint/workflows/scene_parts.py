@@ -21,7 +21,7 @@ from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
 from hyperpaint.simulation.settings import SimulationSettings
 
 from .render_libraries import read_spectra
-from .scene_files import COAT, MATERIAL, AtmosphereEntry, MeshEntry, SceneFile, camera_fields
+from .scene_files import COAT, MATERIAL, AtmosphereEntry, MeshEntry, SceneFile, camera_fields, park_arguments
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,6 @@ def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, 
 
 # --- the scene ---------------------------------------------------------------------------------------------
 
-#: Keys of a car park in metres; without the unit they are arguments of `car_park`.
-_IN_METRES = ("length_m", "width_m", "line_width_m", "margin_m")
-
 
 def _scene(file: SceneFile) -> Scene:
     builders = {"car_park": _car_park, "plane": _plane}
@@ -101,17 +98,10 @@ def _scene(file: SceneFile) -> Scene:
 
 
 def _car_park(file: SceneFile) -> Scene:
-    options = {"fleet": "real", **{key: value for key, value in file.scene.items() if key != "kind"}}
-    for key in _IN_METRES:
-        if key in options:
-            options[key.removesuffix("_m")] = float(options.pop(key))
-    options = {key: value for key, value in options.items() if key not in COAT}
-    coat = _coat(file.scene)
-    if not options.pop("coat", True):
-        options["coat"] = None
-    elif coat is not None:
-        options["coat"] = coat
-    return car_park(**options)
+    options = park_arguments(file.scene)
+    if not file.scene.get("coat", True):
+        return car_park(**options, coat=None)
+    return car_park(**options, coat=_coat(file.scene) or "own")
 
 
 def _plane(file: SceneFile) -> Scene:
@@ -180,7 +170,7 @@ def _platform(file: SceneFile, scene: Scene | None) -> Platform:
         options["centre"] = float(east), float(north)
         if file.scene["kind"] == "car_park":
             # the park lies from y = 0 northwards, in the middle of ground that goes on around it
-            options["centre"] = 0.0, float(file.scene.get("length_m", 50.0)) / 2
+            options["centre"] = 0.0, park_arguments(file.scene)["length"] / 2
     return pushbroom(**options)
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
@@ -162,7 +163,7 @@ CASES: list[tuple[str, str, str, str, str, str, str]] = [
     ("scene", 'kind = "car_park"', 'kind = "carpark"',
      "[scene] kind = 'carpark'", "one of car_park, plane, empty",
      'leave the key out for "car_park"', CHOICE),
-    ("scene", "length_m = 22.0", "length_m = 0", "[scene] length_m = 0", "a number from 1 to 2000",
+    ("scene", "length_m = 22.0", "length_m = 0", "[scene] length_m = 0", "a number above 0 and at most 10000",
      "leave the key out for 50.0", RANGE),
     ("scene", "length_m = 22.0", 'neighbours = ["tree"]', "[scene] neighbours = ['tree']",
      "a list of some of trees, walls, hedges, lamps", 'leave the key out for ["trees", "walls", "lamps"]',
@@ -224,6 +225,26 @@ DOORS: list[tuple[str, str, Callable[[], Any], str, str]] = [
      "a whole number from 0 to 9223372036854775807", TYPE),
     ("[sampling]", "sun_radius_deg = nan", lambda: TraceSettings(SUNS, sun_radius=float("nan")),
      "a number from 0 to 45", "not-finite"),
+    ("[scene]", "length_m = 0.0", lambda: car_park(length=0.0), "a number above 0 and at most 10000", RANGE),
+    ("[scene]", "width_m = 'wide'", lambda: car_park(width="wide"),  # type: ignore[arg-type]
+     "a number above 0 and at most 10000", TYPE),
+    ("[scene]", "width_m = 8.0", lambda: car_park(width=8.0), "11.0 m or more for 1 rows of bays",
+     "car-park-too-narrow"),
+    ("[scene]", "rows = 0", lambda: car_park(rows=0), "a whole number from 1 to 199", RANGE),
+    ("[scene]", "occupancy = 1.5", lambda: car_park(occupancy=1.5), "a number from 0 to 1", RANGE),
+    ("[scene]", "paints = []", lambda: car_park(paints=[]), "at least one name", "empty-input"),
+    ("[scene]", "fleet = 'old'", lambda: car_park(fleet="old"), "one of solid, real", CHOICE),
+    ("[scene]", "types = ['tank']", lambda: car_park(types=["tank"]),
+     "a list of some of sedan, hatchback, estate, suv, van, pickup", CHOICE),
+    ("[scene]", "neighbours = ['sea']", lambda: car_park(neighbours=["sea"]),
+     "a list of some of trees, walls, hedges, lamps", CHOICE),
+    ("[scene]", "panels = 1", lambda: car_park(panels=1), "true or false", TYPE),  # type: ignore[arg-type]
+    ("[scene]", "line_width_m = 0.01", lambda: car_park(line_width=0.01), "a number from 0.02 to 1", RANGE),
+    ("[scene]", "leaves = -1", lambda: car_park(leaves=-1), "a whole number from 0 to 100000", RANGE),
+    ("[scene]", "margin_m = inf", lambda: car_park(margin=float("inf")), "a number from 0 to 10000",
+     "not-finite"),
+    ("[scene]", "seed = -1", lambda: car_park(seed=-1),
+     "a whole number from 0 to 9223372036854775807", RANGE),
     ("[scene]", "coat_index = 1.0", lambda: Coat(index=1.0), "a number from 1.001 to 3", RANGE),
     ("[scene]", "coat_roughness = nan", lambda: Coat(roughness=float("nan")), "a number from 0 to 1",
      "not-finite"),

@@ -284,14 +284,22 @@ def test_all_problems_come_in_one_message(write: Write) -> None:
     assert [text for text in ("lines = -1", "'height'", "depth = 0") if text not in message] == []
 
 
+def test_a_narrow_car_park_comes_with_the_other_problems(write: Write) -> None:
+    with pytest.raises(FormatError) as caught:
+        read_scene_file(write("[scene]\nwidth_m = 3\nrows = 2\n[platform]\nlines = 0\ncolumns = 3\n"))
+    narrow, lines = sorted(caught.value.problems, key=lambda problem: problem.code)
+    assert (narrow.found, narrow.code) == ("[scene] width_m = 3", "car-park-too-narrow")
+    assert lines.found == "[platform] lines = 0"
+
+
 def test_problems_of_what_is_built_come_in_one_message(write: Write) -> None:
     message = refused(
         write(
-            "[scene]\nwidth_m = 3\n[platform]\nlines = 4\ncolumns = 3\n"
+            "[scene]\ncoat_gloss = 100\n[platform]\nlines = 4\ncolumns = 3\n"
             "[spectra]\nmine = 'scene.toml'\n[[meshes]]\npath = 'scene.toml'\nspectrum = 'red'\n"
         )
     )
-    assert [text for text in ("[scene]", "[spectra]", "car park") if text not in message] == []
+    assert [text for text in ("[scene]", "[spectra]", "gloss is 100.0 units") if text not in message] == []
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[scene]\nname = '\xff'", b"\0" * 100])

@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Fact, Spelling, as_argument
+from hyperpaint.base.facts import Fact, Spelling, as_argument, check_values
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.simulation.setting_checks import check_whole, finite_floats, moment_of
+from hyperpaint.simulation.setting_checks import finite_floats, moment_of
 from hyperpaint.simulation.settings import MAX_SEED, PIXEL_ANGLE_RAD
 
 from .platform_geometry import (
@@ -150,8 +150,7 @@ def note_pushbroom_faults(
 ) -> None:
     before = len(problems)
     present = {name: value for name, value in values.items() if value is not None}
-    for name, value in present.items():
-        PUSHBROOM[name].note(problems, spelled(name, value), value)
+    check_values(PUSHBROOM, present, problems, spelled)
     for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
         if one in present and other in present:
             problems.add(
@@ -345,7 +344,7 @@ def platform_from_poses(
         )
     }
     _check_poses(poses, seconds, problems)
-    check_whole(problems, "columns", columns, 1, MAX_COLUMNS)
+    check_values(PUSHBROOM, {"columns": columns}, problems)
     PUSHBROOM["ifov"].note(problems, as_argument("ifov", ifov), ifov)
     PUSHBROOM["exposure_time"].note(problems, as_argument("exposure_time", exposure_time), exposure_time)
     problems.raise_if_any()
