@@ -267,7 +267,9 @@ class Fact:
         return dataclasses.replace(self, **ends)
 
     def argument(self, value: Any) -> Any:
-        """Return the argument in Python for a checked value of the file."""
+        """Return the argument in Python for a checked value of the file; None stays."""
+        if value is None:
+            return None
         if isinstance(value, list) and self.kind == "numbers":
             return tuple(map(float, value))
         if self.kind == "numbers":
@@ -338,6 +340,11 @@ def argument_facts(function: Callable[..., Any], facts: Iterable[Fact]) -> dict[
         complete[entry.name] = dataclasses.replace(entry, default=default, optional=default is None)
     documented(**{name: described(entry) for name, entry in complete.items()})(function)
     return complete
+
+
+def filled(facts: Facts, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the value of every key: that of a file, or the default."""
+    return {key: values.get(key, declared.default) for key, declared in facts.items()}
 
 
 def arguments_of(facts: Facts, values: Mapping[str, Any]) -> dict[str, Any]:

@@ -53,6 +53,7 @@ from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 from hyperpaint.io.store.writer import check_room, run_contents, whole_run
+from hyperpaint.simulation.settings import SimulationSettings
 
 from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
 from .render_libraries import read_paints, spectra_digest
@@ -195,7 +196,8 @@ def run(
     # before the scene is built; `check_room` is exact later
     folder = next(parent for parent in out.absolute().parents if parent.exists())
     pixels = file.platform["lines"] * file.platform["columns"]
-    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
+    bands = file.camera.get("bands", SimulationSettings.bands)
+    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * bands)
     free = shutil.disk_usage(folder).free
     if least > free:
         raise StoreError(

@@ -20,6 +20,7 @@ from hyperpaint.base.facts import (
     by_key,
     fact,
     facts_of,
+    filled,
     shown,
 )
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
@@ -85,10 +86,6 @@ class SceneFile:
     )
 
 
-def _number(name: str, doc: str, least: float | None, most: float | None, **options: Any) -> Fact:
-    return Fact(name=name, kind="number", doc=doc, least=least, most=most, **options)
-
-
 #: Keys of a car park but for its coat.
 PARK = by_key((CAR_PARK | {"fleet": dataclasses.replace(CAR_PARK["fleet"], default="real")}).values())
 
@@ -142,8 +139,14 @@ SCHEMA: Mapping[str, Facts] = {
         ),
         Fact(name="offset_m", kind="numbers", length=3, unit="m", doc="shift east, north and up",
              default=[0.0, 0.0, 0.0]),
-        _number("heading_deg", "turn clockwise", -360.0, 360.0, unit="degree", default=0.0),
-        _number("unit_m", "length unit of the file", 0.0, None, above=True, unit="m", default=1.0),
+        Fact(
+            name="heading_deg", kind="number", unit="degree", scale=1.0, least=-360.0, most=360.0,
+            default=0.0, doc="turn clockwise",
+        ),
+        Fact(
+            name="unit_m", kind="number", unit="m", scale=1.0, least=0.0, above=True, default=1.0,
+            doc="length unit of the file",
+        ),
         Fact(name="up", kind="choice", choices=("x", "y", "z"), doc="axis that points up in the file"),
     ]),
     "platform": by_key([
@@ -167,8 +170,6 @@ SCHEMA: Mapping[str, Facts] = {
     "paints": {},
     "output": by_key(facts_of(SceneFile).values()),
 }  # fmt: skip
-
-_DEFAULT_SAMPLING = {key: one.default for key, one in SCHEMA["sampling"].items()}
 
 #: Tables whose keys are the user's names, each with a text.
 NAMED = {
@@ -210,7 +211,7 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
     scene_file = SceneFile(
         path=path, name=reader.one("scene").get("name", path.stem), scene=_scene(reader),
         meshes=_meshes(reader), platform=platform, camera=camera, atmospheres=_atmospheres(reader),
-        sampling=_DEFAULT_SAMPLING | values(reader.one("sampling")),
+        sampling=filled(SCHEMA["sampling"], reader.one("sampling")),
         spectra={name: file for name, file in spectra.items() if file is not None},
         paints=values(reader.one("paints")), **values(reader.one("output")),
     )  # fmt: skip
@@ -255,7 +256,7 @@ def _scene(reader: TableReader) -> dict[str, Any]:
 
 def park_arguments(scene: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of `car_park` that a table ``[scene]`` gives, but for the coat."""
-    return arguments_of(PARK, {key: scene.get(key, declared.default) for key, declared in PARK.items()})
+    return arguments_of(PARK, filled(PARK, scene))
 
 
 def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
@@ -419,7 +420,7 @@ def _check_size(scene_file: SceneFile, problems: Problems) -> None:
                 code="scene-too-large",
             )
     lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
-    bands = scene_file.camera.get("bands", 272)
+    bands = scene_file.camera.get("bands", SimulationSettings.bands)
     if lines * columns * bands > _MAX_VALUES:
         problems.add(
             f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
-from hyperpaint.base.facts import arguments_of
+from hyperpaint.base.facts import arguments_of, filled
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.rendering.appearance import coat_of_gloss
@@ -21,7 +21,16 @@ from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
 from hyperpaint.simulation.settings import SimulationSettings
 
 from .render_libraries import read_spectra
-from .scene_files import COAT, MATERIAL, AtmosphereEntry, MeshEntry, SceneFile, camera_fields, park_arguments
+from .scene_files import (
+    COAT,
+    MATERIAL,
+    SCHEMA,
+    AtmosphereEntry,
+    MeshEntry,
+    SceneFile,
+    camera_fields,
+    park_arguments,
+)
 
 
 @dataclass(frozen=True)
@@ -105,20 +114,21 @@ def _car_park(file: SceneFile) -> Scene:
 
 
 def _plane(file: SceneFile) -> Scene:
-    size = file.scene.get("size_m", 1000.0)
-    spectrum = file.scene.get("spectrum", "asphalt")
-    sides = (float(size), float(size)) if isinstance(size, int | float) else (float(size[0]), float(size[1]))
-    return plane(sides, Material("ground", spectrum, "asphalt" if spectrum == "asphalt" else "other"))
+    facts = SCHEMA["scene"]
+    ground = arguments_of(facts, filled(facts, file.scene))
+    kind = "asphalt" if ground["spectrum"] == "asphalt" else "other"
+    return plane(ground["size_m"], Material("ground", ground["spectrum"], kind))
 
 
 def _mesh(entry: MeshEntry) -> Scene:
-    options = dict(entry.options)
-    kind = options.get("kind", "other")
-    surface = {key: options[key] for key in MATERIAL if key in options}
+    facts = SCHEMA["meshes"]
+    options = arguments_of(facts, filled(facts, entry.options))
+    kind = options["kind"]
+    surface = {key: value for key, value in entry.options.items() if key in MATERIAL}
     default = _material(entry.name, surface, kind) if "spectrum" in surface else None
     parts = {
         part: _material(f"{part} of {entry.name}", table, kind)
-        for part, table in options.get("materials", {}).items()
+        for part, table in (options["materials"] or {}).items()
     }
     painted = [
         material.spectrum
@@ -130,10 +140,10 @@ def _mesh(entry: MeshEntry) -> Scene:
         parts,
         default=default,
         instance=Instance(entry.name, kind, painted[0] if kind == "car" and painted else ""),
-        unit=float(options.get("unit_m", 1.0)),
-        up=options.get("up"),
+        unit=options["unit_m"],
+        up=options["up"],
     )
-    return mesh.moved(options.get("offset_m", (0.0, 0.0, 0.0)), float(options.get("heading_deg", 0.0)))
+    return mesh.moved(options["offset_m"], options["heading_deg"])
 
 
 def _coat(table: Mapping[str, Any]) -> Coat | None:
