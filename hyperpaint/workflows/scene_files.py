@@ -32,6 +32,7 @@ from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
 from hyperpaint.simulation.rendering.scene_record import TraceSettings
 from hyperpaint.simulation.rendering.sky_models import SKY
 from hyperpaint.simulation.settings import CAMERA_FIELDS, SimulationSettings
+from hyperpaint.simulation.transport.path_codes import MAX_SUNS
 
 #: Kinds of generated scenes; any of them may hold meshes as well.
 SCENE_KINDS = ("car_park", "plane", "empty")
@@ -362,6 +363,17 @@ def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
             f"[[atmospheres]] name {name!r} is given to {names.count(name)}",
             mend="give each its own name",
             code="name-duplicate",
+        )
+    suns = set()
+    for entry in entries:
+        zenith, azimuth = PRESETS.get(entry.preset or "", PRESETS["noon"])
+        suns.add((entry.options.get("sun_zenith", zenith), entry.options.get("sun_azimuth", azimuth)))
+    if len(suns) > MAX_SUNS:
+        reader.problems.add(
+            f"[[atmospheres]] have {len(suns)} suns",
+            expected=f"1 to {MAX_SUNS}",
+            mend="render some of them into another store",
+            code="sun-number",
         )
     return tuple(entries)
 

@@ -292,6 +292,14 @@ def test_a_narrow_car_park_comes_with_the_other_problems(write: Write) -> None:
     assert lines.found == "[platform] lines = 0"
 
 
+def test_suns_are_counted_before_the_scene_is_built(write: Write) -> None:
+    lights = [f"[[atmospheres]]\nname = 'a{zenith}'\npreset = 'noon'\nsun_zenith_deg = {zenith}\n"
+              for zenith in range(20, 27)]  # fmt: skip
+    read_scene_file(write(SMALL + "".join(lights[:6]) + "[[atmospheres]]\npreset = 'noon'\n"))
+    with pytest.raises(FormatError, match=r"7 suns, expected 1 to 6; .*sun-number"):
+        read_scene_file(write(SMALL + "".join(lights)))
+
+
 def test_problems_of_what_is_built_come_in_one_message(write: Write) -> None:
     message = refused(
         write(
