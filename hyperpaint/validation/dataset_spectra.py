@@ -78,7 +78,7 @@ def join_detectors(wavelength: Floats) -> Axis:
         if not (before.any() and after.size):
             raise SchemaError(
                 f"one detector's wavelengths lie within another's near {middle:g} nm",
-                mend="open them apart",
+                mend="open them separately",
                 code="detectors-overlap",
             )
         channels = np.concatenate([channels[before], after])
