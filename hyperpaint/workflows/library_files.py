@@ -233,7 +233,7 @@ def _proposed(
     for name, line in lines.items():
         paint = "paint" if len(lines) == 1 else f"{name}_paint"
         done = flagged.get(name)
-        seen, model = (line, None) if done is None else (done.seen, done.model)
+        seen, model = (line, None) if done is None else (done.surveyed, done.model)
         # beside a model, the survey's other options were used already
         taken = _SHARED if done else set(options) - {"edge"}
         shared = {key: options[key] for key in taken if key in options}

@@ -38,7 +38,7 @@ from hyperpaint.radiometry import to_nominal
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.geojson import regions_from
 from hyperpaint.surroundings.corrections import sky_above
-from hyperpaint.surroundings.light_split import says_its_split, split_of
+from hyperpaint.surroundings.light_split import has_split, split_of
 
 # -- Scores of spectra against paints, and distances of spectra from paints: plain arrays, float64.
 
@@ -713,7 +713,7 @@ def _part_of(cube: Array, clear: Bools, bands: Ints, number: int, size: int) -> 
 
 def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
     # Sky that a level coat mirrors, up to a factor (band,); None where it is not declared
-    if not says_its_split(line):
+    if not has_split(line):
         return None
     split = split_of(line, None, None).mean()
     sky = np.asarray((split.fraction * sky_above(split)).values, np.float64)[bands]

@@ -35,7 +35,7 @@ from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINT
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky
-from hyperpaint.surroundings.light_split import says_its_split, split_of, warn_of_contradiction
+from hyperpaint.surroundings.light_split import has_split, split_of, warn_of_contradiction
 
 # -- Cells of a map as pixels of the flight line that they show.
 # Nearest resampling repeats some pixels and leaves others out; statistics count every pixel once.
@@ -473,7 +473,7 @@ def _light_of(
     line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, needed: bool
 ) -> SplitOfLines | None:
     # Division of the light of each line, in memory; None where the line does not declare it
-    if not needed and (diffuse is None and not says_its_split(line)):
+    if not needed and (diffuse is None and not has_split(line)):
         return None
     with warnings.catch_warnings():  # remove_mirrored_sky has warned already
         warnings.simplefilter("ignore", PaintWarning)
