@@ -92,7 +92,7 @@ def write_signatures(
         holds something else, and ``overwrite`` is False.
     """
     from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
-    from hyperpaint.paints.signatures.extraction import GATHERED_BYTES
+    from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
@@ -140,7 +140,7 @@ def write_signatures(
     with contextlib.ExitStack() as stack:
         for name, line in lines.items():
             if name not in maps:
-                load, besides = budget.Load.of(line), budget.LOADED + GATHERED_BYTES
+                load, besides = budget.Load.of(line), budget.LOADED + MAX_GATHERED_BYTES
                 subject = f"extracting from {name or store}"
                 stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
         library = extract_signatures(lines, targets, progress=share, **options)
