@@ -231,7 +231,7 @@ def test_every_problem_of_the_file_is_listed(folder: Path) -> None:
 
 def test_duplicate_ids_are_refused_whatever_their_case(folder: Path) -> None:
     path = change(folder, (r'^id = "raw_30"', 'id = "RAW_0"'))
-    assert "'raw_0' is given to 2 lines" in problems_of(path)
+    assert "2 lines have the id 'raw_0'" in problems_of(path)
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "..", ".hidden", "zarr.json", "c", "a b", "x" * 200])
