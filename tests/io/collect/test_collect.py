@@ -290,7 +290,7 @@ def test_problems_of_all_files_come_in_one_message(folder: Path) -> None:
     assert "exposure_time_ms = -1, expected a number above 0" in text
     assert "the file is 3 bytes longer than its header says" in text
     assert "6 bands x 5 columns, the calibration 5 bands x 5 columns" in text
-    assert "repeats or runs backwards in line 3" in text
+    assert "repeats or decreases in line 3" in text
 
 
 def test_one_problem_shared_by_the_lines_is_said_once(folder: Path) -> None:
