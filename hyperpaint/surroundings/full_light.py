@@ -217,7 +217,7 @@ class Mixtures(NamedTuple):
     misfit: Floats  #: (n,): Root mean square of the residual, relative to the reflectance [1].
 
     def subset(self, mask: Bools) -> Mixtures:
-        return Mixtures(*(values[mask] for values in self))
+        return Mixtures._make(values[mask] for values in self)
 
 
 def without_sun(mixtures: Mixtures) -> Bools:

@@ -256,9 +256,9 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
 
     own_rmse = np.array([rmse(comparison, comparison) for comparison in compared])
     candidates = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
-    candidates = sorted(candidates[np.argsort(-own_rmse[candidates])][:_EXCHANGED_MAX_PAINTS])
+    farthest = np.sort(candidates[np.argsort(-own_rmse[candidates])][:_EXCHANGED_MAX_PAINTS]).tolist()
     texts = []
-    for i, j in itertools.combinations(candidates, 2):
+    for i, j in itertools.combinations(farthest, 2):
         first, second = compared[i], compared[j]
         names = first.pair.signature.name, second.pair.signature.name
         comparable = first.instrument == second.instrument and names[0] != names[1]
