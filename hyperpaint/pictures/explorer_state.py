@@ -33,7 +33,7 @@ from hyperpaint.regions.pixels_in_regions import renumbered
 from .drawn_regions import RegionFiles, corners_at, regions_on
 from .orientation import map_dims, orientation_of
 from .plot import STRETCH, flag_label, linear_srgb, percent, stored_picture, visible_bands
-from .plot_flags import FLAG_COLOURS, reduced_lines
+from .plot_flags import reduced_lines
 from .plot_spectra import good_of
 
 # Recipe of a picture: true colour, or the wavelengths of one or of three bands [nm].
@@ -441,7 +441,7 @@ class Explored:
         if self._quality is not None:
             bits = reduced_lines(self._quality[first:last], step, np.bitwise_or)
             for flag in sorted(flags, key=lambda flag: -self.flag_shares.get(flag, 0.0)):
-                colour = (*bytes.fromhex(FLAG_COLOURS[flag][1:]), _FLAG_OPACITY)
+                colour = (*bytes.fromhex(flag.colour[1:]), _FLAG_OPACITY)
                 drawn[(bits.T & int(flag)) != 0] = colour
         return Picture(drawn.view(np.uint32)[..., 0], first, first + rows * step, "")
 

@@ -24,7 +24,7 @@ from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
 from .orientation import orientation_of, show_picture
 from .plot import flag_label, percent, rgb
-from .plot_flags import FLAG_COLOURS, draw_outlines
+from .plot_flags import draw_outlines
 from .plot_spectra import draw_band, draw_curve, find_usable, good_of, styles_of
 
 MARGIN = 0.6  # around a region, relative to its longer side
@@ -192,9 +192,9 @@ def _draw_exclusions(axes: Any, around: xr.Dataset, inside: Bools, region: Regio
         here = (bits & int(flag)) != 0
         if not here.any():
             continue
-        drawn[here] = to_rgb(FLAG_COLOURS[flag])
+        drawn[here] = to_rgb(flag.colour)
         name = f"{flag_label(flag)}  {percent(share) if share else 'outside only'}"
-        entries[name] = Patch(facecolor=FLAG_COLOURS[flag], edgecolor="0.5", lw=0.5)
+        entries[name] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
     show_picture(axes, drawn, orientation)
     axes.set(ylabel="")
     draw_outlines(axes, [region], width=1.2, named=False)

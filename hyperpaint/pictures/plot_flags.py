@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,27 +31,6 @@ from .figures import (
 )
 from .orientation import Orientation, orientation_of, show_picture
 from .plot import flag_label, flags_of, percent, rgb, stored_picture
-
-#: Colour of every flag, the same in all pictures.
-#:
-#: Palettes for colour-blind readers have 8 colours (Okabe and Ito) or 10 (Tol), flags are 13: these were
-#: searched so that any two differ by 15 or more in CIEDE2000, also as protanopes and deuteranopes see them
-#: (Machado et al., IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009).
-FLAG_COLOURS: Mapping[Quality, str] = {
-    Quality.SATURATED: "#ff3300",
-    Quality.BELOW_DARK: "#330080",
-    Quality.BAD_DETECTOR: "#808080",
-    Quality.IRRADIANCE_GAP: "#80334d",
-    Quality.ILLUMINATION_UNSTABLE: "#e6ffb3",
-    Quality.LOW_SUN: "#990000",
-    Quality.GLINT: "#4de6cc",
-    Quality.SHADOW: "#0033ff",
-    Quality.ADJACENCY: "#9980ff",
-    Quality.MIXED_EDGE: "#66b380",
-    Quality.OFF_SWATH: "#99ccff",
-    Quality.NO_DATA: "#000000",
-    Quality.TIMING_SENSITIVE: "#e6cc00",
-}
 
 
 @documented()
@@ -184,12 +163,12 @@ def _draw_flags(
     bits = reduced_lines(quality, step, np.bitwise_or)
     drawn = np.zeros((*bits.shape, 4), np.float32)
     for flag in sorted(shown, key=lambda flag: -shares.get(flag, 0.0)):
-        drawn[(bits & int(flag)) != 0] = (*to_rgb(FLAG_COLOURS[flag]), opacity)
+        drawn[(bits & int(flag)) != 0] = (*to_rgb(flag.colour), opacity)
     show_picture(axes, drawn, orientation)
     entries = {}
     for flag in shown:
         label = f"{flag_label(flag)}  {percent(shares.get(flag, 0.0))}"
-        entries[label] = Patch(facecolor=FLAG_COLOURS[flag], edgecolor="0.5", lw=0.5)
+        entries[label] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
     entries = entries or {"no flag set": Patch(facecolor="none")}
     title = "share of pixels"
     if axes_width(axes) < _NARROW_INCH:

@@ -31,7 +31,6 @@ from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.figures import encode_png
 from hyperpaint.pictures.orientation import laid_down, orientation_of
 from hyperpaint.pictures.plot import flag_label, rgb
-from hyperpaint.pictures.plot_flags import FLAG_COLOURS
 from hyperpaint.pictures.plot_spectra import find_usable
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
@@ -211,8 +210,7 @@ class _Site(NamedTuple):
             "lines": self.lines,
             "libraries": self.libraries,
             "flags": [
-                {"mask": int(flag), "name": flag_label(flag), "colour": FLAG_COLOURS[flag]}
-                for flag in Quality
+                {"mask": int(flag), "name": flag_label(flag), "colour": flag.colour} for flag in Quality
             ],
         }
         (folder / "pictures").mkdir()

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 
-from .flight import PIXEL_ANGLE, Flight, Layer, Lines, Seen
+from .flight import Flight, Layer, Lines, Seen
 from .paint_spectra import reflectance
-from .settings import SimulationSettings
+from .settings import PIXEL_ANGLE_RAD, SimulationSettings
 
 _SQUARES = ("panel_05", "panel_50")
 _LINES_AT_ONCE = 32  # a slab that stays in the cache
@@ -189,7 +189,7 @@ class CheckerboardFlight(Flight):
 
     def _look(self, start: int, stop: int) -> dict[str, Floats]:
         origin, rotation = (part[start:stop] for part in self._cameras)
-        across, aside = self._tangents, 0.5 * PIXEL_ANGLE
+        across, aside = self._tangents, 0.5 * PIXEL_ANGLE_RAD
         begin, now, end = (self._places(origin[:, k], rotation[:, k], across) for k in range(3))
         east, north, height = self._map(now)
         camera = origin[:, 1], rotation[:, 1]

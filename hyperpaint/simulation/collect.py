@@ -26,7 +26,7 @@ from hyperpaint.base.schema import CHUNK_LINES
 from .atmosphere import spectral_grid
 from .camera import convolve_gaussian
 from .checkerboard_flight import CheckerboardFlight
-from .flight import PIXEL_ANGLE, Flight, Lines, sky_irradiance
+from .flight import Flight, Lines, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
     SVC_DETECTORS,
@@ -42,7 +42,7 @@ from .instruments import (
 )
 from .painted_regions import REGIONS, PaintedRectangles
 from .plan_flight import PlanFlight
-from .settings import ORIGIN, SimulationSettings
+from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
 from .stores import TruthStore, line_dataset, store_sweep, write_calibration
 from .sweep import Sweep, SweepSettings
 from .trajectories import CONVENTION
@@ -397,7 +397,7 @@ nav = "flight/imu_gps.txt"
         for name in [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     )
     navigation = "\n".join(f'{key} = "{value}"' for key, value in CONVENTION.items())
-    half_width = settings.columns / 2 * PIXEL_ANGLE
+    half_width = settings.columns / 2 * PIXEL_ANGLE_RAD
     mounting = {"boresight_deg": flight.trajectory.boresight, "lever_arm_m": flight.trajectory.lever_arm}
     geometry = "\n".join(f"{key} = {[float(number) for number in three]}" for key, three in mounting.items())
     uncertainty_s = settings.clock_uncertainty_s

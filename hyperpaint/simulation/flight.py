@@ -27,7 +27,7 @@ from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
 from .optics import Optics
 from .paint_spectra import reflectance
 from .rendering.sky_models import cloud_transmittance, relative_air_mass
-from .settings import ORIGIN, SimulationSettings
+from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
 from .trajectories import LocalFrame, Trajectory, TransverseMercator
 
 _OVERCAST = 8.0  # oktas
@@ -60,9 +60,6 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
         return np.stack([np.zeros_like(diffuse), diffuse])
     return clear
 
-
-#: Pixel pitch over focal length [rad].
-PIXEL_ANGLE = 7.4e-6 / 12e-3
 
 # keys of the random streams: [seed, stream, line], so that nothing depends on how lines are grouped; those of
 # what is flown over stand in the modules of those flights
@@ -218,7 +215,7 @@ class Flight(abc.ABC):
     def look_angle(self) -> Floats:
         # Angle of every column's line of sight, positive to the right, shape (column,) [degree].
         column = np.arange(self.settings.columns) - 0.5 * (self.settings.columns - 1)
-        return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE)))
+        return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE_RAD)))
 
     @cached_property
     def start(self) -> int:
@@ -372,7 +369,7 @@ class Flight(abc.ABC):
     @cached_property
     def trajectory(self) -> Trajectory:
         speed = self.ground_sample / (self.settings.frame_period_ms / 1e3)
-        return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE)
+        return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE_RAD)
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
         # Position and attitude of the navigation system at times from the first line [s].

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
-from .flight import PIXEL_ANGLE, Flight, Layer, Lines, Seen
+from .flight import Flight, Layer, Lines, Seen
 from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
@@ -32,7 +32,7 @@ from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of
 from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
-from .settings import SWATH_M, SimulationSettings
+from .settings import PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
 from .transport.path_blocks import Block
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
@@ -136,7 +136,7 @@ class RenderedFlight(Flight):
         # how far ahead the camera may look, and length of park before its view [m]
         path = self.trajectory
         lean = float(np.tan(np.radians(max(_MIN_LEAN_DEG, path.steepest))))
-        ahead = lean * self.ground_sample / PIXEL_ANGLE
+        ahead = lean * self.ground_sample / PIXEL_ANGLE_RAD
         turned = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
         before = ahead + max(_MARGIN_BEFORE_M, turned + 1.0) + max(map(abs, path.lever_arm))
         start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
@@ -167,8 +167,8 @@ class RenderedFlight(Flight):
         # Camera poses at begin and end of every exposure.
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
-        edges = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64) * PIXEL_ANGLE
-        along = np.array([-0.5, 0.5]) * PIXEL_ANGLE
+        columns = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64)
+        edges, along = columns * PIXEL_ANGLE_RAD, np.array([-0.5, 0.5]) * PIXEL_ANGLE_RAD
         return Platform(
             *self.trajectory.camera(moment), edges, along, self.line_times, settings.exposure_time
         )

@@ -2,36 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems
-from hyperpaint.base.facts import Fact, as_argument, one_of
-
-
-def check_choice(problems: Problems, name: str, value: object, allowed: Collection[str]) -> None:
-    one_of(value, allowed, name, problems=problems)
-
-
-def check_whole(problems: Problems, name: str, value: Any, low: int, high: int | None = None) -> None:
-    Fact(doc=name, kind="whole", least=low, most=high).note(problems, as_argument(name, value), value)
-
-
-def check_number(
-    problems: Problems,
-    name: str,
-    value: object,
-    low: float,
-    high: float | None = None,
-    *,
-    above: bool = False,
-) -> None:
-    """Note a value that is not a number from ``low`` to ``high``; ``above`` excludes ``low`` itself."""
-    fact = Fact(doc=name, kind="number", least=low, most=high, above=above)
-    fact.note(problems, as_argument(name, value), value)
 
 
 def finite_floats(values: Any, name: str, problems: Problems) -> Floats:

@@ -33,6 +33,9 @@ WOBBLES = ("none", "slow", "calm", "rough")
 #: Width of a scene across the track, unless it is a checkerboard.
 SWATH_M = 16.0
 
+#: Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad].
+PIXEL_ANGLE_RAD = 7.4e-6 / 12e-3
+
 #: Maximum number of paths that are traced for a pixel.
 MOST_SAMPLES = 1 << 14
 

@@ -248,7 +248,7 @@ def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
     found = hp.validate(paints, references)
     pairs = list(zip(found.statistics["signature"].values, found.statistics.reference.values, strict=True))
     assert pairs == [("hood", "svc/red_01.sig"), ("roof", "roof.asd.txt")]
-    assert found.unpaired_signatures == ("door (wants 'nowhere')", "bonnet")
+    assert found.unpaired_signatures == ("door (no reference 'nowhere')", "bonnet")
     assert found.unpaired_references == ("hood (ASD)", "other (ASD)")
     for text in ("without a reference: door", "references without a paint: hood"):
         assert text in found.table()

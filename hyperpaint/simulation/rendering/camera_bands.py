@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.simulation.camera import cubic_weights, line_shape
-from hyperpaint.simulation.setting_checks import check_choice, finite_floats
+from hyperpaint.simulation.setting_checks import finite_floats
 from hyperpaint.simulation.settings import SHAPES, SimulationSettings
 
 _GAUSSIAN_REACH = 2.5  # full widths; beyond them lies 1e-8 of a Gaussian's area
@@ -85,7 +86,7 @@ class BandSet:
             problems.add(
                 f"fwhm falls to {fwhm.min():g} nm", expected="a width above 0", code="value-out-of-range"
             )
-        check_choice(problems, "shape", self.shape, SHAPES)
+        one_of(self.shape, SHAPES, "shape", problems=problems)
         shift = None
         if self.wavelength_shift is not None:
             shift = finite_floats(self.wavelength_shift, "wavelength_shift", problems)

@@ -20,13 +20,14 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import check_values, one_of
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
-from hyperpaint.simulation.setting_checks import check_number
 
 from .sky_models import (
     CIE_OVERCAST_SHARE,
     HAZE,
+    SKY,
     Haze,
     Spread,
     built_in_sky,
@@ -47,12 +48,10 @@ _SHARES = {
     "aureole": ("1", "Share of skylight that is spread around the sun, as aerosol scatters it"),
 }
 _NUMBERS = {
-    "sun_zenith": ("degree", "Angle between the sun and the vertical"),
-    "sun_azimuth": ("degree", "Direction of the sun, clockwise from north"),
-    "overcast_share": ("1", "Share of skylight whose radiance goes with the cosine of the zenith angle"),
+    name: (SKY[name].unit or "1", SKY[name].doc.capitalize())
+    for name in ("sun_zenith", "sun_azimuth", "overcast_share")
 }
 _RANGE = (340.0, 1100.0)  # nm, of the built-in sky
-_MAX_SUN_ZENITH_DEG = 89.0  # degree; below, neither air mass nor four curves mean much
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,14 +119,7 @@ class Atmosphere:
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
         check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES, *_SHARES)})
-        check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _MAX_SUN_ZENITH_DEG)
-        if not np.isfinite(self.sun_azimuth):
-            problems.add(
-                f"sun_azimuth={self.sun_azimuth!r}",
-                expected="degrees clockwise from north",
-                code="not-finite",
-            )
-        check_number(problems, "overcast_share", self.overcast_share, 0.0, 1.0)
+        check_values(SKY, {name: getattr(self, name) for name in _NUMBERS}, problems)
         if not problems and self.uniform.min(initial=0.0) < -1e-9:
             whole = 1.0 - self.uniform.min()
             problems.add(
@@ -307,10 +299,11 @@ class Atmosphere:
             level = sun * np.cos(np.radians(sun_zenith))
             direct_fraction = level / (level + sky)
         fraction = np.asarray(direct_fraction, dtype=np.float64)
-        if fraction.shape not in ((), grid.shape) or not ((fraction >= 0.0) & (fraction <= 1.0)).all():
+        share = SKY["direct_fraction"]
+        if fraction.shape not in ((), grid.shape) or any(map(share.fault, fraction.ravel().tolist())):
             raise SchemaError(
                 f"direct_fraction of shape {fraction.shape}",
-                expected=f"one number or an array of shape {grid.shape}, from 0 to 1",
+                expected=f"{share.expected}, or an array of such numbers of shape {grid.shape}",
                 code="value-out-of-range",
             )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
@@ -465,8 +458,8 @@ class Atmosphere:
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
 
 
-#: The three atmospheres of the paper.
-PRESETS = ("noon", "near_sunset", "cloudy")
+#: Zenith angle and azimuth of the sun in the three atmospheres of the paper [degree].
+PRESETS = {"noon": (25.0, 180.0), "near_sunset": (82.0, 265.0), "cloudy": (25.0, 180.0)}
 
 
 @functools.cache
@@ -496,11 +489,6 @@ def preset_atmosphere(name: str) -> Atmosphere:
     >>> preset_atmosphere("near_sunset").sun_zenith
     82.0
     """
-    if name == "near_sunset":
-        return Atmosphere.clear(82.0, 265.0, name=name)
-    if name in PRESETS:
-        noon = Atmosphere.clear(25.0, 180.0, name=name)
-        return noon if name == "noon" else replace(noon.clouded(8.0), name=name)
-    raise SchemaError(
-        f"there is no atmosphere {name!r}", expected=f"one of {', '.join(PRESETS)}", code="choice-unknown"
-    )
+    one_of(name, PRESETS, "preset")
+    clear = Atmosphere.clear(*PRESETS[name], name=name)
+    return replace(clear.clouded(8.0), name=name) if name == "cloudy" else clear

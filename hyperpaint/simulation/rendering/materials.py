@@ -16,7 +16,7 @@ proportional to ``R``; the base itself is ``b = q / (1 + q Fi)`` with ``q = R n^
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from typing import Literal
 
 import numpy as np
@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.simulation.setting_checks import check_choice, check_number
+from hyperpaint.base.facts import check_fields, declared, fact, one_of
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 
@@ -46,18 +46,10 @@ KINDS = (
 )
 
 
+@declared
 @dataclass(frozen=True)
 class Coat:
     """A clear coat of one refractive index at all wavelengths.
-
-    Attributes
-    ----------
-    index
-        Refractive index, above 1 and up to 3.
-    roughness
-        GGX alpha of its surface, 0 (a mirror) to 1; by default that of a fresh topcoat.
-    waviness
-        Orange peel: root mean square slope of its waves of millimetres to a centimetre, 0 to 5 [degree].
 
     Raises
     ------
@@ -65,28 +57,40 @@ class Coat:
         An attribute is outside its range; all are listed.
     """
 
-    index: float = 1.5
-    roughness: float = 1e-3
-    waviness: float = 0.15
+    index: float = fact(
+        1.5, "refractive index of the clear coat", key="coat_index", scale=1.0, least=1.001, most=3.0
+    )
+    roughness: float = fact(
+        1e-3,
+        "roughness of the clear coat, GGX alpha; 0 is a mirror",
+        key="coat_roughness",
+        scale=1.0,
+        least=0.0,
+        most=1.0,
+    )
+    waviness: float = fact(
+        0.15,
+        "orange peel: root mean square slope of waves of millimetres to a centimetre",
+        unit="degree",
+        key="coat_waviness_deg",
+        scale=1.0,
+        least=0.0,
+        most=5.0,
+    )
 
     def __post_init__(self) -> None:
         problems = Problems("a clear coat cannot be made", SchemaError)
-        check_number(problems, "index", self.index, 1.001, 3.0)
-        check_number(problems, "roughness", self.roughness, 0.0, 1.0)
-        check_number(problems, "waviness", self.waviness, 0.0, 5.0)
+        check_fields(self, problems)
         problems.raise_if_any()
 
 
+@declared
 @dataclass(frozen=True)
 class Flakes:
     """Metal flakes under the coat, a broad lobe around the mirror direction.
 
     Attributes
     ----------
-    share
-        Part of the light entering the paint that meets flakes rather than pigment, 0 to 1.
-    roughness
-        GGX alpha of the lobe, above 0 and up to 1.
     spectrum
         Name of their reflectance spectrum: light comes back the way it came.
     turned
@@ -100,15 +104,22 @@ class Flakes:
         An attribute is outside its range; all are listed.
     """
 
-    share: float
-    roughness: float = 0.15
+    share: float = fact(
+        MISSING,
+        "share of the light entering the paint that meets metal flakes rather than pigment",
+        kind="number",
+        key="flakes",
+        scale=1.0,
+        least=0.0,
+        most=1.0,
+    )
+    roughness: float = fact(0.15, "GGX alpha of the lobe", least=0.0, above=True, most=1.0)
     spectrum: str = "aluminium"
     turned: str = ""
 
     def __post_init__(self) -> None:
         problems = Problems("metal flakes cannot be made", SchemaError)
-        check_number(problems, "share", self.share, 0.0, 1.0)
-        check_number(problems, "roughness", self.roughness, 0.0, 1.0, above=True)
+        check_fields(self, problems)
         if not self.spectrum:
             problems.add("spectrum is empty", expected="a name such as 'aluminium'", code="argument-missing")
         problems.raise_if_any()
@@ -155,7 +166,7 @@ class Material:
             problems.add(
                 "spectrum is empty", expected="the name of a reflectance spectrum", code="argument-missing"
             )
-        check_choice(problems, "kind", self.kind, KINDS)
+        one_of(self.kind, KINDS, "kind", problems=problems)
         if self.flakes is not None and self.coat is None:
             problems.add("flakes without a coat", mend="pass coat=Coat()", code="coat-missing")
         if self.transmittance and self.coat is not None:

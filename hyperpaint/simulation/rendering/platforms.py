@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Fact, Spelling, as_argument
+from hyperpaint.base.facts import Fact, Spelling, as_argument, check_values
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.simulation.setting_checks import check_whole, finite_floats, moment_of
-from hyperpaint.simulation.settings import MAX_SEED
+from hyperpaint.simulation.setting_checks import finite_floats, moment_of
+from hyperpaint.simulation.settings import MAX_SEED, PIXEL_ANGLE_RAD
 
 from .platform_geometry import (
     MAX_COLUMNS,
@@ -26,9 +26,6 @@ from .platform_geometry import (
     quaternions,
     turns,
 )
-
-#: Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad].
-IFOV = 7.4e-6 / 12e-3
 
 _WOBBLE = 16  # key of the random stream
 _WOBBLE_RATES = np.geomspace(0.15, 6.0, 9)  # Hz
@@ -153,8 +150,7 @@ def note_pushbroom_faults(
 ) -> None:
     before = len(problems)
     present = {name: value for name, value in values.items() if value is not None}
-    for name, value in present.items():
-        PUSHBROOM[name].note(problems, spelled(name, value), value)
+    check_values(PUSHBROOM, present, problems, spelled)
     for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
         if one in present and other in present:
             problems.add(
@@ -188,7 +184,7 @@ def note_pushbroom_faults(
 def _pixel_angle(values: dict[str, Any]) -> float:
     if values.get("ground_sample") is not None:
         return float(values["ground_sample"] / values.get("altitude", PUSHBROOM["altitude"].default))
-    return IFOV if values.get("ifov") is None else float(values["ifov"])
+    return PIXEL_ANGLE_RAD if values.get("ifov") is None else float(values["ifov"])
 
 
 def _is_flight_time(value: Any) -> bool:
@@ -286,7 +282,7 @@ def platform_from_poses(
     heading: ArrayLike,
     *,
     columns: int,
-    ifov: float = IFOV,
+    ifov: float = PIXEL_ANGLE_RAD,
     line_time: ArrayLike | None = None,
     exposure_time: float = 5e-3,
     boresight: Sequence[float] = (0.0, 0.0, 0.0),
@@ -348,7 +344,7 @@ def platform_from_poses(
         )
     }
     _check_poses(poses, seconds, problems)
-    check_whole(problems, "columns", columns, 1, MAX_COLUMNS)
+    check_values(PUSHBROOM, {"columns": columns}, problems)
     PUSHBROOM["ifov"].note(problems, as_argument("ifov", ifov), ifov)
     PUSHBROOM["exposure_time"].note(problems, as_argument("exposure_time", exposure_time), exposure_time)
     problems.raise_if_any()

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.simulation.setting_checks import check_choice
+from hyperpaint.base.facts import one_of
 
 from .materials import Material
 
@@ -166,7 +166,7 @@ class Scene:
         _check_names(problems, "material", [material.name for material in self.materials])
         _check_names(problems, "instance", [instance.name for instance in self.instances])
         for thing in self.instances:
-            check_choice(problems, f"kind of instance {thing.name!r}", thing.kind, INSTANCE_KINDS)
+            one_of(thing.kind, INSTANCE_KINDS, f"kind of instance {thing.name!r}", problems=problems)
         problems.raise_if_any()
         with_area = has_area(vertices, faces)
         warn_of_dropped(self.name, with_area)

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.setting_checks import check_number, check_whole
-from hyperpaint.simulation.settings import MOST_SAMPLES
+from hyperpaint.base.facts import check_fields, declared, fact
+from hyperpaint.simulation.settings import MAX_SEED, MOST_SAMPLES
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
     MAX_SUNS,
@@ -28,10 +28,8 @@ from .scene_spectra import FOURTEEN
 
 _MAX_SLOTS = 4096
 
-#: Angular radius of the sun [degree].
-SUN_RADIUS_DEG = 0.267
 
-
+@declared
 @dataclass(frozen=True)
 class TraceSettings:
     """Settings of a trace.
@@ -40,7 +38,7 @@ class TraceSettings:
     ----------
     suns
         Zenith and azimuth, clockwise from north, of every sun [degree].
-    samples, depth, seed, slots, overcast, clear, sun_radius
+    overcast, clear
         As for `tracing.trace`.
 
     Raises
@@ -50,13 +48,29 @@ class TraceSettings:
     """
 
     suns: tuple[tuple[float, float], ...]
-    samples: int = 64
-    depth: int = 4
-    seed: int = 0
-    slots: int | None = None
+    samples: int = fact(
+        64, "rays of a pixel: noise falls with the root of their number", least=1, most=MOST_SAMPLES
+    )
+    depth: int = fact(4, "scatterings of a ray", least=1, most=32)
+    slots: int | None = fact(
+        None,
+        "stored paths of a pixel; by default enough for the lights",
+        kind="whole",
+        least=1,
+        most=_MAX_SLOTS,
+    )
+    seed: int = fact(0, "chooses the rays", least=0, most=MAX_SEED)
+    sun_radius: float = fact(
+        0.267,
+        "angular radius of the sun",
+        unit="degree",
+        key="sun_radius_deg",
+        scale=1.0,
+        least=0.0,
+        most=45.0,
+    )
     overcast: bool = False
     clear: bool = True
-    sun_radius: float = SUN_RADIUS_DEG
 
     def __post_init__(self) -> None:
         problems = Problems("the scene cannot be traced", SchemaError)
@@ -73,12 +87,7 @@ class TraceSettings:
                     expected="0 to below 90 degrees",
                     code="value-out-of-range",
                 )
-        check_whole(problems, "samples", self.samples, 1, MOST_SAMPLES)
-        check_whole(problems, "depth", self.depth, 1, 32)
-        check_whole(problems, "seed", self.seed, 0, 2**63 - 1)
-        if self.slots is not None:
-            check_whole(problems, "slots", self.slots, 1, _MAX_SLOTS)
-        check_number(problems, "sun_radius", self.sun_radius, 0.0, 45.0)
+        check_fields(self, problems)
         problems.raise_if_any()
 
     @property
