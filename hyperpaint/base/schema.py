@@ -144,16 +144,16 @@ class Quality(IntFlag):
         flag.source, flag.colour, flag.condition, flag.samples = source, colour, condition, samples
         return flag
 
-    SATURATED = 1, "counts", "#ff3300", "a band within 16 counts of the converter's limit", "those bands NaN"
-    BELOW_DARK = 2, "counts", "#330080", "a band 5 sigma below the dark, or a tenth of the bands negative"
+    SATURATED = 1, "counts", "#ff3300", "a band within 16 counts of the converter's maximum", "the band NaN"
+    BELOW_DARK = 2, "counts", "#330080", "a band 5 sigma of noise below the dark, or over 10 % of bands below"
     BAD_DETECTOR = 4, "counts", "#808080", "bad elements in over 5 % of the good bands", "bad elements NaN"
-    IRRADIANCE_GAP = 8, "light", "#80334d", "outside the record, or a gap over `irradiance_max_gap`", "NaN"
+    IRRADIANCE_GAP = 8, "light", "#80334d", "outside the record, or in a gap over `irradiance_max_gap`", "NaN"
     ILLUMINATION_UNSTABLE = 16, "light", "#e6ffb3", "irradiance changes by over 2 % between two samples"
     LOW_SUN = 32, "light", "#990000", "sun more than 75 degrees from the zenith"
-    GLINT = 64, "scene", "#4de6cc", "the mirror image of the sun in the coat adds over 4 % to the other light"
-    SHADOW = 128, "scene", "#0033ff", "over a fifth of the direct light is blocked"
-    ADJACENCY = 256, "scene", "#9980ff", "coloured neighbours add over 1 %"
-    MIXED_EDGE = 512, "scene", "#66b380", "the pixel lies on an edge between surfaces"
+    GLINT = 64, "scene", "#4de6cc", "the sun mirrored by the clear coat adds over 4 % to the other light"
+    SHADOW = 128, "scene", "#0033ff", "over 20 % of direct sunlight blocked on the ground, 60 % on objects"
+    ADJACENCY = 256, "scene", "#9980ff", "light of neighbours adds over 0.01 to the reflectance of a band"
+    MIXED_EDGE = 512, "scene", "#66b380", "the pixel contains an edge between surfaces"
     OFF_SWATH = 1024, "map", "#99ccff", "no pixel covers this cell of a map", "NaN"
     NO_DATA = 2048, "counts", "#000000", "a dropped frame, or NaN counts", "NaN"
     TIMING_SENSITIVE = 4096, "light", "#e6cc00", "irradiance changes by over 1 % within the clock uncertainty"

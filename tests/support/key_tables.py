@@ -38,7 +38,7 @@ def key_tables(schema: Mapping[str, Facts], lists: tuple[str, ...]) -> list[str]
 
 def flag_table() -> str:
     """Return a Markdown table of the flags."""
-    rows = ["| bit | name | set from | condition | samples |", "| --- | --- | --- | --- | --- |"]
+    rows = ["| bit | name | set from | condition | reflectance |", "| --- | --- | --- | --- | --- |"]
     for flag in Quality:
         name = str(flag.name).lower()
         rows.append(f"| {flag.value} | `{name}` | {flag.source} | {flag.condition} | {flag.samples} |")
