@@ -561,8 +561,8 @@ def align(
           to the record. Each with ``_u``.
         * ``alignment_departure``: joint departure of these from agreement, in standard uncertainties;
           ``alignment_effect``: largest relative change of irradiance [1].
-        * ``alignment_residual``, ``alignment_residual_declared``: rms of the light's structure that remains in
-          radiance over irradiance on average, relative, corrected and as declared [1].
+        * ``alignment_residual``, ``alignment_residual_declared``: rms of the light's structure that remains
+          in radiance over irradiance on average, relative, corrected and as declared [1].
         * ``alignment_record_shift``, ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm],
           ``alignment_camera_width`` [1]: the share of each instrument, by the solar lines in the record.
           Each with ``_u``.
