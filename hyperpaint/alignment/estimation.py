@@ -106,11 +106,11 @@ class _Ratio:
 
     def departure(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
         # Return the departure of the ratio from a smooth curve (band, column).
-        return self.smooth.without(self._at(tilt, shift, factor))
+        return self.smooth.without(self._log_ratio(tilt, shift, factor))
 
     def tilt(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
         # Return the next tilt (band, column) [nm], from the slope of the smooth curve.
-        return np.asarray(self.smooth.slope(self._at(tilt, shift, factor)) * self.table.variance_at(factor))
+        return np.asarray(self.smooth.slope(self._log_ratio(tilt, shift, factor)) * self.table.variance_at(factor))
 
     def normal_equations(
         self, tilt: Floats, shift: Floats, factor: Floats, departure: Floats

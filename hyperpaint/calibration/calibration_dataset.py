@@ -233,12 +233,12 @@ class OffLines(NamedTuple):
     @property
     def counted(self) -> float:
         """Measured areas of the lamp lines over their areas without scattered light [1]."""
-        return 1.0 / (1.0 - self.wing) if self.is_known else 1.0
+        return 1.0 / (1.0 - self.wing) if self.is_usable else 1.0
 
     @property
     def counted_u(self) -> float:
         """Relative standard uncertainty of the areas by scattered light [1]."""
-        return self.wing * (_WING_U if self.is_known else 1.0)
+        return self.wing * (_WING_U if self.is_usable else 1.0)
 
 
 def light_off_lines(
@@ -742,7 +742,7 @@ class Result:
                 "the sweep",
                 "dark-offset",
             )
-        if self.between is not None and self._missed:
+        if self.between is not None and self._error_between:
             step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
             yield (
                 f"steps of {step:.3g} nm do not follow the responsivity around {self.between.wavelength:.0f} "
@@ -792,7 +792,7 @@ class Result:
             self.budget.total**2
             + (slope * self.wavelength_map.residual) ** 2
             + self.off_lines.counted_u**2
-            + self._missed**2
+            + self._error_between**2
         )
         random = np.hypot(random, self.differences)
         return {

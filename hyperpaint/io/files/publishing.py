@@ -70,7 +70,7 @@ def check_place(
     with _errors_of(path):
         _recover(path)
     if store is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
-        problems.add("the path is inside the store", mend="choose another path", code="path-inside-store")
+        problems.add("the path is in the store itself", mend="choose another path", code="path-inside-store")
     elif path.is_dir():
         problems.add(
             "the path is a folder", mend=f"name a file in it, such as {example}", code="path-is-folder"
