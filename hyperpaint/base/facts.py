@@ -85,7 +85,7 @@ def one_of(
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: method='cube', expected one of linear, cubic [choice-unknown]
     """
-    if value in tuple(allowed):
+    if isinstance(value, str) and value in allowed:
         return True
     found, expected = f"{name}={shown(value)}", f"one of {', '.join(allowed)}"
     if problems is None:

@@ -10,6 +10,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, find
 
 from .detector import DarkModel, fit_dark_model
@@ -147,12 +148,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
             code="value-out-of-range",
         )
     shape = sweep.attrs.get("monochromator_shape", "gaussian")
-    if shape not in MONOCHROMATOR_SHAPES:
-        problems.add(
-            f"attribute monochromator_shape {shape!r}",
-            expected=f"one of {', '.join(MONOCHROMATOR_SHAPES)}",
-            code="choice-unknown",
-        )
+    one_of(shape, MONOCHROMATOR_SHAPES, "attribute monochromator_shape", problems=problems)
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
     if dark is None:

@@ -18,6 +18,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.units import convert, takes_quantities
 
 from .responses import Matching, Responses, log_slope, matching_operator, mean_responsivity, misfit_through
@@ -84,7 +85,7 @@ class Tilt:
             problems.add(
                 f"angle {self.angle:g}", expected="0 to 90 degrees from level", code="value-out-of-range"
             )
-        if not np.isfinite(self.azimuth):
+        if not is_number(self.azimuth):
             problems.add(
                 f"azimuth {self.azimuth:g}",
                 expected="degrees clockwise from north",
@@ -94,8 +95,8 @@ class Tilt:
             value = getattr(self, name)
             if value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all():
                 problems.add(f"{name} {value}", expected="0 to 1", code="value-out-of-range")
-        if self.sky not in (None, "clear", "uniform"):
-            problems.add(f"sky {self.sky!r}", expected="'clear' or 'uniform'", code="choice-unknown")
+        if self.sky is not None:
+            one_of(self.sky, ("clear", "uniform"), "sky", problems=problems)
         problems.raise_if_any()
         if self.sky is None:
             object.__setattr__(self, "sky", "clear" if self.diffuse_fraction is None else "uniform")

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import SRF_SHAPES
 
 #: Standard deviation of a Gaussian per unit of full width at half maximum.
@@ -58,12 +59,7 @@ class Responses:
         wavelength = np.atleast_1d(np.asarray(self.wavelength, np.float64))
         fwhm = np.broadcast_to(np.asarray(self.fwhm, np.float64), wavelength.shape)
         problems = Problems("spectral responses cannot be used", SchemaError)
-        if self.shape not in SRF_SHAPES:
-            problems.add(
-                f"line shape {self.shape!r}",
-                expected=f"one of {', '.join(SRF_SHAPES)}",
-                code="choice-unknown",
-            )
+        one_of(self.shape, SRF_SHAPES, "shape", problems=problems)
         if not np.isfinite(wavelength).all():
             problems.add("wavelengths are not finite", code="not-finite")
         if self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()):

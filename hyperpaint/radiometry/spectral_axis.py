@@ -16,6 +16,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.responses import band_spacing
 
@@ -269,8 +270,7 @@ def smooth(
         problems.add(
             "'reflectance' is missing", mend="call .paint.reflectance() first", code="variable-missing"
         )
-    if method not in METHODS:
-        problems.add(f"method {method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
+    one_of(method, METHODS, "method", problems=problems)
     if window < 3 or window % 2 == 0:
         problems.add(
             f"window {window}", expected="an odd number of bands, 3 or more", code="value-out-of-range"

@@ -11,6 +11,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -83,13 +84,8 @@ class PinholeCamera:
                     expected="0 to 178 [degree]",
                     code="value-out-of-range",
                 )
-            if self.edges not in ("centres", "outer"):
-                problems.add(
-                    f"edges {self.edges!r:.60}",
-                    expected="'centres' or 'outer', the edges that field_of_view is between",
-                    code="choice-unknown",
-                )
-            elif self.edges == "centres" and self.columns == 1:
+            one_of(self.edges, ("centres", "outer"), "edges", problems=problems)
+            if self.edges == "centres" and self.columns == 1:
                 problems.add(
                     "one column has no angle between centres",
                     mend="give edges='outer'",

@@ -15,7 +15,7 @@ from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import lines_a_task
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, Quality, label, require
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.kernels.arguments import LineFrames, LineRays, Raster
@@ -301,8 +301,7 @@ def _check(
             code="argument-missing" if dem is None else "option-conflict",
         )
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
-        is_number = isinstance(number, int | float | np.number) and np.isfinite(number)
-        if number is not None and not is_number:
+        if number is not None and not is_number(number):
             problems.add(f"{name} {number!r:.80}", expected="a finite number", code="not-finite")
     problems.raise_if_any()
 

@@ -13,7 +13,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, label
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
@@ -301,10 +301,7 @@ def poses_at(
 def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     """Refuse an unknown interpolation and a gap of 0 or less, as SchemaError."""
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
-    if interpolation not in ("linear", "cubic"):
-        problems.add(
-            f"interpolation {interpolation!r:.60}", expected="'linear' or 'cubic'", code="choice-unknown"
-        )
+    one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
     if max_gap_s is not None and not max_gap_s > 0.0:
         problems.add(f"max_gap_s {max_gap_s!r:.60}", expected="a time above 0 [s]", code="value-out-of-range")
     problems.raise_if_any()

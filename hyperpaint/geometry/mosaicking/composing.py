@@ -16,7 +16,7 @@ from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import BAND, Quality
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS
@@ -145,10 +145,9 @@ def mosaic(
 
 def _check_options(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
     problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
-    if rule not in RULES:
-        problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)), code="choice-unknown")
-    if levelling not in (None, "overlap"):
-        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
+    one_of(rule, RULES, "rule", problems=problems)
+    if levelling is not None:
+        one_of(levelling, ("overlap",), "levelling", problems=problems)
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
         problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not (isinstance(tile, int | np.integer) and tile > 0):

@@ -13,7 +13,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -222,10 +222,7 @@ def _check(
         ("method", method, _METHODS),
         ("multi_hit", multi_hit, RULES),
     ):
-        if value not in choices:
-            problems.add(
-                f"{name} {value!r:.60}", expected=" or ".join(map(repr, choices)), code="choice-unknown"
-            )
+        one_of(value, choices, name, problems=problems)
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
         problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not 1.0 <= max_stretch < np.inf:

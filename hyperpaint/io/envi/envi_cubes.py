@@ -22,6 +22,7 @@ from xarray.core import indexing
 
 from hyperpaint.base import schema, units
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file
 
 from .envi_array import EnviArray, Scaling
@@ -317,10 +318,8 @@ def _quantity(
     # Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``.
     declared, radiance_units = _declared_quantity(header)
     is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
-    if quantity not in (None, *_QUANTITIES):
-        raise FormatError(
-            f"quantity={quantity!r}", expected=f"one of {', '.join(_QUANTITIES)}", code="choice-unknown"
-        )
+    if quantity is not None:
+        one_of(quantity, _QUANTITIES, "quantity", error=FormatError)
     reason = mend = ""
     if quantity is not None and declared not in (None, quantity):
         reason, mend = f"its header says {declared}", "correct the header, or leave quantity= out"
