@@ -36,7 +36,7 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     Parameters
     ----------
     library
-        With ``reflectance``.
+        Paint library with ``reflectance``.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     'excluded'
     """
     attrs = {**library.attrs, **library["reflectance"].attrs}
-    declared = attrs.get(_ATTRIBUTE, attrs.get(_MAKERS_ATTRIBUTE))
+    declared: str | None = attrs.get(_ATTRIBUTE, attrs.get(_MAKERS_ATTRIBUTE))
     if declared is not None:
         one_of(declared, (INCLUDED, EXCLUDED), f"reflectance attribute {_ATTRIBUTE}")
         return declared

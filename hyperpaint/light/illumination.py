@@ -44,11 +44,11 @@ class Tilt:
     Attributes
     ----------
     angle
-        Between its normal and the zenith, 0 to 90 [degree].
+        Angle between the surface's normal and the zenith, 0 to 90 [degree].
     azimuth
-        Of its normal, clockwise from north [degree].
+        Azimuth of the normal, clockwise from north [degree].
     sky_view_factor
-        Part of the sky it sees [1]; ``(1 + cos angle) / 2``, an open field, by default.
+        Part of the sky that the surface sees [1]; by default ``(1 + cos angle) / 2``, as in an open field.
     ground_reflectance
         Reflectance of the ground, which fills the rest of its view [1].
     diffuse_fraction : (band,)
@@ -87,7 +87,7 @@ class Tilt:
             )
         if not is_number(self.azimuth):
             problems.add(
-                f"azimuth {self.azimuth:g}",
+                f"azimuth {self.azimuth}",
                 expected="degrees clockwise from north",
                 code="value-out-of-range",
             )
@@ -132,8 +132,8 @@ class Tilt:
         if self.sky == "clear" and self.angle > 0.0:
             from_sun = np.degrees(np.radians(self.azimuth) - sun_azimuth)
             suns = np.minimum(np.degrees(zenith), MAX_SUN_ZENITH_DEG)
-            for row, sun, turn in zip(gain, suns, from_sun, strict=True):
-                row[:] = facing_gain(wavelength, float(sun), self.angle, float(turn)) - 1.0
+            for row, sun, azimuth_offset in zip(gain, suns, from_sun, strict=True):
+                row[:] = facing_gain(wavelength, float(sun), self.angle, float(azimuth_offset)) - 1.0
         return np.asarray(
             1.0
             + (1.0 - diffuse) * (beam[:, None] - 1.0)
