@@ -40,7 +40,7 @@ class PinholeCamera:
     Raises
     ------
     SchemaError
-        Neither or both of the two descriptions, or numbers out of range; all are listed.
+        Both or neither of the two lengths and the field of view, or numbers out of range; all are listed.
 
     Examples
     --------

@@ -131,8 +131,8 @@ def locate(
         Roll, pitch and heading of the camera in the body [degree], applied like the angles of the body:
         first heading, then pitch, then roll; by default the line's attribute ``boresight``, else zero.
     lever_arm
-        From the reference point of positions to the camera's projection centre, forward, right, down [m]; by
-        default the line's attribute ``lever_arm``, else zero.
+        Vector from the navigation's reference point to the camera's projection centre, forward, right, down
+        [m]; by default the line's attribute ``lever_arm``, else zero.
     ground
         Height of level ground above the ellipsoid [m]; either this or ``dem``; by default the line's
         attribute ``ground``.
@@ -145,8 +145,7 @@ def locate(
     camera
         `hyperpaint.geometry.PinholeCamera`, or the angles of the columns as a dataset: ``look_across``
         (positive to the right) and ``look_along`` (positive forward) (cross_track) [degree]; by default those
-        of the line,
-        else its ``look_angle``.
+        of the line, else its ``look_angle``.
     clock_offset_s
     convention
         Meaning of angles and heights, and the order of the columns; by default as the attributes of
@@ -240,7 +239,7 @@ def locate(
         crs=crs,
         starts=np.concatenate([[0], np.cumsum(chunks)]),
     )
-    places = da.map_blocks(
+    pixel_positions = da.map_blocks(
         places_of,
         dask.delayed(swath, pure=True),
         chunks=((len(_PLACES),), chunks, (len(across),)),
@@ -256,7 +255,7 @@ def locate(
         name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
     }
     located = line.drop_vars(POSE, errors="ignore").assign_coords(columns_used)
-    located = _with_places(located, places, crs)
+    located = _with_places(located, pixel_positions, crs)
     settings = {
         "boresight": list(boresight_angles),
         "lever_arm": list(lever_arm_m),
@@ -379,13 +378,17 @@ def _poses(
 # --- places ------------------------------------------------------------------------------------------------
 
 
-def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
+def _with_places(line: xr.Dataset, pixel_positions: Any, crs: str) -> xr.Dataset:
     dims = (ALONG_TRACK, CROSS_TRACK)
     attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
     for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
         attrs[name] |= {"crs": crs, "standard_name": standard}
-    coordinates = {n: label(xr.DataArray(places[k], dims=dims), n, **attrs[n]) for k, n in enumerate(_PLACES)}
-    quality = xr.Variable(dims, (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16))
+    coordinates = {
+        n: label(xr.DataArray(pixel_positions[k], dims=dims), n, **attrs[n]) for k, n in enumerate(_PLACES)
+    }
+    quality = xr.Variable(
+        dims, (np.isnan(pixel_positions[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16)
+    )
     if "quality" in line.variables:
         quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
     reference = xr.DataArray(np.int64(0), attrs=grid_mapping_attrs(crs))

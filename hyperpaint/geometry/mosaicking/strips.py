@@ -197,10 +197,14 @@ def strips_of(
         covered = shared.grids[name]
         row, col = (first // tile for first in covered.first)
         end_row, end_col = (
-            -(-(k + count) // tile) for k, count in zip(covered.first, covered.shape, strict=True)
+            -(-(tile_number + count) // tile)
+            for tile_number, count in zip(covered.first, covered.shape, strict=True)
         )
         corner = row, col
-        rows, cols = ([k * tile for k in range(*ends)] for ends in ((row, end_row + 1), (col, end_col + 1)))
+        rows, cols = (
+            [tile_number * tile for tile_number in range(*ends)]
+            for ends in ((row, end_row + 1), (col, end_col + 1))
+        )
         if is_map(line):
             strips.append(_cut_map(name, line, covered, (corner, rows, cols), variables))
             continue
@@ -219,10 +223,10 @@ def strips_of(
         )
         survey = shared.surveys[name]
         windows = tile_windows(line_grid.shape, tile)
-        touched = np.zeros((len(windows), len(windows[0])), bool)
-        for place, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
-            touched[place] = bool(slabs)
-        strips.append(Strip(name, strip, corner, touched))
+        is_touched = np.zeros((len(windows), len(windows[0])), bool)
+        for tile_index, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
+            is_touched[tile_index] = bool(slabs)
+        strips.append(Strip(name, strip, corner, is_touched))
     _check_equal_variables(strips)
     return strips
 
