@@ -90,12 +90,12 @@ def apply_alignment(
         )
     columns = dataset.sizes[CROSS_TRACK]
     windows = _with_windows(alignment)
-    reliable = windows["flag"].values == 0
-    _check(windows, reliable, (dataset.sizes[BAND], columns), degree)
+    is_reliable = windows["flag"].values == 0
+    _check(windows, is_reliable, (dataset.sizes[BAND], columns), degree)
     corrections, factors = zip(
         *(
-            _smoothed(windows.isel(window=w, **{CROSS_TRACK: reliable[w]}), columns, degree)
-            for w in range(len(reliable))
+            _smoothed(windows.isel(window=w, **{CROSS_TRACK: is_reliable[w]}), columns, degree)
+            for w in range(len(is_reliable))
         ),
         strict=True,
     )

@@ -165,8 +165,8 @@ def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     True
     """
     shoulders, weight = _parts(wavelength)
-    finite = np.isfinite(spectrum)
-    in_shoulders, in_band = shoulders & finite, (weight > 0.0) & finite
+    is_finite = np.isfinite(spectrum)
+    in_shoulders, in_band = shoulders & is_finite, (weight > 0.0) & is_finite
     if in_shoulders.sum() < MIN_SHOULDER_BANDS or not in_band.any():
         return float("nan")
     curve = np.polynomial.Polynomial.fit(wavelength[in_shoulders], spectrum[in_shoulders], 2)

@@ -407,7 +407,7 @@ def calibration_from_coefficients(
     Parameters
     ----------
     coefficients : (band, cross_track)
-        With units: radiance x exposure per count, or radiance per count at one exposure; zeros and values
+        Radiance x exposure per count, or radiance per count at one exposure, with units; zeros and values
         that are not finite mark bad elements.
     wavelength, fwhm : (band,)
         With units.

@@ -436,14 +436,20 @@ def _map_with_slope_shift(
     def over_steps(values: Floats) -> Floats:
         return np.interp(lab.wavelength, lit_wavelength, values)
 
-    def middle(values: Floats) -> Floats:
+    def median_over_steps(values: Floats) -> Floats:
         return over_steps(row_medians(values, lamp_lines.trusted)[lit_steps])
 
     slope = over_steps(np.gradient(np.log(level[lit_steps]), lit_wavelength))
     spacing = rough_map.spacing(np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2]))
-    camera_width = middle(lamp_lines.camera_width * spacing)
+    camera_width = median_over_steps(lamp_lines.camera_width * spacing)
     slope_shift = slope_shift_of_lines(
-        lab, sweep_data.noise, slope, camera_width, middle(spacing), middle(lamp_lines.amplitude), shape
+        lab,
+        sweep_data.noise,
+        slope,
+        camera_width,
+        median_over_steps(spacing),
+        median_over_steps(lamp_lines.amplitude),
+        shape,
     )
     return _map(lamp_lines, lab, lab.wavelength + slope_shift, degree), slope, slope_shift
 

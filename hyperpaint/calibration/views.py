@@ -30,7 +30,7 @@ def relative_responsivity(calibration: xr.Dataset) -> xr.DataArray:
     Parameters
     ----------
     calibration
-        With ``responsivity``, as `hyperpaint.calibrate` gives it.
+        Calibration with ``responsivity``, see `hyperpaint.calibrate`.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def quantum_efficiency(
     Parameters
     ----------
     calibration
-        With ``responsivity`` and ``wavelength``.
+        Calibration with ``responsivity`` and ``wavelength``.
     electrons_per_count
         [electron count-1]; None for that of the calibration.
 
@@ -140,7 +140,7 @@ def fitted_lines(
     Parameters
     ----------
     calibration
-        Of `hyperpaint.calibrate`.
+        Result of `hyperpaint.calibrate`.
     sweep
         The sweep of the calibration, whose steps are read; None for the fits only.
     steps

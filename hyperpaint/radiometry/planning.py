@@ -257,8 +257,8 @@ def make_plan(
     scale, panel_result = np.ones(bands), _PanelResult()
     if panel is not None:
         if "factor" in panel:  # panels that were measured before
-            refused = (np.asarray(panel["state"]) & REFUSED) != 0
-            scale, weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), refused)
+            is_refused = (np.asarray(panel["state"]) & REFUSED) != 0
+            scale, weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), is_refused)
             panel_result = _PanelResult(None, weights, np.asarray(panel["scale_u"], np.float64))
         else:
             scale, panel_result = _panel_scale(panel, cube, light, good, lines)

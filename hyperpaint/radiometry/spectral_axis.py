@@ -346,7 +346,7 @@ def _filter(
     from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
 
     spectra = values.astype(np.float32, copy=False)
-    # spectra without a cross-track dim are lines one column wide, whatever their other dims
+    # the kernels take cubes: without a cross-track dim, each spectrum becomes a line of one column
     if not is_cube:
         spectra = spectra.reshape(-1, values.shape[-1], 1)
     out = np.empty(spectra.shape, np.float32)
@@ -365,13 +365,13 @@ def _filter(
 def _window_polynomials(window: int, order: int, bands: int) -> WindowPolynomials:
     first = np.clip(np.arange(bands) - window // 2, 0, bands - window)
     centres = np.arange(bands) - first
-    place = np.arange(window)
-    complete_weights = np.stack([_polynomial_weights(place - centre, order) for centre in place])
+    position = np.arange(window)
+    complete_weights = np.stack([_polynomial_weights(position - centre, order) for centre in position])
     gap_weights = np.zeros((window, window, window))
-    for centre in place:
-        for gap in place:
-            is_used = place != gap
-            gap_weights[centre, gap, is_used] = _polynomial_weights(place[is_used] - centre, order)
+    for centre in position:
+        for gap in position:
+            is_used = position != gap
+            gap_weights[centre, gap, is_used] = _polynomial_weights(position[is_used] - centre, order)
     return WindowPolynomials(
         first, complete_weights[centres].astype(np.float32), gap_weights[centres].astype(np.float32)
     )

@@ -198,11 +198,19 @@ def band_steps(wavelength: Floats) -> Floats:
     median_step = np.median(step) if step.size else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse_step = np.where((step / median_step > 0.0) & (step / median_step < 3.0), 1.0 / step, 0.0)
-    up, down = np.append(inverse_step, 0.0), np.insert(inverse_step, 0, 0.0)
+    inverse_next, inverse_previous = np.append(inverse_step, 0.0), np.insert(inverse_step, 0, 0.0)
     between = np.zeros_like(wavelength)
-    has_both = (up != 0.0) & (down != 0.0)
-    between[has_both] = 1.0 / (1.0 / up[has_both] + 1.0 / down[has_both])
-    return np.stack([np.where(has_both, between, up), up, np.where(has_both, between, down), down], axis=1)
+    has_both = (inverse_next != 0.0) & (inverse_previous != 0.0)
+    between[has_both] = 1.0 / (1.0 / inverse_next[has_both] + 1.0 / inverse_previous[has_both])
+    return np.stack(
+        [
+            np.where(has_both, between, inverse_next),
+            inverse_next,
+            np.where(has_both, between, inverse_previous),
+            inverse_previous,
+        ],
+        axis=1,
+    )
 
 
 def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
