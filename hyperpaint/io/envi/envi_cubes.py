@@ -359,8 +359,8 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     if level in ("reflectance", "radiance"):
         return level, radiance_units
     # raw counts, by units, description or level
-    count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
-    is_raw = count_units or _RAW.search(header.description[:10_000]) or level == "counts"
+    has_count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
+    is_raw = has_count_units or _RAW.search(header.description[:10_000]) or level == "counts"
     if is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and is_raw:
         return "counts", None
     return None, None

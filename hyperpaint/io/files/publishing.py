@@ -179,13 +179,13 @@ def unwritable(place: Path, error: Exception) -> StoreError:
 
 
 @contextlib.contextmanager
-def _errors_of(place: Path) -> Iterator[None]:
+def _errors_of(path: Path) -> Iterator[None]:
     try:
         yield
     except PaintError:
         raise
     except OSError as error:
-        raise unwritable(place, error) from error
+        raise unwritable(path, error) from error
 
 
 def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, overwrite: bool) -> None:
@@ -249,8 +249,11 @@ def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
             os.link(target, _old(folders[target.parent], number))
     for folder, build in folders.items():
         real = os.path.realpath(folder)
-        places = [(os.path.relpath(os.path.realpath(each.parent), real), each.name) for each in targets]
-        (build / _JOURNAL).write_text(json.dumps(places))
+        journal = [
+            (os.path.relpath(os.path.realpath(target_path.parent), real), target_path.name)
+            for target_path in targets
+        ]
+        (build / _JOURNAL).write_text(json.dumps(journal))
         sync(build / _JOURNAL)
         sync(build)
     try:

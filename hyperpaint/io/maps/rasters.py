@@ -64,7 +64,7 @@ _ENVIRONMENT = {
 def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     """Yield a raster opened by rasterio; ``purpose`` names the operation that needs rasterio.
 
-    From files beside it, only the ``.prj`` of an ASCII grid is read.
+    Of the files beside the raster, only the ``.prj`` of an ASCII grid is read.
 
     Raises `FormatError`: It is not a plain file, not a raster of these kinds, damaged, or names other files;
     or its ``.prj`` is not a plain file, or larger than 64 KiB. Raises `MissingExtraError`: rasterio is not
@@ -201,12 +201,12 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
         if is_missing[item] and os.path.exists(name):
             files_by_item.setdefault(item, name)
     if files_by_item:
-        listed = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
+        items_text = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
         srs = (
             f" -a_srs {os.path.basename(stem)}.prj" if files_by_item.get("a crs", "").endswith(".prj") else ""
         )
         raise FormatError(
-            f"{path} is read without other files, which hold part of its metadata: {listed}",
+            f"{path} is read without other files, which hold part of its metadata: {items_text}",
             mend=f"merge them: gdal_translate{srs} in.tif out.tif",
             code="file-not-alone",
         )
