@@ -39,7 +39,8 @@ class ComparisonRules:
     ----------
     windows
         Compared intervals [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning,
-        the oxygen A band, water; not 690 to 740, where vegetation's edge is no polynomial of low degree.
+        the oxygen A band, water; not 690 to 740, where no polynomial of low degree fits the edge of
+        vegetation.
     degree
         Degree of the polynomial that models a surface's spectrum in a window: it fits features of 15 nm and
         wider.
@@ -532,7 +533,7 @@ def align(
 ) -> xr.Dataset:
     r"""Compare camera and irradiance record in flight, and correct significant differences.
 
-    Eager, except for the cubes: 128 lines are read, evenly over the line; the same whatever the chunks.
+    Eager, except for the cubes: 128 lines are read, evenly over the line, independently of chunks.
 
     Parameters
     ----------

@@ -266,7 +266,7 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
             reduced = _without_added_dims(variable, row)
             changed |= {} if reduced is variable else {name: reduced}
         elif not set(variable.dims) <= set(row.dims):
-            dropped.append(name)  # it shows the whole line, not this selection
+            dropped.append(name)  # it describes the whole line, not this selection
     if "quality" in dataset.variables and _is_averaged(dataset):
         dropped.append("quality")
         warnings.warn(

@@ -235,7 +235,7 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
             varying_name = "dark_exposure_time" if "dark_exposure_time" in values else "exposure_time"
             problems.add(
                 f"{varying_name} varies from step to step, but there is one dark_counts",
-                mend="give dark_counts per step",
+                mend="pass dark_counts per step",
                 code="dark-per-step",
             )
             return None

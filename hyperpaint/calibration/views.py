@@ -94,7 +94,7 @@ def quantum_efficiency(
     if calibration.attrs.get("absolute_scale") == "unknown":
         raise SchemaError(
             "this calibration has no absolute scale for a quantum efficiency (absolute_scale = 'unknown')",
-            mend="give it one by hyperpaint.calibration.anchor_to_radiance",
+            mend="add one with hyperpaint.calibration.anchor_to_radiance",
             code="scale-unknown",
         )
     if electrons_per_count is None:
@@ -155,7 +155,7 @@ def fitted_lines(
     Raises
     ------
     SchemaError
-        The calibration holds no lamp lines, or the sweep is incomplete.
+        The calibration contains no lamp lines, or the sweep is incomplete.
 
     Examples
     --------

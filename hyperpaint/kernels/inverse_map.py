@@ -106,7 +106,7 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
     """Write line and column at every cell of a tile, as far as the given lines cover it.
 
     ``first`` is the number of the first line in ``positions``, ``last`` of the last line of the flight. Lines
-    may overlap earlier ones: every patch is visited, whatever its orientation.
+    may overlap earlier ones: patches of all orientations are visited.
     """
     east, north, hidden = positions.east, positions.north, positions.hidden
     pixel_position, nearest, rank, hits = out

@@ -93,8 +93,8 @@ def random_row(
         counts, dark, slope = samples.counts[line, band], samples.dark[band], memory.slope
         slope_row(counts, dark, detector, detector.polynomial, detector.table, slope)
         for x in range(u_random.size):
-            above = np.float32(counts[x]) - dark[x]
-            shot = _NOTHING if above < _NOTHING else above
+            net_count = np.float32(counts[x]) - dark[x]
+            shot = _NOTHING if net_count < _NOTHING else net_count
             noise = np.sqrt(shot * per_electron[x] + noise_floor[x])
             u = abs(slope[x] * (gain[x] * inverse[x])) * noise
             u_random[x] = rounded(u if values[x] == values[x] else _NAN, memory.rounding)

@@ -166,7 +166,7 @@ def level_irradiance(
     the sky in view, :math:`b` the lean towards the sun times :math:`\tan \theta`, :math:`s` the relative gain
     of a clear sky on that side (`hyperpaint.light.sky_functions.sunward_gain`), :math:`\rho_n` the ground's
     reflectance, and :math:`r`, :math:`\bar r` the response to the beam and to the sky. Under an overcast sky
-    light comes from above whatever the attitude: only :math:`\bar r` is corrected.
+    light comes from above at any attitude: only :math:`\bar r` is corrected.
 
     Examples
     --------

@@ -225,7 +225,7 @@ def _split(
 def split_of_lines(
     line: xr.Dataset, *, calibration_uncertainty: float = 0.05, sun_zenith: float | None = None
 ) -> xr.Dataset | None:
-    """Return `SPLIT` for the lines of a flight line, from its own record; None without a record or a place.
+    """Return `SPLIT` for the lines of a flight line, from its record; None without record or position.
 
     ``line`` has ``irradiance``, ``time``, ``latitude``, ``longitude`` and ``wavelength``. A line has the
     fraction interpolated between both samples around it, and the state of the nearer one; NaN, and

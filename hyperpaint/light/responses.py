@@ -155,7 +155,7 @@ def _even_spacing(wavelength: Floats) -> Floats:
     if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
         raise SchemaError(
             "a slit-shaped response needs the camera's band spacing, and these bands are not contiguous",
-            mend="give 'band_spacing' (band) [nm], or select bands after computing the reflectance",
+            mend="pass 'band_spacing' (band) [nm], or select bands after computing the reflectance",
             code="band-spacing-missing",
         )
     return band_spacing(wavelength)

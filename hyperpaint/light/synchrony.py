@@ -59,8 +59,8 @@ def line_light(
     (sample,) is UTC of the samples and must increase. ``levels`` (sample,) or (sample, interval) are the
     irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN marks a sample
     to leave out. ``max_gap`` is the longest interval that is interpolated [s], 2.5 median intervals by
-    default; without the camera's ``latitude`` and ``longitude`` (line,) [degree] the sun's height is not
-    judged; ``clock_uncertainty`` is how far the clocks of camera and spectrometer may disagree [s],
+    default; without the camera's ``latitude`` and ``longitude`` (line,) [degree] a low sun is not flagged;
+    ``clock_uncertainty`` is the largest difference between the clocks of camera and spectrometer [s],
     `UNKNOWN_CLOCK` by default.
 
     Raises
@@ -82,7 +82,7 @@ def line_light(
     levels = np.reshape(levels, (sample_times.size, -1))
     valid_samples = np.flatnonzero(np.isfinite(levels).all(axis=1))
     if valid_samples.size == 0:
-        raise TimeError("the irradiance record holds no valid spectrum", code="irradiance-empty")
+        raise TimeError("the irradiance record contains no valid spectrum", code="irradiance-empty")
     is_missing = np.isnat(line_times)
     line_ns, sample_ns = line_times.astype(np.int64), sample_times[valid_samples].astype(np.int64)
     line_ns = np.where(is_missing, sample_ns[0], line_ns)

@@ -44,7 +44,7 @@ class PanelRules:
         Share of saturated pixels, or of pixels that do not show the panel, above which it is reported [1].
     most_saturated
         Share of saturated pixels up to which a band has a mean [1]: above a half, the unsaturated part of the
-        distribution does not contain its middle.
+        distribution does not contain its median.
     least_used
         Minimum share of pixels that show the panel [1]: with fewer, the median may belong to another surface.
     most_error
@@ -172,7 +172,7 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _PanelResult:
     is_valid = np.isfinite(observed)
     if not is_valid.any():
         raise SchemaError(
-            f"{panel['name']}'s region holds no valid pixel",
+            f"{panel['name']}'s region contains no valid pixel",
             mend="outline a part that is neither saturated nor in a gap",
             code="panel-empty",
         )

@@ -329,7 +329,7 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
             "'radiance_gain' is not positive", mend="mark bad elements by NaN", code="value-out-of-range"
         )
     if not np.isfinite(gain).any():
-        problems.add("'radiance_gain' holds no finite value", code="not-finite")
+        problems.add("'radiance_gain' contains no finite value", code="not-finite")
     saturation = np.asarray(cube.get("saturation_count", np.inf), np.float64)
     if (saturation <= 2 * SATURATION_MARGIN_COUNTS).any():
         problems.add(

@@ -88,7 +88,7 @@ class PinholeCamera:
             if self.edges == "centres" and self.columns == 1:
                 problems.add(
                     "one column has no angle between centres",
-                    mend="give edges='outer'",
+                    mend="pass edges='outer'",
                     code="option-conflict",
                 )
         problems.raise_if_any()
@@ -136,7 +136,7 @@ def look_angles(
         if convention.column_order is None:
             raise SchemaError(
                 "the order of columns is not declared: whether column 0 looks left or right",
-                mend="give convention=Convention(column_order='left_to_right') or 'right_to_left'",
+                mend="pass convention=Convention(column_order='left_to_right') or 'right_to_left'",
                 code="column-order-missing",
             )
         across = camera.look_across(convention.column_order)
@@ -147,7 +147,7 @@ def look_angles(
         if name is None:
             raise SchemaError(
                 "the line has neither look_across nor look_angle (cross_track) [degree]",
-                mend="give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
+                mend="pass camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
                 "of the angles",
                 code="camera-missing",
             )

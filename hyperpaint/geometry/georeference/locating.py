@@ -296,7 +296,7 @@ def _check(
     if (ground is None) == (dem is None):
         problems.add(
             "ground= and dem= are both missing" if dem is None else "ground= and dem= are both given",
-            mend="give the height of the ground above the ellipsoid (ground=, in m), or dem=",
+            mend="pass the height of the ground above the ellipsoid (ground=, in m), or dem=",
             code="argument-missing" if dem is None else "option-conflict",
         )
     for name, number in (("ground", ground), ("clock_offset_s", clock_offset_s)):
@@ -321,7 +321,7 @@ def _map_of(poses: Any, crs: Any) -> str:
     if not is_in_metres(code):
         raise SchemaError(
             f"crs {crs!r:.80} is not a map in metres to the east and north",
-            mend="give a projected one, such as 'EPSG:32617'",
+            mend="pass a projected one, such as 'EPSG:32617'",
             code="crs-unusable",
         )
     return code

@@ -129,7 +129,7 @@ def convention_of(
     if declared is None:
         raise SchemaError(
             f"{subject} does not declare its angles and heights, which differ between makers",
-            mend="give convention=Convention(...), by default roll positive with the right wing down, pitch "
+            mend="pass convention=Convention(...), by default roll positive with the right wing down, pitch "
             "with the nose up, heading clockwise from true north [degree], heights above the ellipsoid",
             code="convention-missing",
         )
@@ -338,7 +338,7 @@ def _bracket(knots: Ints, times: Ints, gap: float) -> tuple[Ints, Floats, Bools]
     step = knots[after] - knots[before]
     elapsed = np.where(is_inside, times - knots[before], 0)
     weight = elapsed / np.maximum(step, 1)
-    # a time equal to that of a row needs no interpolation, whatever the distance of the next row
+    # a time equal to that of a row needs no interpolation, even beside a gap
     return before, weight, is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
 
 

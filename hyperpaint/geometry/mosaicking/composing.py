@@ -379,7 +379,7 @@ def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
         raise SchemaError(
             f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
             expected="one cube of floats, such as reflectance, with quality",
-            mend="give variables=",
+            mend="pass variables=",
             code="variable-missing",
         )
     return cubes[0]

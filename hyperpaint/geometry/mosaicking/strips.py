@@ -88,8 +88,8 @@ def named_lines(lines: Any) -> dict[str, xr.Dataset]:
         lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
     if not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines:
         raise SchemaError(
-            f"{type(lines).__name__} is no collection of flight lines",
-            mend="give a dict of datasets by their names",
+            f"{type(lines).__name__} is not a collection of flight lines",
+            mend="pass a dict of datasets by their names",
             code="type-wrong",
         )
     if isinstance(lines, Mapping):
@@ -134,7 +134,7 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
         crs_list = ", ".join(f"{name}: {code}" for name, code in crs.items())
         problems.add(
             f"lines on different maps ({crs_list})",
-            mend="give crs=",
+            mend="pass crs=",
             option="give --set crs=",
             code="crs-conflict",
         )
@@ -243,7 +243,7 @@ def _cut_map(
     if missing:
         raise SchemaError(
             f"the map {name} lacks {', '.join(missing)}",
-            mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
+            mend="pass the result of hyperpaint.geometry.orthorectify, or the flight line",
             code="variable-missing",
         )
     corner, *edges = tiles
@@ -285,7 +285,7 @@ def _check_equal_variables(strips: Sequence[Strip]) -> None:
             if array is None:
                 problems.add(
                     f"{strip.name} has no {name}, which {first.name} has",
-                    mend="give variables=",
+                    mend="pass variables=",
                     code="variable-missing",
                 )
                 continue

@@ -136,7 +136,7 @@ def find_tie_points(
         raise SchemaError(
             f"no tie points between {', '.join(lines_by_name)}",
             expected=f"lines that overlap by more than {2 * rules.half_patch * gsd:.3g} m",
-            mend="give a larger search_m=, another band= or gsd=",
+            mend="pass a larger search_m=, another band= or gsd=",
             code="tie-points-missing",
         )
     east, north = shared.grid.axes.anchor

@@ -166,7 +166,7 @@ def estimate_clock_offset(
     if (navigation is None) == (irradiance is None):
         raise SchemaError(
             "navigation= and irradiance= are both given or both missing",
-            mend="give one of them",
+            mend="pass one of them",
             code="option-conflict",
         )
     if not 0.0 < max_offset_s < np.inf:
@@ -192,7 +192,9 @@ def estimate_clock_offset(
     offsets = np.arange(-max_offset_s, max_offset_s + ATTITUDE.search_step_s / 2, ATTITUDE.search_step_s)
     costs = costs_of(setting.observed, poses, view, is_compared, offsets)
     if np.isnan(costs).all():
-        _refuse("the record has no poses at the times of the lines; look at dates and zones", "pose-missing")
+        _refuse(
+            "the record has no poses at the times of the lines; check dates and time zones", "pose-missing"
+        )
     poses_at_lowest = poses(float(offsets[np.nanargmin(costs)]))
     cost_at_rest = float(
         costs_of(

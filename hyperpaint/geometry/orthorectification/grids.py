@@ -1,6 +1,6 @@
 """Cells of a map, and the survey of all lines that decides its extent.
 
-The survey keeps a few numbers per line, so that it needs the memory of a few slabs, whatever the length of
+The survey keeps a few numbers per line, so that it needs the memory of a few slabs at any length of
 the flight.
 """
 
@@ -231,7 +231,7 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
 def _nothing_located() -> SchemaError:
     return SchemaError(
         "no two neighbouring pixels have ground positions, so there is nothing to map",
-        mend="look at the poses and at the quality's off_swath",
+        mend="check the poses, and the flag off_swath of quality",
         code="ground-not-seen",
     )
 

@@ -46,7 +46,7 @@ _AXES = {
     "nearest_sample": CROSS_TRACK,
 }
 # Largest relative shift of neighbouring pixels by their heights without hidden ground [spacing across].
-# On a visible wall it is 1, whatever its height. With 1.25, a sixth of the hidden cells behind
+# On a visible wall of any height it is 1. With 1.25, a sixth of the hidden cells behind
 # cars is shown; with 0.6, as many as with 1.05, and more visible ground is lost (support/hidden_ground.py).
 _MAX_PARALLAX_PX = 1.05
 _MAX_KEPT_BYTES = 64 * 2**20  # positions kept from the survey for the tiles: 6,500 lines of 640 columns
@@ -188,7 +188,7 @@ def orthorectify(
         raise SchemaError(
             f"a map of {rows} x {cols} cells of {cells.gsd:g} m is {count} tiles of {tile} x {tile}",
             expected=f"at most {_MAX_TILES}",
-            mend="give a larger gsd, bounds, or a larger tile",
+            mend="pass a larger gsd, bounds, or a larger tile",
             code="map-too-large",
         )
     windows = tile_windows(cells.shape, tile)
@@ -304,7 +304,7 @@ def _survey_and_grid(
     if not size > 0.0:
         raise SchemaError(
             "the pixels have the same position, so the cell size is undefined",
-            mend="give gsd= [m]",
+            mend="pass gsd= [m]",
             code="gsd-missing",
         )
     if kind == "flight":

@@ -145,11 +145,11 @@ def open_envi(
 
     Notes
     -----
-    A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) wins over Headwall's
-    ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance products.
-    Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word raw,
-    counts or DN in the description, by units of counts, or by a description of Headwall's recorder without
-    a level; scaled products of other software without such a word are ``values``.
+    A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) takes precedence over
+    Headwall's ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance
+    products. Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word
+    raw, counts or DN in the description, by units of counts, or by a description of Headwall's recorder
+    without a level; scaled products of other software without such a word are ``values``.
 
     Examples
     --------

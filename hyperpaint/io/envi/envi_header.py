@@ -177,7 +177,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     header = _interpret(scanned, findings) if scanned.fields else None
     findings.raise_if_any()
     if header is None:
-        raise FormatError(f"{name} cannot be used: it holds no 'key = value' line", code="empty-input")
+        raise FormatError(f"{name} cannot be used: it contains no 'key = value' line", code="empty-input")
     return header
 
 

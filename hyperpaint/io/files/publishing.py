@@ -196,7 +196,7 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
                 raise StoreError(f"{target} is a folder", mend="choose another path", code="path-is-folder")
             if not target.is_symlink() and not is_plain_file(target):
                 raise StoreError(
-                    f"{target} is no plain file", mend="choose another path", code="file-not-plain"
+                    f"{target} is not a plain file", mend="choose another path", code="file-not-plain"
                 )
         elif target.is_symlink() or not target.is_dir():
             raise StoreError(
@@ -344,8 +344,8 @@ def _journal(target: Path) -> list[Path]:
             raise ValueError
     except (ValueError, TypeError, RecursionError, OSError) as error:
         raise StoreError(
-            f"{path} is no journal that a writer left",
-            mend="look at it, then remove it",
+            f"{path} is not the journal of a writer",
+            mend="check its content, then remove it",
             code="staging-foreign",
         ) from error
     return targets

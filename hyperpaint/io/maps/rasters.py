@@ -124,14 +124,14 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         if raster.count != 1:
             raise FormatError(
                 f"{path}: {raster.count} bands",
-                expected="one of heights",
+                expected="one band of heights",
                 mend="extract that band with gdal_translate -b",
                 code="band-count",
             )
         a, b, c, d, e, f = tuple(raster.transform)[:6]
         if b or d or not a or not e:
             raise FormatError(
-                f"{path}: its rows do not run east, by its transform {(a, b, c, d, e, f)}",
+                f"{path}: rows do not run from west to east, transform {(a, b, c, d, e, f)}",
                 expected="north up",
                 mend="gdalwarp in.tif out.tif",
                 code="grid-rotated",
@@ -299,7 +299,7 @@ def _window(
     if not is_inside.any():
         raise FormatError(
             f"{subject}, and the flight is outside of it",
-            mend="give the DEM of this place",
+            mend="pass the DEM of this place",
             code="flight-outside",
         )
     ground_heights = [

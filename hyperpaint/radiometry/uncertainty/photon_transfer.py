@@ -390,7 +390,7 @@ def _labelled(transfer: _Transfer, points: _VariancePoints, quantisation: float,
     if misfit > MAX_MISFIT + 4.0 * misfit_sd:
         text = (
             f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
-            "within blocks, or the light flickers; look at 'transfer_variance'"
+            "within blocks, or the light flickers; check 'transfer_variance'"
         )
         warnings.warn(PaintWarning(text, code="transfer-misfit"), stacklevel=3)
     noise = float(np.sqrt(max(transfer.height - quantisation, 0.0)))

@@ -135,9 +135,9 @@ def error_terms(
     """Return the terms of the uncertainty of every sample; unknown terms are zero.
 
     ``uncertain`` as of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
-    by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements whose
-    mean is the pedestal of a line, whose noise all samples of the line share; ``dark_share`` is the
-    largest root sum of squares of the weights with which a line's darks are subtracted.
+    by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements without
+    light, whose mean is subtracted as pedestal of a line: all its samples share the noise of this mean;
+    ``dark_share`` is the largest root sum of squares of the weights with which a line's darks are subtracted.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
         values = array[~bad] if array.shape == bad.shape else array
         values = values[~np.isnan(values)]
         if values.size == 0:
-            problems.add(f"{name!r} holds no value", code="not-finite")
+            problems.add(f"{name!r} contains no value", code="not-finite")
             continue
         is_positive = name == "electrons_per_count"
         if not np.isfinite(values).all() or values.min() < 0 or (is_positive and values.min() == 0):
