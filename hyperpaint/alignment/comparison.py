@@ -39,7 +39,8 @@ class ComparisonRules:
     ----------
     windows
         Compared intervals [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning,
-        the oxygen A band, water; not 690 to 740, where vegetation's edge is no polynomial of low degree.
+        the oxygen A band, water; not 690 to 740, where no polynomial of low degree fits the edge of
+        vegetation.
     degree
         Degree of the polynomial that models a surface's spectrum in a window: it fits features of 15 nm and
         wider.
@@ -351,28 +352,28 @@ def _window_fit(
     spectrometer = Responses(channels[nearby_channels], width[nearby_channels], declared.light.srf_shape)
     widths = np.asarray(rules.widths)
     nodes, logs, weights = responses_table(spectrometer, bands, light[nearby_channels], limits, widths)
-    covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, valid] > 0).all(axis=1)
-    if covered.sum() < rules.degree + 7:
+    is_covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, valid] > 0).all(axis=1)
+    if is_covered.sum() < rules.degree + 7:
         return None
-    wavelength = bands.wavelength[covered]
-    by_channel = np.zeros((channels.size, covered.sum()))
+    wavelength = bands.wavelength[is_covered]
+    by_channel = np.zeros((channels.size, is_covered.sum()))
     light_nearby, sd = np.nan_to_num(light[nearby_channels]), np.nan_to_num(noise[nearby_channels])
-    by_channel[nearby_channels] = (weights[covered] * sd / (weights[covered] @ light_nearby)[:, None]).T
+    by_channel[nearby_channels] = (weights[is_covered] * sd / (weights[is_covered] @ light_nearby)[:, None]).T
     scale = np.ptp(wavelength) / 2.0
     position = (wavelength - wavelength.min()) / scale - 1.0
     basis, upper = np.linalg.qr(np.polynomial.legendre.legvander(position, rules.degree))
     powers = [np.polynomial.Legendre.basis(power).deriv()(position) for power in range(rules.degree + 1)]
     return _WindowFit(
         wavelength=wavelength,
-        log=np.log(np.where(valid, spectrum, 1.0)[covered]),
-        shift=declared_shift[covered],
+        log=np.log(np.where(valid, spectrum, 1.0)[is_covered]),
+        shift=declared_shift[is_covered],
         valid=valid,
         basis=basis,
         slopes=np.stack(powers, axis=-1) / scale @ np.linalg.inv(upper),
-        variance=variance_of_responses(bands)[covered],
+        variance=variance_of_responses(bands)[is_covered],
         nodes=nodes,
         widths=widths,
-        light=logs[:, :, covered],
+        light=logs[:, :, is_covered],
         noise=by_channel,
     )
 
@@ -532,7 +533,7 @@ def align(
 ) -> xr.Dataset:
     r"""Compare camera and irradiance record in flight, and correct significant differences.
 
-    Eager, except for the cubes: 128 lines are read, evenly over the line; the same whatever the chunks.
+    Eager, except for the cubes: 128 lines are read, evenly over the line, independently of chunks.
 
     Parameters
     ----------
@@ -671,8 +672,8 @@ def _instruments(comparison: Comparison) -> Instruments:
 def _sentence(comparison: Comparison) -> str:
     uncertainties = np.sqrt(np.diag(comparison.covariance))
     changes = ", ".join(
-        f"{float(comparison.effect[near]):+.2%} at {comparison.wavelength[near]:.0f} nm"
-        for near in (int(np.abs(comparison.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
+        f"{float(comparison.effect[nearest]):+.2%} at {comparison.wavelength[nearest]:.0f} nm"
+        for nearest in (int(np.abs(comparison.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
     )
     return (
         f"camera minus record {comparison.shift:+.3f} +- {uncertainties[0]:.3f} nm at 600 nm, changing by "

@@ -152,15 +152,15 @@ def fit_columns(
     because relative noise does not depend on the ratio: with relative noise s the ratio would be biased by s
     squared.
     """
-    covered = np.isfinite(table.log).all(axis=(0, 1)).reshape(-1, 1)
+    is_covered = np.isfinite(table.log).all(axis=(0, 1)).reshape(-1, 1)
     with np.errstate(invalid="ignore"):
-        used = covered & (spectrum > 0.0)
-    has_bands = used.sum(axis=0) >= fewest_bands(degree)
-    freedom = used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
-    used = used & has_bands
-    log = np.where(used, np.log(np.where(used, spectrum, 1.0)), 0.0)
-    ratio = _Ratio(table, _SmoothPart.over(table.wavelength, used, degree), log, declared)
-    return _reported(ratio, _search(ratio, max_shift), has_bands, freedom, max_shift)
+        is_used = is_covered & (spectrum > 0.0)
+    has_bands = is_used.sum(axis=0) >= fewest_bands(degree)
+    degrees_of_freedom = is_used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
+    is_used = is_used & has_bands
+    log = np.where(is_used, np.log(np.where(is_used, spectrum, 1.0)), 0.0)
+    ratio = _Ratio(table, _SmoothPart.over(table.wavelength, is_used, degree), log, declared)
+    return _reported(ratio, _search(ratio, max_shift), has_bands, degrees_of_freedom, max_shift)
 
 
 def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
@@ -191,13 +191,13 @@ def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
 
 
 def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array, max_shift: float) -> Fit:
-    shift, factor, used = optimum.shift, optimum.factor, ratio.smooth.used
+    shift, factor, is_used = optimum.shift, optimum.factor, ratio.smooth.used
     departure_best = ratio.departure(optimum.tilt, shift, factor)
     matrix, _ = ratio.normal_equations(optimum.tilt, shift, factor, departure_best)
-    zero, one = np.zeros_like(shift), np.ones_like(shift)
-    departure_declared = ratio.departure(ratio.tilt(optimum.tilt, zero, one), zero, one)
-    at_limit = (np.abs(shift) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
-    at_limit |= (np.abs(optimum.last_step) > 1e-3).any(axis=1)
+    zero, unity = np.zeros_like(shift), np.ones_like(shift)
+    departure_declared = ratio.departure(ratio.tilt(optimum.tilt, zero, unity), zero, unity)
+    is_at_limit = (np.abs(shift) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
+    is_at_limit |= (np.abs(optimum.last_step) > 1e-3).any(axis=1)
     shift_u, factor_u, correlation = _uncertainties(departure_best, matrix, freedom, has_bands)
 
     def residual(departure: Floats) -> Floats:
@@ -211,9 +211,9 @@ def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array
         correlation=correlation,
         residual=residual(departure_best),
         residual_declared=residual(departure_declared),
-        departure=np.where(used, np.expm1(departure_best), np.nan),
-        departure_declared=np.where(used, np.expm1(departure_declared), np.nan),
-        at_limit=at_limit & has_bands,
+        departure=np.where(is_used, np.expm1(departure_best), np.nan),
+        departure_declared=np.where(is_used, np.expm1(departure_declared), np.nan),
+        at_limit=is_at_limit & has_bands,
         noise_gain=ratio.table.noise_gain_at(factor),
         freedom=np.where(has_bands, freedom, 0),
     )

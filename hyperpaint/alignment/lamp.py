@@ -228,11 +228,11 @@ def table_of_bands(
     nearby = nearby[np.argsort(channels[nearby], kind="stable")]
     spectrometer = Responses(channels[nearby], width[nearby], light.srf_shape)
     table = irradiance_table(spectrometer, bands, spectrum[nearby], limits)
-    covered = np.isfinite(table.log).all(axis=(0, 1))
-    if covered.sum() < fewest:
+    is_covered = np.isfinite(table.log).all(axis=(0, 1))
+    if is_covered.sum() < fewest:
         raise SchemaError(
             f"the irradiance record ({channels.min():g} to {channels.max():g} nm, {width.max():g} nm wide) "
-            f"covers {covered.sum()} of the {covered.size} bands from {bands.wavelength.min():.1f} to "
+            f"covers {is_covered.sum()} of the {is_covered.size} bands from {bands.wavelength.min():.1f} to "
             f"{bands.wavelength.max():.1f} nm",
             expected=f"at least {fewest}",
             mend="choose a window that the record covers",
@@ -258,9 +258,9 @@ def irradiance_table(
 
 def _log_matched(matching: Matching, spectrum: Floats) -> Floats:
     # Return the logarithm of a spectrum (channel,) matched to bands (shift, band); NaN without channels.
-    missing = ~np.isfinite(spectrum)
-    matched = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
-    is_incomplete = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
+    is_missing = ~np.isfinite(spectrum)
+    matched = np.einsum("nbc,c->nb", matching.weights, np.where(is_missing, 0.0, spectrum))
+    is_incomplete = (np.abs(matching.weights[..., is_missing]) > 1e-6).any(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where((matched > 0.0) & ~is_incomplete, np.log(matched), np.nan))
 

@@ -221,8 +221,8 @@ class Convention:
 
 
 def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
-    missing = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
-    return np.where(missing, np.nan, x), np.where(missing, np.nan, y), np.where(missing, np.nan, z)
+    is_missing = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
+    return np.where(is_missing, np.nan, x), np.where(is_missing, np.nan, y), np.where(is_missing, np.nan, z)
 
 
 def wrapped(angle: Floats) -> Floats:

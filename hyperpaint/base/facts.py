@@ -85,7 +85,7 @@ def one_of(
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: method='cube', expected one of linear, cubic [choice-unknown]
     """
-    if value in tuple(allowed):
+    if isinstance(value, str) and value in allowed:
         return True
     found, expected = f"{name}={shown(value)}", f"one of {', '.join(allowed)}"
     if problems is None:
@@ -384,7 +384,7 @@ def declared(cls: _Class) -> _Class:
     Fields without a fact are described in the class's own section Attributes, which is continued.
     """
     facts = facts_of(cls)
-    entries = "".join(f"{name}\n    {described(one)}\n" for name, one in facts.items())
+    entries = "".join(f"{name}\n    {described(fact)}\n" for name, fact in facts.items())
     doc = inspect.cleandoc(cls.__doc__ or "")
     section = re.search(r"^Attributes\n-+\n(?:.+\n)*", doc, re.MULTILINE)
     following = re.search(r"^(?:Raises|Notes|References|Examples)\n-+$", doc, re.MULTILINE)
@@ -392,7 +392,7 @@ def declared(cls: _Class) -> _Class:
     heading = "" if section else "Attributes\n----------\n"
     before, after = doc[:end].rstrip("\n"), doc[end:].lstrip("\n")
     cls.__doc__ = f"{before}{'' if section else chr(10)}\n{heading}{entries}\n{after}"
-    return takes_quantities(**{name: one.unit for name, one in facts.items() if one.unit})(cls)
+    return takes_quantities(**{name: fact.unit for name, fact in facts.items() if fact.unit})(cls)
 
 
 def described(declaration: Fact) -> str:

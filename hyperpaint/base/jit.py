@@ -28,7 +28,7 @@ def kernel(function: Function) -> Function:
 
     The lock is released, since dask's threads run kernels side by side; ``parallel=True`` would abort the
     process there. The numpy error model lets the compiler vectorise divisions. No fast-math: the same bits
-    must come out whatever the chunking.
+    must result from any chunking.
 
     Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else beside the package,
     else, where that is read-only, in the user's cache folder. Where none can be written (a container with a

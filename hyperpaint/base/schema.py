@@ -306,7 +306,7 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
             reduced = _without_added_dims(variable, row)
             changed |= {} if reduced is variable else {name: reduced}
         elif not set(variable.dims) <= set(row.dims):
-            dropped.append(name)  # it shows the whole line, not this selection
+            dropped.append(name)  # it describes the whole line, not this selection
     if "quality" in dataset.variables and _is_averaged(dataset):
         dropped.append("quality")
         warnings.warn(
@@ -432,13 +432,13 @@ def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
     """Warn of calibration variables that the gain names and the line lacks, as after ``drop_vars``."""
     gain = line.variables.get("radiance_gain")
     names = str(gain.attrs.get(CALIBRATION_NAMES, "")).split() if gain is not None else []
-    lost = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
-    if lost:
-        smile = " (smile is not corrected)" if "wavelength_shift" in lost else ""
+    missing_names = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
+    if missing_names:
+        smile = " (smile is not corrected)" if "wavelength_shift" in missing_names else ""
         warnings.warn(
             PaintWarning(
-                f"{purpose} is computed without {', '.join(map(repr, lost))}, which the calibration of this "
-                f"line has; keep them beside 'radiance_gain'{smile}",
+                f"{purpose} is computed without {', '.join(map(repr, missing_names))}, which the calibration "
+                f"of this line has; keep them beside 'radiance_gain'{smile}",
                 code="calibration-incomplete",
             ),
             stacklevel=4,
@@ -475,10 +475,10 @@ def numbers_of(line: xr.Dataset, dim: str) -> Floats:
 def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
     converted = {}
     for name in (str(name) for name in dataset.coords if name in VARIABLES):
-        variable, wanted = dataset.variables[name], VARIABLES[name].units
-        units = variable.attrs.get("units", wanted)
-        if wanted != units and variable.ndim < 2 and same_dimension(str(units), wanted):
-            converted[name] = convert(dataset[name], wanted).variable
+        variable, table_units = dataset.variables[name], VARIABLES[name].units
+        units = variable.attrs.get("units", table_units)
+        if table_units != units and variable.ndim < 2 and same_dimension(str(units), table_units):
+            converted[name] = convert(dataset[name], table_units).variable
     return dataset.assign_coords(converted) if converted else dataset
 
 

@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import BAND, CROSS_TRACK, label
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, Linearity, linearity_of
@@ -157,10 +157,8 @@ def calibrate(
             mend="open its store with xarray.open_zarr",
             code="type-wrong",
         )
-    if srf_shape is not None and srf_shape not in SHAPES:
-        raise SchemaError(
-            f"srf_shape {srf_shape!r}", expected=f"one of {', '.join(SHAPES)}, or None", code="choice-unknown"
-        )
+    if srf_shape is not None:
+        one_of(srf_shape, SHAPES, "srf_shape")
     lab = check_sweep(sweep, absolute=absolute)
     tick = _counter(progress, lab.shape[0] * (3 if srf_shape else 4))
     bad = _initial_bad_elements(lab, bad_elements)
@@ -438,14 +436,20 @@ def _map_with_slope_shift(
     def over_steps(values: Floats) -> Floats:
         return np.interp(lab.wavelength, lit_wavelength, values)
 
-    def middle(values: Floats) -> Floats:
+    def median_over_steps(values: Floats) -> Floats:
         return over_steps(row_medians(values, lamp_lines.trusted)[lit_steps])
 
     slope = over_steps(np.gradient(np.log(level[lit_steps]), lit_wavelength))
     spacing = rough_map.spacing(np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2]))
-    camera_width = middle(lamp_lines.camera_width * spacing)
+    camera_width = median_over_steps(lamp_lines.camera_width * spacing)
     slope_shift = slope_shift_of_lines(
-        lab, sweep_data.noise, slope, camera_width, middle(spacing), middle(lamp_lines.amplitude), shape
+        lab,
+        sweep_data.noise,
+        slope,
+        camera_width,
+        median_over_steps(spacing),
+        median_over_steps(lamp_lines.amplitude),
+        shape,
     )
     return _map(lamp_lines, lab, lab.wavelength + slope_shift, degree), slope, slope_shift
 

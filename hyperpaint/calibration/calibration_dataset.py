@@ -165,10 +165,10 @@ def measured_shape(
     )
 
 
-def _convolution(place: Floats, offset: Floats, width: float, *, triangular: bool) -> Floats:
+def _convolution(source_distance: Floats, offset: Floats, width: float, *, triangular: bool) -> Floats:
     # Return the matrix from a response (offset,) to a curve at distances (place,), convolved with a lamp
     # line.
-    distance = place[:, None] - offset
+    distance = source_distance[:, None] - offset
     lamp_line = (
         np.clip(1.0 - np.abs(distance) / width, 0.0, None) / width
         if triangular
@@ -619,14 +619,14 @@ class Result:
     def gain(self) -> tuple[Floats, Bools]:
         """Gain of every element [W m-2 sr-1 nm-1 s count-1], NaN where unknown; and whether it is known."""
         lab = self.lab
-        used = self.used
+        is_node = self.used
         order = np.argsort(self.centre_wavelength)
         spacing = np.interp(
             lab.wavelength, self.centre_wavelength[order], self.spacing[order, lab.shape[2] // 2]
         )
         factor = second_order_factor(
             lab.wavelength,
-            line_level(self.lamp_lines, lab, self.wavelength_map, used),
+            line_level(self.lamp_lines, lab, self.wavelength_map, is_node),
             shape_variance(self.fwhm_at_steps, self.shape, spacing),
             shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
         )
@@ -634,7 +634,7 @@ class Result:
         nodes = _nodes(self.lamp_lines, lab, self.wavelength_map) * (factor[:, None] / self.off_lines.counted)
         low, high = EDGE_TOLERANCE_NM
         tolerance = min(max(low, 3.0 * self.wavelength_map.residual), high)
-        return element_gain(lab.wavelength, nodes, used, self.wavelength, lab.etendue, tolerance)
+        return element_gain(lab.wavelength, nodes, is_node, self.wavelength, lab.etendue, tolerance)
 
     def dataset(self, flat: Floats | None) -> xr.Dataset:
         """Return the calibration."""
@@ -723,12 +723,12 @@ class Result:
         return self.between.error if self.between.error > threshold else 0.0
 
     def _warnings(self) -> Iterator[tuple[str, str]]:
-        wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
-        if wide.any():
+        is_wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
+        if is_wide.any():
             share = float(np.max(self.lab.width / self.fwhm_at_steps))
             yield (
                 f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
-                f"{MAX_SLIT_SHARE:g} at {int(wide.sum())} of {wide.size} steps): fwhm is ill-conditioned "
+                f"{MAX_SLIT_SHARE:g} at {is_wide.sum()} of {is_wide.size} steps): fwhm is ill-conditioned "
                 "there; narrow the slits",
                 "slit-too-wide",
             )
@@ -779,12 +779,12 @@ class Result:
     def _uncertainties(self, gain: Floats, good: Bools) -> dict[str, Floats]:
         random = np.full(gain.shape, np.nan)
         for column in range(gain.shape[1]):
-            used = np.flatnonzero(self.used[:, column])
-            if used.size:
+            node_steps = np.flatnonzero(self.used[:, column])
+            if node_steps.size:
                 random[:, column] = np.interp(
                     self.wavelength[:, column],
-                    self.lab.wavelength[used],
-                    self.lamp_lines.area_u[used, column],
+                    self.lab.wavelength[node_steps],
+                    self.lamp_lines.area_u[node_steps, column],
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
         total = np.sqrt(
@@ -825,9 +825,9 @@ class Result:
         for step, window in enumerate(self.sweep_data.windows):
             if window is not None:
                 beam[step] = fit_beam(window.beam)
-        used = self.is_placed.any(axis=1)
+        is_placed_step = self.is_placed.any(axis=1)
         second = np.full(steps, np.nan)
-        second[used] = self.off_lines.second_order
+        second[is_placed_step] = self.off_lines.second_order
         return {
             "line_band": lamp_lines.centre,
             "line_centre": self.line_wavelength,
@@ -839,7 +839,7 @@ class Result:
             "line_trusted": self.used,
             "beam_centre": beam[:, 0],
             "beam_fwhm": beam[:, 1],
-            "out_of_band": np.where(used, self.sweep_data.rows.sum(axis=1), np.nan),
+            "out_of_band": np.where(is_placed_step, self.sweep_data.rows.sum(axis=1), np.nan),
             "second_order": second,
             "stray_light": self.off_lines.stray_light * self.off_lines.counted,
             "stray_light_u": self.off_lines.relative,
@@ -878,13 +878,13 @@ class Result:
     @cached_property
     def off_lines(self) -> OffLines:
         """Light off the lamp lines, from the steps with placed lamp lines."""
-        used = self.is_placed.any(axis=1)
+        is_placed_step = self.is_placed.any(axis=1)
         return light_off_lines(
-            self.sweep_data.rows[used],
-            row_medians(self.lamp_lines.centre, self.is_placed)[used],
-            self.lab.wavelength[used],
+            self.sweep_data.rows[is_placed_step],
+            row_medians(self.lamp_lines.centre, self.is_placed)[is_placed_step],
+            self.lab.wavelength[is_placed_step],
             self.centre_wavelength,
-            row_medians(self.lamp_lines.width * self.line_spacing, self.is_placed)[used],
+            row_medians(self.lamp_lines.width * self.line_spacing, self.is_placed)[is_placed_step],
             self.dark_check,
         )
 

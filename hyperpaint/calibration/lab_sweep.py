@@ -10,6 +10,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, find
 
 from .detector import DarkModel, fit_dark_model
@@ -147,12 +148,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
             code="value-out-of-range",
         )
     shape = sweep.attrs.get("monochromator_shape", "gaussian")
-    if shape not in MONOCHROMATOR_SHAPES:
-        problems.add(
-            f"attribute monochromator_shape {shape!r}",
-            expected=f"one of {', '.join(MONOCHROMATOR_SHAPES)}",
-            code="choice-unknown",
-        )
+    one_of(shape, MONOCHROMATOR_SHAPES, "attribute monochromator_shape", problems=problems)
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
     if dark is None:
@@ -203,7 +199,7 @@ def _check_positive(
 ) -> None:
     is_invalid = ~(np.isfinite(values) & (values > 0) & (values <= high))
     if dims == (STEP, CROSS_TRACK):
-        # unlit columns need no flux; counts show later which columns are lit
+        # a step may have columns without flux, which are unlit, but not only such columns
         is_invalid &= ~(is_invalid & ((values == 0) | np.isnan(values))) | is_invalid.all(
             axis=1, keepdims=True
         )
@@ -226,12 +222,12 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
     if "dark_counts" not in arrays:
         return None
     dark = arrays["dark_counts"]
-    by_step = STEP in dark.dims
+    is_by_step = STEP in dark.dims
     exposure = values.get("exposure_time")
     dark_exposure = values.get("dark_exposure_time", exposure)
     if exposure is None or dark_exposure is None:
         return None
-    if by_step:
+    if is_by_step:
         dark_exposure = np.broadcast_to(dark_exposure, dark.sizes[STEP])
     elif dark_exposure.ndim:
         # one dark for all steps: it needs a single exposure time
@@ -239,13 +235,13 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
             varying_name = "dark_exposure_time" if "dark_exposure_time" in values else "exposure_time"
             problems.add(
                 f"{varying_name} varies from step to step, but there is one dark_counts",
-                mend="give dark_counts per step",
+                mend="pass dark_counts per step",
                 code="dark-per-step",
             )
             return None
         dark_exposure = dark_exposure[0]
     array = np.asarray(dark.to_numpy(), np.float64)
-    if not by_step:
+    if not is_by_step:
         array, dark_exposure = array[None], np.atleast_1d(dark_exposure)
     model = fit_dark_model(array, np.asarray(dark_exposure, np.float64))
     exposures_outside = [e for e in np.unique(exposure) if not model.is_valid_at(float(e))]
@@ -280,7 +276,7 @@ def _assembled(
     def scalar(name: str) -> float | None:
         return float(np.nanmedian(values[name])) if name in values else None
 
-    by_column = any(
+    is_by_column = any(
         name in arrays and CROSS_TRACK in arrays[name].dims for name in ("flux", "capture_fraction")
     )
     return LabSweep(
@@ -299,6 +295,6 @@ def _assembled(
         electrons_per_count=scalar("electrons_per_count"),
         read_noise=scalar("read_noise"),
         absolute=all(name in arrays for name in _ABSOLUTE),
-        by_column=by_column,
+        by_column=is_by_column,
         band_shift_time=scalar("band_shift_time") or 0.0,
     )

@@ -183,17 +183,17 @@ def _split(
     time: Array,
     channels: Floats,
     wavelength: Floats,
-    place: tuple[float, float, float, float],
+    position: tuple[float, float, float, float],
     sun_zenith: float | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     # Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
     # `receiver`: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
     # `sun_zenith` replaces the zenith angle from clock and place [degree].
-    latitude, longitude, level_u, pressure = place
+    latitude, longitude, level_u, pressure = position
     spectra = np.asarray(spectra, np.float64)
     # leave out channels that most samples lack: a sample needs finite values in all intervals
-    finite = np.isfinite(spectra)
-    is_frequent = 2 * finite.sum(axis=0) > finite.any(axis=1).sum()
+    is_finite = np.isfinite(spectra)
+    is_frequent = 2 * is_finite.sum(axis=0) > is_finite.any(axis=1).sum()
     spectra, channels = spectra[:, is_frequent], channels[is_frequent]
     # means over the compared intervals, at one astronomical unit
     windows = windows_in(channels)
@@ -204,7 +204,7 @@ def _split(
     if sun_zenith is not None:
         zenith = np.full(zenith.shape, sun_zenith)
     # without any interval, as in a record without values, no sample is usable
-    usable = (
+    is_usable = (
         bool(windows.centre.size) & ((means > 0.0) & np.isfinite(means)).all(axis=1) & np.isfinite(zenith)
     )
     samples, bands = len(means), wavelength.size
@@ -212,20 +212,20 @@ def _split(
     probability = np.zeros((samples, len(SKY_STATES)))
     probability[:, -1] = 1.0
     cloud = np.full(samples, np.nan)
-    if usable.any():
-        seconds = (time[usable] - time[usable][0]).astype("timedelta64[ns]").astype(np.float64) / 1e9
-        evidence = Evidence(np.log(means[usable]), zenith[usable], seconds, level_u)
+    if is_usable.any():
+        seconds = (time[is_usable] - time[is_usable][0]).astype("timedelta64[ns]").astype(np.float64) / 1e9
+        evidence = Evidence(np.log(means[is_usable]), zenith[is_usable], seconds, level_u)
         explained = explain(evidence, windows, pressure)
         for out, values in ((fraction, explained.fraction), (u, explained.u)):
-            out[usable] = [np.interp(wavelength, explained.nodes, row) for row in values]
-        probability[usable], cloud[usable] = explained.probability, explained.cloud
+            out[is_usable] = [np.interp(wavelength, explained.nodes, row) for row in values]
+        probability[is_usable], cloud[is_usable] = explained.probability, explained.cloud
     return fraction, u, probability, cloud
 
 
 def split_of_lines(
     line: xr.Dataset, *, calibration_uncertainty: float = 0.05, sun_zenith: float | None = None
 ) -> xr.Dataset | None:
-    """Return `SPLIT` for the lines of a flight line, from its own record; None without a record or a place.
+    """Return `SPLIT` for the lines of a flight line, from its record; None without record or position.
 
     ``line`` has ``irradiance``, ``time``, ``latitude``, ``longitude`` and ``wavelength``. A line has the
     fraction interpolated between both samples around it, and the state of the nearer one; NaN, and
@@ -235,10 +235,10 @@ def split_of_lines(
     import dask
     import dask.array as da
 
-    wanted = ("irradiance", "time", "latitude", "longitude", "wavelength")
-    if not set(wanted) <= set(line.variables) or line.sizes.get(IRRADIANCE_TIME, 0) == 0:
+    needed_names = ("irradiance", "time", "latitude", "longitude", "wavelength")
+    if not set(needed_names) <= set(line.variables) or line.sizes.get(IRRADIANCE_TIME, 0) == 0:
         return None
-    variables = schema.require(line, [*wanted, IRRADIANCE_TIME], "the split of irradiance")
+    variables = schema.require(line, [*needed_names, IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     latitude, longitude = (variables[name].values for name in ("latitude", "longitude"))
     is_located = np.isfinite(latitude) & np.isfinite(longitude)
@@ -248,11 +248,11 @@ def split_of_lines(
     if not windows_in(channels).centre.size:
         return None
     # rounded to a kilometre, so that a crop of the line gets the same sky
-    place = round(float(latitude[is_located].mean()), 2), round(float(longitude[is_located].mean()), 2)
+    position = round(float(latitude[is_located].mean()), 2), round(float(longitude[is_located].mean()), 2)
     wavelength = variables["wavelength"].values.astype(np.float64)
     samples = variables[IRRADIANCE_TIME].values
     check_irradiance_times(samples.astype("datetime64[ns]"))
-    receiver = (*place, calibration_uncertainty, 101_325.0)
+    receiver = (*position, calibration_uncertainty, 101_325.0)
     split_of_record = dask.delayed(_split)(record.data, samples, channels, wavelength, receiver, sun_zenith)
     parts: list[list[Any]] = [[], [], []]
     for rows in np.split(variables["time"].values, _block_starts(line)):

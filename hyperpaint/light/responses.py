@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import SRF_SHAPES
 
 #: Standard deviation of a Gaussian per unit of full width at half maximum.
@@ -58,12 +59,7 @@ class Responses:
         wavelength = np.atleast_1d(np.asarray(self.wavelength, np.float64))
         fwhm = np.broadcast_to(np.asarray(self.fwhm, np.float64), wavelength.shape)
         problems = Problems("spectral responses cannot be used", SchemaError)
-        if self.shape not in SRF_SHAPES:
-            problems.add(
-                f"line shape {self.shape!r}",
-                expected=f"one of {', '.join(SRF_SHAPES)}",
-                code="choice-unknown",
-            )
+        one_of(self.shape, SRF_SHAPES, "shape", problems=problems)
         if not np.isfinite(wavelength).all():
             problems.add("wavelengths are not finite", code="not-finite")
         if self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()):
@@ -109,8 +105,8 @@ class Responses:
         width = self.fwhm[bands, None]
         if self.shape == "gaussian":
             # tails are cut off: their products are denormal numbers, which are a hundred times slower
-            tail = np.abs(distance) > _REACH * width
-            response = np.where(tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
+            is_tail = np.abs(distance) > _REACH * width
+            response = np.where(is_tail, 0.0, np.exp(-0.5 * (distance / (GAUSSIAN_SIGMA * width)) ** 2))
         elif self.shape == "slit":
             pixel = np.asarray(self.spacing)[bands, None]
             response = np.clip(0.5 * (width + pixel) - np.abs(distance), 0.0, np.minimum(width, pixel))
@@ -159,7 +155,7 @@ def _even_spacing(wavelength: Floats) -> Floats:
     if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
         raise SchemaError(
             "a slit-shaped response needs the camera's band spacing, and these bands are not contiguous",
-            mend="give 'band_spacing' (band) [nm], or select bands after computing the reflectance",
+            mend="pass 'band_spacing' (band) [nm], or select bands after computing the reflectance",
             code="band-spacing-missing",
         )
     return band_spacing(wavelength)
@@ -183,10 +179,10 @@ def mean_responsivity(gain: npt.ArrayLike) -> Floats:
     Gains that are not positive and finite are left out; NaN for a band without a usable gain.
     """
     gain = np.asarray(gain, np.float64)
-    usable = np.isfinite(gain) & (gain > 0)
-    total = np.where(usable, 1.0 / np.where(usable, gain, 1.0), 0.0).sum(axis=1)
+    is_usable = np.isfinite(gain) & (gain > 0)
+    total = np.where(is_usable, 1.0 / np.where(is_usable, gain, 1.0), 0.0).sum(axis=1)
     with np.errstate(invalid="ignore"):
-        return np.asarray(total / usable.sum(axis=1))
+        return np.asarray(total / is_usable.sum(axis=1))
 
 
 def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats:
@@ -198,10 +194,10 @@ def log_slope(wavelength: Floats, responsivity: Floats, width: Floats) -> Floats
     ``responsivity`` (band,) is of any scale; values that are not positive and finite are left out. ``width``
     (band,) is the half width of the window of the fit [nm].
     """
-    usable = np.isfinite(responsivity) & (responsivity > 0)
-    log = np.log(np.where(usable, responsivity, 1.0))
+    is_usable = np.isfinite(responsivity) & (responsivity > 0)
+    log = np.log(np.where(is_usable, responsivity, 1.0))
     distance = (wavelength - wavelength[:, None]) / width[:, None]
-    is_near = usable & (np.abs(distance) <= 1.0)
+    is_near = is_usable & (np.abs(distance) <= 1.0)
     terms = [np.zeros(is_near.shape) for _ in range(5)]
     for power, term in enumerate(terms):
         term[is_near] = (
@@ -308,18 +304,20 @@ def _cached_operator(
         widths = spectrometer.fwhm[order[nearby]] if nearby.size else spectrometer.fwhm
         if _has_hole(centres, centre, imager.fwhm[band] + np.ptp(shifts), 2.0 * widths.max()):
             coverage[:, band] = 0.0
-        covered = coverage[:, band] >= 0.999
-        weights[~covered, band] = np.nan
-        if nearby.size == 0 or not covered.any():
+        is_covered = coverage[:, band] >= 0.999
+        weights[~is_covered, band] = np.nan
+        if nearby.size == 0 or not is_covered.any():
             weights[:, band] = np.nan
             continue
         channels = spectrometer.on(grid, order[nearby])
-        rows = _constrained_ridge(channels, responses[covered], ridge)
-        for node, row in zip(np.flatnonzero(covered), rows, strict=True):
+        rows = _constrained_ridge(channels, responses[is_covered], ridge)
+        for node, row in zip(np.flatnonzero(is_covered), rows, strict=True):
             weights[node, band, order[nearby]] = row
-        residual = np.einsum("ni,ig->ng", rows, channels) - responses[covered]
-        misfit[covered, band] = np.sqrt((residual**2).sum(axis=1) / (responses[covered] ** 2).sum(axis=1))
-        noise_gain[covered, band] = np.sqrt((rows**2).sum(axis=1))
+        residual = np.einsum("ni,ig->ng", rows, channels) - responses[is_covered]
+        misfit[is_covered, band] = np.sqrt(
+            (residual**2).sum(axis=1) / (responses[is_covered] ** 2).sum(axis=1)
+        )
+        noise_gain[is_covered, band] = np.sqrt((rows**2).sum(axis=1))
     for array in (weights, misfit, noise_gain, coverage):
         array.flags.writeable = False
     return Matching(weights, misfit, noise_gain, coverage)

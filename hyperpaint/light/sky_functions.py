@@ -232,7 +232,7 @@ def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from
     sun_zenith
         [degree]
     angle
-        Between the slope's normal and the zenith, 0 to 90 [degree].
+        Angle between the slope's normal and the zenith, 0 to 90 [degree].
     from_sun
         Azimuth of the normal less azimuth of the sun [degree].
 

@@ -256,7 +256,7 @@ def panel_closure(
     Raises
     ------
     SchemaError, UnitsError, TimeError
-        As `reflectance`; a panel's region lies outside of the line, or holds no valid pixel.
+        As `reflectance`; a panel's region lies outside of the line, or contains no valid pixel.
 
     Notes
     -----

@@ -16,6 +16,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.responses import band_spacing
 
@@ -269,8 +270,7 @@ def smooth(
         problems.add(
             "'reflectance' is missing", mend="call .paint.reflectance() first", code="variable-missing"
         )
-    if method not in METHODS:
-        problems.add(f"method {method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
+    one_of(method, METHODS, "method", problems=problems)
     if window < 3 or window % 2 == 0:
         problems.add(
             f"window {window}", expected="an odd number of bands, 3 or more", code="value-out-of-range"
@@ -294,7 +294,7 @@ def smooth(
     array = convert(dataset["reflectance"], "1")
     is_cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if is_cube else array
-    options: dict[str, Any] = {"cube": is_cube, "window": window}
+    options: dict[str, Any] = {"is_cube": is_cube, "window": window}
     if method != "box":
         options["polynomials"] = _window_polynomials(window, order, array.sizes[schema.BAND])
     arrays = [source.chunk({schema.BAND: -1}) if source.chunks else source]
@@ -346,7 +346,7 @@ def _filter(
     from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
 
     spectra = values.astype(np.float32, copy=False)
-    # spectra without a cross-track dim are lines one column wide, whatever their other dims
+    # the kernels take cubes: without a cross-track dim, each spectrum becomes a line of one column
     if not is_cube:
         spectra = spectra.reshape(-1, values.shape[-1], 1)
     out = np.empty(spectra.shape, np.float32)
@@ -365,13 +365,13 @@ def _filter(
 def _window_polynomials(window: int, order: int, bands: int) -> WindowPolynomials:
     first = np.clip(np.arange(bands) - window // 2, 0, bands - window)
     centres = np.arange(bands) - first
-    place = np.arange(window)
-    complete_weights = np.stack([_polynomial_weights(place - centre, order) for centre in place])
+    position = np.arange(window)
+    complete_weights = np.stack([_polynomial_weights(position - centre, order) for centre in position])
     gap_weights = np.zeros((window, window, window))
-    for centre in place:
-        for gap in place:
-            is_used = place != gap
-            gap_weights[centre, gap, is_used] = _polynomial_weights(place[is_used] - centre, order)
+    for centre in position:
+        for gap in position:
+            is_used = position != gap
+            gap_weights[centre, gap, is_used] = _polynomial_weights(position[is_used] - centre, order)
     return WindowPolynomials(
         first, complete_weights[centres].astype(np.float32), gap_weights[centres].astype(np.float32)
     )

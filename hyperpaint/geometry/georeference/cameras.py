@@ -11,6 +11,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -39,7 +40,7 @@ class PinholeCamera:
     Raises
     ------
     SchemaError
-        Neither or both of the two descriptions, or numbers out of range; all are listed.
+        Both or neither of the two lengths and the field of view, or numbers out of range; all are listed.
 
     Examples
     --------
@@ -83,16 +84,11 @@ class PinholeCamera:
                     expected="0 to 178 [degree]",
                     code="value-out-of-range",
                 )
-            if self.edges not in ("centres", "outer"):
-                problems.add(
-                    f"edges {self.edges!r:.60}",
-                    expected="'centres' or 'outer', the edges that field_of_view is between",
-                    code="choice-unknown",
-                )
-            elif self.edges == "centres" and self.columns == 1:
+            one_of(self.edges, ("centres", "outer"), "edges", problems=problems)
+            if self.edges == "centres" and self.columns == 1:
                 problems.add(
                     "one column has no angle between centres",
-                    mend="give edges='outer'",
+                    mend="pass edges='outer'",
                     code="option-conflict",
                 )
         problems.raise_if_any()
@@ -140,7 +136,7 @@ def look_angles(
         if convention.column_order is None:
             raise SchemaError(
                 "the order of columns is not declared: whether column 0 looks left or right",
-                mend="give convention=Convention(column_order='left_to_right') or 'right_to_left'",
+                mend="pass convention=Convention(column_order='left_to_right') or 'right_to_left'",
                 code="column-order-missing",
             )
         across = camera.look_across(convention.column_order)
@@ -151,7 +147,7 @@ def look_angles(
         if name is None:
             raise SchemaError(
                 "the line has neither look_across nor look_angle (cross_track) [degree]",
-                mend="give camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
+                mend="pass camera=hp.geometry.PinholeCamera(columns, pixel_pitch, focal_length), or a table "
                 "of the angles",
                 code="camera-missing",
             )

@@ -28,7 +28,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     ----------
     located
     crs
-        Reference system of the outline; by default longitude and latitude, as GeoJSON wants it.
+        Reference system of the outline; by default longitude and latitude, the standard of GeoJSON.
 
     Returns
     -------
@@ -46,8 +46,8 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
 
     Notes
     -----
-    The outline is the union of the quadrilaterals between the ends of neighbouring lines: ground that a
-    wobble shows twice is counted once. Bends of less than half the spacing of the pixels are left out.
+    The outline is the union of the quadrilaterals between neighbouring lines: ground that is recorded twice,
+    as in turbulence, is counted once. Bends smaller than half the pixel spacing are removed.
 
     Examples
     --------
@@ -79,14 +79,14 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     if not pairs.size:
         raise SchemaError(
             "no two neighbouring lines have ground positions",
-            mend="look at poses and at the quality's off_swath",
+            mend="check the poses, and the flag off_swath of quality",
             code="ground-not-seen",
         )
     corners = np.concatenate([ends[pairs], ends[pairs + 1]], axis=1)
-    quads = shapely.convex_hull(shapely.multipoints(corners))
+    quadrilaterals = shapely.convex_hull(shapely.multipoints(corners))
     across, along = _steps(east, north)
-    bend = 0.5 * float(np.nanmedian(np.concatenate([across.ravel(), along.ravel()])))
-    covered = shapely.simplify(shapely.union_all(quads), bend)
+    max_bend = 0.5 * float(np.nanmedian(np.concatenate([across.ravel(), along.ravel()])))
+    covered = shapely.simplify(shapely.union_all(quadrilaterals), max_bend)
     target = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)
     outline = shapely.transform(covered, lambda xy: between_maps(xy, source, target))
     return {
@@ -145,7 +145,7 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     if np.isnan([distances["across"], distances["along"]]).all():
         raise SchemaError(
             "no two neighbouring pixels have ground positions",
-            mend="look at poses and at the quality's off_swath",
+            mend="check the poses, and the flag off_swath of quality",
             code="ground-not-seen",
         )
     distances["gsd"] = float(np.nanmax([distances["across"], distances["along"]]))

@@ -75,9 +75,9 @@ def crs_of(crs: Any) -> str:
 
 
 def utm_zone(latitude: float, longitude: float) -> str:
-    """Return the EPSG code of the UTM zone of a place, on WGS 84.
+    """Return the EPSG code of the UTM zone of a position, on WGS 84.
 
-    The irregular zones of Norway and Svalbard are kept.
+    The irregular zones of Norway and Svalbard are included.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     Raises
     ------
     SchemaError
-        The place is not finite, or beyond 84 degrees north or 80 south.
+        The position is not finite, or beyond 84 degrees north or 80 degrees south.
 
     Examples
     --------
@@ -104,7 +104,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     if not (-80.0 <= latitude <= 84.0 and np.isfinite(longitude)):
         raise SchemaError(
             f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}",
-            mend="give crs=",
+            mend="pass crs=",
             code="crs-missing",
         )
     longitude = (longitude + 180.0) % 360.0 - 180.0

@@ -13,7 +13,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, label
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
@@ -95,8 +95,8 @@ def canonical_navigation(
 
 def with_convention(attrs: Mapping[Any, Any], convention: Convention) -> dict[Any, Any]:
     """Return attributes that declare this convention and no other."""
-    rest = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
-    return {**rest, **convention.to_attrs()}
+    other_attrs = {name: value for name, value in attrs.items() if not str(name).startswith("convention_")}
+    return {**other_attrs, **convention.to_attrs()}
 
 
 def _labelled(values: Any, name: str, dims: tuple[Any, ...]) -> xr.DataArray:
@@ -129,7 +129,7 @@ def convention_of(
     if declared is None:
         raise SchemaError(
             f"{subject} does not declare its angles and heights, which differ between makers",
-            mend="give convention=Convention(...), by default roll positive with the right wing down, pitch "
+            mend="pass convention=Convention(...), by default roll positive with the right wing down, pitch "
             "with the nose up, heading clockwise from true north [degree], heights above the ellipsoid",
             code="convention-missing",
         )
@@ -301,10 +301,7 @@ def poses_at(
 def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     """Refuse an unknown interpolation and a gap of 0 or less, as SchemaError."""
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
-    if interpolation not in ("linear", "cubic"):
-        problems.add(
-            f"interpolation {interpolation!r:.60}", expected="'linear' or 'cubic'", code="choice-unknown"
-        )
+    one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
     if max_gap_s is not None and not max_gap_s > 0.0:
         problems.add(f"max_gap_s {max_gap_s!r:.60}", expected="a time above 0 [s]", code="value-out-of-range")
     problems.raise_if_any()
@@ -322,9 +319,9 @@ def _increasing(knots: Ints) -> Bools:
     steps = np.diff(knots[rows_with_time])
     if np.any(steps < 0):
         rows = rows_with_time[1:][steps < 0]
-        listed = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
+        rows_text = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
         raise TimeError(
-            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({listed})",
+            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({rows_text})",
             mend="sort the record by time, or remove these rows",
             code="time-backwards",
         )
@@ -333,29 +330,29 @@ def _increasing(knots: Ints) -> Bools:
     return is_later
 
 
-def _bracket(knots: Ints, wanted: Ints, gap: float) -> tuple[Ints, Floats, Bools]:
+def _bracket(knots: Ints, times: Ints, gap: float) -> tuple[Ints, Floats, Bools]:
     # Return the row before each time, the weight of the next row, and whether interpolation is allowed.
-    before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
+    before = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, max(knots.size - 2, 0))
     after = np.minimum(before + 1, knots.size - 1)
-    is_inside = (wanted >= knots[0]) & (wanted <= knots[-1])
+    is_inside = (times >= knots[0]) & (times <= knots[-1])
     step = knots[after] - knots[before]
-    elapsed = np.where(is_inside, wanted - knots[before], 0)
+    elapsed = np.where(is_inside, times - knots[before], 0)
     weight = elapsed / np.maximum(step, 1)
-    # a time equal to that of a row needs no interpolation, whatever the distance of the next row
+    # a time equal to that of a row needs no interpolation, even beside a gap
     return before, weight, is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
 
 
-def _positions_between(knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str) -> Floats:
+def _positions_between(knots: Ints, values: Floats, times: Ints, gap: float, interpolation: str) -> Floats:
     values = values.copy()
     values[1] = np.unwrap(values[1], period=360.0)
-    before, weight, is_covered = _bracket(knots, wanted, gap)
+    before, weight, is_covered = _bracket(knots, times, gap)
     if interpolation == "cubic" and knots.size > 1:
         from scipy.interpolate import CubicSpline
 
         def spline(rows: slice, s: Floats, t: Floats) -> Floats:
             return np.asarray(CubicSpline(s, values[:, rows], axis=1)(t))
 
-        positions = _by_stretch(knots, wanted, is_covered, gap, spline)
+        positions = _by_stretch(knots, times, is_covered, gap, spline)
     else:
         after = np.minimum(before + 1, knots.size - 1)
         positions = values[:, before] + weight * (values[:, after] - values[:, before])
@@ -363,9 +360,9 @@ def _positions_between(knots: Ints, values: Floats, wanted: Ints, gap: float, in
     return np.where(is_covered, positions, np.nan)
 
 
-def _attitudes_between(knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str) -> Floats:
+def _attitudes_between(knots: Ints, values: Floats, times: Ints, gap: float, interpolation: str) -> Floats:
     rotation = quaternions(*values)
-    before, weight, is_covered = _bracket(knots, wanted, gap)
+    before, weight, is_covered = _bracket(knots, times, gap)
     if interpolation == "cubic" and knots.size > 1:
         from scipy.spatial.transform import Rotation, RotationSpline
 
@@ -373,25 +370,25 @@ def _attitudes_between(knots: Ints, values: Floats, wanted: Ints, gap: float, in
             spline_rotation = RotationSpline(s, Rotation.from_quat(rotation[rows], scalar_first=True))(t)
             return np.asarray(spline_rotation.as_quat(scalar_first=True)).T
 
-        rotations = _by_stretch(knots, wanted, is_covered, gap, spline, size=4).T
+        rotations = _by_stretch(knots, times, is_covered, gap, spline, size=4).T
     else:
         rotations = slerp(rotation[before], rotation[np.minimum(before + 1, knots.size - 1)], weight)
     return np.where(is_covered, np.stack(angles_of(rotations)), np.nan)
 
 
 def _by_stretch(
-    knots: Ints, wanted: Ints, is_covered: Bools, gap: float, spline: Any, size: int = 3
+    knots: Ints, times: Ints, is_covered: Bools, gap: float, spline: Any, size: int = 3
 ) -> Floats:
     # Evaluate splines (size, line), which end at every gap; a stretch of a single row is constant.
     ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
-    splined = np.full((size, wanted.size), np.nan)
+    splined = np.full((size, times.size), np.nan)
     for start, stop in itertools.pairwise(ends):
-        is_here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
+        is_here = is_covered & (times >= knots[start]) & (times <= knots[stop - 1])
         if not is_here.any():
             continue
         first = max(start - 1, 0) if stop - start == 1 else start
         last = min(start + 2, knots.size) if stop - start == 1 and first == start else stop
         rows = slice(first, last)
         s = (knots[rows] - knots[start]) / _NS_PER_S
-        splined[:, is_here] = spline(rows, s, (wanted[is_here] - knots[start]) / _NS_PER_S)
+        splined[:, is_here] = spline(rows, s, (times[is_here] - knots[start]) / _NS_PER_S)
     return splined

@@ -122,7 +122,7 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
         elevation[np.asarray(heights) == value] = np.nan
     elevation[~np.isfinite(elevation)] = np.nan
     if np.isnan(elevation).all():
-        raise SchemaError("this DEM holds no heights, only holes", code="dem-empty")
+        raise SchemaError("this DEM contains only holes", code="dem-empty")
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
     # highest point of every block of cells; neighbouring blocks share a border
     filled = np.where(np.isnan(elevation), -np.inf, elevation)

@@ -16,7 +16,7 @@ from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import BAND, Quality
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.geometry.georeference import LOCATION_UNITS
@@ -145,10 +145,9 @@ def mosaic(
 
 def _check_options(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
     problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
-    if rule not in RULES:
-        problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)), code="choice-unknown")
-    if levelling not in (None, "overlap"):
-        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
+    one_of(rule, RULES, "rule", problems=problems)
+    if levelling is not None:
+        one_of(levelling, ("overlap",), "levelling", problems=problems)
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
         problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not (isinstance(tile, int | np.integer) and tile > 0):
@@ -232,7 +231,7 @@ class _Tiles:
         bands: tuple[int, ...],
         dependencies: list[da.Array],
     ) -> da.Array:
-        layer = {(name, *place, *(0 for _ in bands)): task for place, task in tasks.items()}
+        layer = {(name, *tile_index, *(0 for _ in bands)): task for tile_index, task in tasks.items()}
         graph = HighLevelGraph.from_collections(name, layer, dependencies=dependencies)
         rows, cols = ((1 if dtype is object else self.size,) * count for count in self.count)
         chunks = (rows, cols, *((size,) for size in bands))
@@ -240,7 +239,7 @@ class _Tiles:
 
     def levelling(self, variable: str) -> Levelling:
         first = self.strips[0].map[variable]
-        tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
+        tiles = (self._recipes([*LEVELLED_BY, variable], tile_index) for tile_index in np.ndindex(self.count))
         wavelength = first.coords.get("wavelength")
         wavelength_nm = (
             None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
@@ -248,11 +247,13 @@ class _Tiles:
         levelling = overlap_factors(tiles, len(self.strips), first.shape[2], wavelength_nm)
         return levelling._replace(factors=levelling.factors.astype(first.dtype))
 
-    def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
-        tile_index = self.first[0] + place[0], self.first[1] + place[1]
+    def _recipes(self, names: list[str], tile_index: Place) -> dict[int, Recipe]:
+        shared_index = self.first[0] + tile_index[0], self.first[1] + tile_index[1]
         strips = enumerate(self.strips)
         return {
-            number: strip.recipe(names, tile_index) for number, strip in strips if strip.reaches(tile_index)
+            number: strip.recipe(names, shared_index)
+            for number, strip in strips
+            if strip.reaches(shared_index)
         }
 
     def planes(self, rule: str, names: list[str]) -> da.Array:
@@ -260,27 +261,34 @@ class _Tiles:
         first = self.strips[0].map
         fills = [fill_of(name, first[name].dtype) for name in names]
         tasks = {}
-        for place in np.ndindex(self.count):
-            tile_index = self.first[0] + place[0], self.first[1] + place[1]
-            gaps = [strip.recipe(["gap"], tile_index) for strip in self.strips if strip.covers(tile_index)]
-            arguments = (rule, names, fills, self.size, self._recipes(names, place), gaps)
-            tasks[place] = (partial(_planes_of_tile, *arguments),)
+        for tile_index in np.ndindex(self.count):
+            shared_index = self.first[0] + tile_index[0], self.first[1] + tile_index[1]
+            gaps = [
+                strip.recipe(["gap"], shared_index) for strip in self.strips if strip.covers(shared_index)
+            ]
+            arguments = (rule, names, fills, self.size, self._recipes(names, tile_index), gaps)
+            tasks[tile_index] = (partial(_planes_of_tile, *arguments),)
         sources = [[strip.map[name].data.name for name in names] for strip in self.strips]
         name = f"mosaic-planes-{tokenize(sources, rule, self.first, self.count, self.size)}"
         return self._array(name, tasks, object, (), [])
 
     def plane(self, planes: da.Array, name: str, dtype: Any) -> da.Array:
-        tasks = {place: (getitem, (planes.name, *place), name) for place in np.ndindex(self.count)}
+        tasks = {
+            tile_index: (getitem, (planes.name, *tile_index), name) for tile_index in np.ndindex(self.count)
+        }
         return self._array(f"mosaic-{name}-{planes.name[14:]}", tasks, dtype, (), [planes])
 
     def spectra(self, lines: da.Array, variable: str, factors: Array | None) -> da.Array:
         first = self.strips[0].map[variable]
         fill, (bands,) = fill_of(variable, first.dtype), first.shape[2:]
         tasks = {}
-        for place in np.ndindex(self.count):
+        for tile_index in np.ndindex(self.count):
             options = {"fill": fill, "bands": bands, "factors": factors}
-            recipes = self._recipes([variable], place)
-            tasks[place] = (partial(_spectra_of_tile, recipes=recipes, **options), (lines.name, *place))
+            recipes = self._recipes([variable], tile_index)
+            tasks[tile_index] = (
+                partial(_spectra_of_tile, recipes=recipes, **options),
+                (lines.name, *tile_index),
+            )
         name = f"mosaic-{variable}-{tokenize(lines.name, variable, factors)}"
         return self._array(name, tasks, first.dtype, (bands,), [lines])
 
@@ -371,7 +379,7 @@ def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
         raise SchemaError(
             f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
             expected="one cube of floats, such as reflectance, with quality",
-            mend="give variables=",
+            mend="pass variables=",
             code="variable-missing",
         )
     return cubes[0]

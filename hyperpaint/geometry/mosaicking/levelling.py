@@ -94,14 +94,14 @@ def overlap_factors(
             parts = _connected_parts(incidence[is_observed])
             is_tied[:, band] = [np.unique(parts[parts_of_all == number]).size == 1 for number in parts_of_all]
     overlapping: Bools = np.any(incidence != 0.0, axis=0)
-    interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1, keepdims=True)
+    is_interpolated = overlapping[:, None] & ~is_tied & is_tied.any(axis=1, keepdims=True)
     position = np.arange(bands, dtype=np.float64) if wavelength is None else wavelength
-    for line in np.flatnonzero(interpolated.any(axis=1)):
-        tied_bands = np.flatnonzero(~interpolated[line])
+    for line in np.flatnonzero(is_interpolated.any(axis=1)):
+        tied_bands = np.flatnonzero(~is_interpolated[line])
         tied_bands = tied_bands[np.argsort(position[tied_bands], kind="stable")]
-        gap_bands = interpolated[line]
+        gap_bands = is_interpolated[line]
         logs[line, gap_bands] = np.interp(position[gap_bands], position[tied_bands], logs[line, tied_bands])
-    return Levelling(np.exp(logs), interpolated)
+    return Levelling(np.exp(logs), is_interpolated)
 
 
 def _connected_parts(incidence: Floats) -> Ints:

@@ -88,8 +88,8 @@ def named_lines(lines: Any) -> dict[str, xr.Dataset]:
         lines = {name: branch.to_dataset() for name, branch in lines.children.items()}
     if not isinstance(lines, Mapping | Sequence) or isinstance(lines, xr.Dataset) or not lines:
         raise SchemaError(
-            f"{type(lines).__name__} is no collection of flight lines",
-            mend="give a dict of datasets by their names",
+            f"{type(lines).__name__} is not a collection of flight lines",
+            mend="pass a dict of datasets by their names",
             code="type-wrong",
         )
     if isinstance(lines, Mapping):
@@ -134,7 +134,7 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
         crs_list = ", ".join(f"{name}: {code}" for name, code in crs.items())
         problems.add(
             f"lines on different maps ({crs_list})",
-            mend="give crs=",
+            mend="pass crs=",
             option="give --set crs=",
             code="crs-conflict",
         )
@@ -197,10 +197,14 @@ def strips_of(
         covered = shared.grids[name]
         row, col = (first // tile for first in covered.first)
         end_row, end_col = (
-            -(-(k + count) // tile) for k, count in zip(covered.first, covered.shape, strict=True)
+            -(-(tile_number + count) // tile)
+            for tile_number, count in zip(covered.first, covered.shape, strict=True)
         )
         corner = row, col
-        rows, cols = ([k * tile for k in range(*ends)] for ends in ((row, end_row + 1), (col, end_col + 1)))
+        rows, cols = (
+            [tile_number * tile for tile_number in range(*ends)]
+            for ends in ((row, end_row + 1), (col, end_col + 1))
+        )
         if is_map(line):
             strips.append(_cut_map(name, line, covered, (corner, rows, cols), variables))
             continue
@@ -219,10 +223,10 @@ def strips_of(
         )
         survey = shared.surveys[name]
         windows = tile_windows(line_grid.shape, tile)
-        touched = np.zeros((len(windows), len(windows[0])), bool)
-        for place, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
-            touched[place] = bool(slabs)
-        strips.append(Strip(name, strip, corner, touched))
+        is_touched = np.zeros((len(windows), len(windows[0])), bool)
+        for tile_index, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
+            is_touched[tile_index] = bool(slabs)
+        strips.append(Strip(name, strip, corner, is_touched))
     _check_equal_variables(strips)
     return strips
 
@@ -239,7 +243,7 @@ def _cut_map(
     if missing:
         raise SchemaError(
             f"the map {name} lacks {', '.join(missing)}",
-            mend="give what hyperpaint.geometry.orthorectify returns, or the flight line",
+            mend="pass the result of hyperpaint.geometry.orthorectify, or the flight line",
             code="variable-missing",
         )
     corner, *edges = tiles
@@ -281,7 +285,7 @@ def _check_equal_variables(strips: Sequence[Strip]) -> None:
             if array is None:
                 problems.add(
                     f"{strip.name} has no {name}, which {first.name} has",
-                    mend="give variables=",
+                    mend="pass variables=",
                     code="variable-missing",
                 )
                 continue

@@ -136,7 +136,7 @@ def find_tie_points(
         raise SchemaError(
             f"no tie points between {', '.join(lines_by_name)}",
             expected=f"lines that overlap by more than {2 * rules.half_patch * gsd:.3g} m",
-            mend="give a larger search_m=, another band= or gsd=",
+            mend="pass a larger search_m=, another band= or gsd=",
             code="tie-points-missing",
         )
     east, north = shared.grid.axes.anchor
@@ -181,25 +181,27 @@ def _picture(line: xr.Dataset, grid: Any, gsd: float, band: int | None) -> _Pict
 
 def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rules: Rules) -> Floats:
     # Return row, col, shift down and right, correlation, height and pixels of ties (tie, 10).
-    half = rules.half_patch
+    half_patch = rules.half_patch
     low = np.maximum(first_picture.corner, second_picture.corner)
     high = np.minimum(
         np.add(first_picture.corner, first_picture.image.shape),
         np.add(second_picture.corner, second_picture.image.shape),
     )
-    if (high - low <= 2 * half).any():
+    if (high - low <= 2 * half_patch).any():
         return np.empty((0, 10))
     centres = [
         (row, col)
-        for row in range(low[0] + half, high[0] - half, half)
-        for col in range(low[1] + half, high[1] - half, half)
+        for row in range(low[0] + half_patch, high[0] - half_patch, half_patch)
+        for col in range(low[1] + half_patch, high[1] - half_patch, half_patch)
     ]
-    textures = np.array([_texture(_window(first_picture, centre, half)) for centre in centres])
+    textures = np.array([_texture(_window(first_picture, centre, half_patch)) for centre in centres])
     order = np.argsort(-textures, kind="stable")[: rules.max_patches]
     ties = []
     for centre in (centres[k] for k in order if textures[k] > rules.min_texture):
         shift, quality = _match(
-            _window(first_picture, centre, half), _window(second_picture, centre, half + reach), rules
+            _window(first_picture, centre, half_patch),
+            _window(second_picture, centre, half_patch + reach),
+            rules,
         )
         if quality < rules.min_correlation:
             continue
@@ -212,12 +214,12 @@ def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rule
     return table[_near_plane(table, rules)]
 
 
-def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
+def _window(picture: _Picture, centre: Sequence[int], half_size: int) -> Floats:
     # Return the part of the picture around a cell; NaN beyond the picture.
-    out = np.full((2 * half + 1,) * 2, np.nan)
-    low = [k - half - c for k, c in zip(place, picture.corner, strict=True)]
+    out = np.full((2 * half_size + 1,) * 2, np.nan)
+    low = [k - half_size - c for k, c in zip(centre, picture.corner, strict=True)]
     begin = [max(k, 0) for k in low]
-    end = [min(k + 2 * half + 1, size) for k, size in zip(low, picture.image.shape, strict=True)]
+    end = [min(k + 2 * half_size + 1, size) for k, size in zip(low, picture.image.shape, strict=True)]
     if begin[0] < end[0] and begin[1] < end[1]:
         covered = tuple(slice(b - k, e - k) for b, e, k in zip(begin, end, low, strict=True))
         out[covered] = picture.image[begin[0] : end[0], begin[1] : end[1]]
@@ -266,11 +268,11 @@ def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
     return np.array(peak) - reach + _summit(neighbourhood), best
 
 
-def _summit(near: Floats) -> Floats:
+def _summit(neighbourhood: Floats) -> Floats:
     # Return the offset of the maximum of the paraboloid through 3 x 3 values from the middle one.
     y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
     terms = np.stack([np.ones(9), y.ravel(), x.ravel(), y.ravel() ** 2, x.ravel() ** 2, (x * y).ravel()], 1)
-    _, a, b, aa, bb, ab = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
+    _, a, b, aa, bb, ab = np.linalg.lstsq(terms, neighbourhood.ravel(), rcond=None)[0]
     try:
         summit = np.linalg.solve(np.array([[2 * aa, ab], [ab, 2 * bb]]), [-a, -b])
     except np.linalg.LinAlgError:

@@ -167,7 +167,7 @@ def check_conventions(
 
     Notes
     -----
-    A single line cannot decide which north headings count from, since a heading with a constant error
+    A single line cannot determine which north headings refer to, since a constant error of heading
     looks like wind, or like leaning structures on the ground; nor ``"ZYX"`` from ``"ZXY"``, which
     differ by the product of roll and pitch; nor a wrong stamp from a clock offset of the same size. Where the
     platform does not wobble signs cannot be decided.
@@ -195,7 +195,7 @@ def check_conventions(
     if is_labelled and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
         evidence = f"the variables have units {labelled!r}"
         finding_of_units = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
-        findings = [finding_of_units if one.field == "angle_unit" else one for one in findings]
+        findings = [finding_of_units if finding.field == "angle_unit" else finding for finding in findings]
     first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
     return ConventionCheck(tuple(findings), _suggested(setting.declared, findings), (first, stop))
 
@@ -258,14 +258,14 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
 def _nearest_plausible(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
     # Return, of the hypotheses that fit equally well, the nearest to the declared one.
     declared_fields = fields_of(declared)
-    plausible = [one.hypothesis for one in scored if one.odds > -RULES.log_odds]
+    plausible = [score.hypothesis for score in scored if score.odds > -RULES.log_odds]
     return min(plausible, key=lambda h: sum(declared_fields[n] != v for n, v in fields_of(h).items()))
 
 
 def _sign_findings(
     setting: Setting, scored: list[Scored], declared: Hypothesis, compared: Bools
 ) -> list[Finding]:
-    plausible = [fields_of(one.hypothesis) for one in scored if one.odds > -RULES.log_odds]
+    plausible = [fields_of(score.hypothesis) for score in scored if score.odds > -RULES.log_odds]
     clock_reason = (
         ""
         if fields_of(declared) in plausible
@@ -274,8 +274,8 @@ def _sign_findings(
     findings = []
     for name, declared_value in fields_of(declared).items():
         fitting_values = [v for v in dict.fromkeys(fields[name] for fields in plausible) if v is not None]
-        other_odds = [one.odds for one in scored if fields_of(one.hypothesis)[name] != declared_value]
-        own_odds = [one.odds for one in scored if fields_of(one.hypothesis)[name] == declared_value]
+        other_odds = [score.odds for score in scored if fields_of(score.hypothesis)[name] != declared_value]
+        own_odds = [score.odds for score in scored if fields_of(score.hypothesis)[name] == declared_value]
         likely = " or ".join(v for v in fitting_values if v != declared_value)
         verdict: Verdict = "right"
         if declared_value in (None, "None"):
@@ -411,8 +411,8 @@ def _north_finding(hypothesis: Hypothesis, setting: Setting) -> Finding:
 def _suggested(declared: Convention, findings: list[Finding]) -> Convention:
     # a wrong field is replaced only where one alternative remains
     changes = {
-        one.field: one.likely
-        for one in findings
-        if one.verdict == "wrong" and hasattr(declared, one.field) and " or " not in one.likely
+        finding.field: finding.likely
+        for finding in findings
+        if finding.verdict == "wrong" and hasattr(declared, finding.field) and " or " not in finding.likely
     }
     return declared.replace(**changes)

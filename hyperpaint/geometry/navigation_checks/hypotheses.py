@@ -102,7 +102,7 @@ def score(
     compared: Bools,
     interval: float,
 ) -> list[Scored]:
-    """Return hypotheses, the most probable first; those from which the ground is not seen are left out.
+    """Return hypotheses, the most probable first, without those that look past the ground.
 
     Notes
     -----
@@ -137,19 +137,20 @@ def score(
         )
     )
     shift_costs = _costs(
-        [left.shift for _, left in explained] + [residuals(observed, no_rotation, compared, interval).shift],
+        [residual.shift for _, residual in explained]
+        + [residuals(observed, no_rotation, compared, interval).shift],
         compared,
     )
-    costs = shift_costs[:-1] + _costs([left.unlikeness for _, left in explained], compared)
+    costs = shift_costs[:-1] + _costs([residual.unlikeness for _, residual in explained], compared)
     declared_fields = fields_of(declared)
     costs += _LOG_ODDS_AGAINST * np.array(
         [sum(declared_fields[n] != v for n, v in fields_of(h).items()) for h, _ in explained]
     )
     scored = [
-        Scored(h, float(costs.min() - cost), float(shift_costs[-1] - declared_fields))
-        for (h, _), cost, declared_fields in zip(explained, costs, shift_costs, strict=False)
+        Scored(h, float(costs.min() - cost), float(shift_costs[-1] - shift_cost))
+        for (h, _), cost, shift_cost in zip(explained, costs, shift_costs, strict=False)
     ]
-    return sorted(scored, key=lambda one: -one.odds)
+    return sorted(scored, key=lambda hypothesis: -hypothesis.odds)
 
 
 def _costs(residuals_of: list[Floats], compared: Bools) -> Floats:

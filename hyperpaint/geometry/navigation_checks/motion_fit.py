@@ -90,9 +90,9 @@ def _without_terms(values: Floats, terms: list[tuple[Floats, float]], compared: 
     residual = values
     for _ in range(3):
         scale = robust_scale(residual[compared])
-        inliers = compared & (np.abs(residual) < RULES.clip_sd * scale)
-        a = design[:, inliers]
-        sizes = np.linalg.solve(a @ a.T / scale**2 + np.diag(limits**-2.0), a @ values[inliers] / scale**2)
+        is_inlier = compared & (np.abs(residual) < RULES.clip_sd * scale)
+        a = design[:, is_inlier]
+        sizes = np.linalg.solve(a @ a.T / scale**2 + np.diag(limits**-2.0), a @ values[is_inlier] / scale**2)
         residual = values - np.tensordot(sizes, design, 1)
     return np.where(compared, residual, np.nan)
 
@@ -101,8 +101,8 @@ def _without_likeness(values: Floats, expected_unlikeness: Floats, compared: Boo
     # Subtract a constant and a non-negative multiple of ``expected_unlikeness``; robust.
     residual = values - np.median(values[compared])
     for _ in range(3):
-        inliers = compared & (np.abs(residual) < RULES.clip_sd * robust_scale(residual[compared]))
-        x, y = expected_unlikeness[inliers], values[inliers]
+        is_inlier = compared & (np.abs(residual) < RULES.clip_sd * robust_scale(residual[compared]))
+        x, y = expected_unlikeness[is_inlier], values[is_inlier]
         slope = ((x - x.mean()) * (y - y.mean())).sum() / max(((x - x.mean()) ** 2).sum(), _EPS)
         slope = max(float(slope), 0.0)
         residual = values - (y.mean() + slope * (expected_unlikeness - x.mean()))
@@ -207,8 +207,10 @@ def costs_of(
 
 def _without_slant(residual: Floats, travel: Floats) -> Floats:
     # Subtract the part proportional to travel, which comes from slanted structures.
-    inliers = np.isfinite(residual) & (np.abs(residual) < RULES.clip_sd * robust_scale(residual))
-    slant = float((residual[inliers] * travel[inliers]).sum() / max((travel[inliers] ** 2).sum(), 1e-12))
+    is_inlier = np.isfinite(residual) & (np.abs(residual) < RULES.clip_sd * robust_scale(residual))
+    slant = float(
+        (residual[is_inlier] * travel[is_inlier]).sum() / max((travel[is_inlier] ** 2).sum(), 1e-12)
+    )
     return np.asarray(residual - np.clip(slant, -RULES.max_slant, RULES.max_slant) * travel)
 
 
@@ -304,7 +306,7 @@ def fit_height(
         expected: Motion = replace(view, ground=view.ground + height - float(h)).motion(poses)
         residuals_by_height.append(residuals(observed, expected, compared, interval))
     for part in ("shift", "unlikeness"):
-        parts = [getattr(one, part) for one in residuals_by_height]
+        parts = [getattr(residual, part) for residual in residuals_by_height]
         scale, factor = (
             min(robust_scale(p[compared]) for p in parts),
             correlation_factor(parts[factors.size // 2]),

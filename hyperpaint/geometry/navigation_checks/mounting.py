@@ -214,20 +214,20 @@ def solve_boresight(
     sights = _sightings(
         lines, control_points, navigation, (forward, right, down), camera, convention, crs, start
     )
-    free = [PARAMETERS.index(name) for name in names]
+    free_parameters = [PARAMETERS.index(name) for name in names]
     white = [sight.whitening(start) for sight in sights]
-    points = Misses(sights, start, free, control_points.sizes["point"], white)
+    points = Misses(sights, start, free_parameters, control_points.sizes["point"], white)
     if pairs:
         heights = control_points["height"].values.astype(np.float64)
-        points = TieMisses(sights, start, free, points.count, white, heights)
+        points = TieMisses(sights, start, free_parameters, points.count, white, heights)
     plausible = _plausible(points)
-    _refuse_unidentifiable(points, start[free], names, plausible)
+    _refuse_unidentifiable(points, start[free_parameters], names, plausible)
     fit = _best_fit(points, plausible)
     slopes = fit.points.slopes(fit.free, fit.used)
     condition = _refuse_unidentifiable(fit.points, fit.free, names, fit.used)
     misses = fit.points.misses(fit.free)
     # half of the measurements of a tie point determine its ground position
-    freedom = (1 if pairs else 2) * int(fit.used.sum()) - len(free)
+    freedom = (1 if pairs else 2) * int(fit.used.sum()) - len(free_parameters)
     variance = float((misses[fit.used] ** 2).sum()) / freedom
     if variance > largest_picking_sd**2:
         raise SchemaError(
@@ -329,16 +329,16 @@ class _Fit(NamedTuple):
 
 
 def _fit(
-    points: Misses, free: Floats, used: Bools, scale: float | None = None, roughly: bool = False
+    points: Misses, free_parameters: Floats, is_used: Bools, scale: float | None = None, roughly: bool = False
 ) -> Floats:
     # Fit by least squares, or with a scale [pixel] by soft-L1.
     from scipy.optimize import least_squares
 
     units = np.array([STEPS[PARAMETERS[p]] for p in points.free])
     solution = least_squares(
-        lambda u: np.nan_to_num(points.misses(u * units)[used].ravel(), nan=1e3),
-        free / units,
-        jac=lambda u: np.nan_to_num(points.slopes(u * units, used)) * units,
+        lambda u: np.nan_to_num(points.misses(u * units)[is_used].ravel(), nan=1e3),
+        free_parameters / units,
+        jac=lambda u: np.nan_to_num(points.slopes(u * units, is_used)) * units,
         loss="linear" if scale is None else "soft_l1",
         f_scale=scale or 1.0,
         x_scale=1e3
@@ -366,8 +366,8 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
         return _robust_fit(points, points.start[points.free], plausible)
     # the clock is the last free parameter
     fits = [_robust_fit(points, start, plausible) for start in _clock_candidates(points, plausible)]
-    best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
-    for rival in rest:
+    best, *other_fits = sorted(fits, key=lambda fit: fit.median_miss)
+    for rival in other_fits:
         is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
         if is_distinct and not rival.median_miss > RULES.rival_ratio * best.median_miss:
             raise SchemaError(
@@ -385,42 +385,44 @@ def _clock_candidates(points: Misses, plausible: Bools) -> list[Floats]:
     for clock in points.start[4] + np.array(RULES.clock_search_s):
         # misses of all clock offsets have the whitening of the start values
         fixed = replace(points, start=np.append(points.start[:4], clock), free=points.free[:-1])
-        free = fixed.start[fixed.free]
+        free_parameters = fixed.start[fixed.free]
         # the record may end before other points
-        is_usable = plausible & np.isfinite(fixed.misses(free)).all(axis=1)
-        if free.size and is_usable.any():
+        is_usable = plausible & np.isfinite(fixed.misses(free_parameters)).all(axis=1)
+        if free_parameters.size and is_usable.any():
             # plain least squares first: soft-L1 converges slowly from far away
-            rough = _fit(fixed, free, is_usable, roughly=True)
-            free = _fit(fixed, rough, is_usable, RULES.soft_miss_px, roughly=True)
-        starts.append(np.append(free, clock))
-        medians.append(_median_distance(fixed.misses(free)[plausible]))
+            rough = _fit(fixed, free_parameters, is_usable, roughly=True)
+            free_parameters = _fit(fixed, rough, is_usable, RULES.soft_miss_px, roughly=True)
+        starts.append(np.append(free_parameters, clock))
+        medians.append(_median_distance(fixed.misses(free_parameters)[plausible]))
     padded = np.pad(medians, 1, constant_values=np.inf)
     lowest = [k for k, median in enumerate(medians) if median <= min(padded[k], padded[k + 2])]
     candidates = [k for k in lowest if medians[k] <= RULES.candidate_ratio * min(medians)]
     return [starts[k] for k in sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]]
 
 
-def _robust_fit(points: Misses, free: Floats, plausible: Bools) -> _Fit:
+def _robust_fit(points: Misses, free_parameters: Floats, plausible: Bools) -> _Fit:
     # Fit by soft-L1, then by least squares without outliers.
     compared, count = plausible, int(plausible.sum())
-    free = _fit(points, free, compared)
-    points = points.whitened(free)
+    free_parameters = _fit(points, free_parameters, compared)
+    points = points.whitened(free_parameters)
     for _ in range(3):
-        scale = max(1.4826 * float(np.nanmedian(np.abs(points.misses(free)[plausible]))), 1e-6)
-        free = _fit(points, free, compared, 1.5 * scale)
+        scale = max(1.4826 * float(np.nanmedian(np.abs(points.misses(free_parameters)[plausible]))), 1e-6)
+        free_parameters = _fit(points, free_parameters, compared, 1.5 * scale)
     freedom = np.sqrt(2 * count / max(2 * count - len(points.free), 1))
     for _ in range(RULES.max_outlier_rounds):
-        distances = points.distances(free)
+        distances = points.distances(free_parameters)
         # the median distance of points is 1.177 standard deviations of line or column
         scale = freedom * max(float(np.nanmedian(distances[compared])) / 1.1774, 1e-6)
         is_inlier = (distances < RULES.outlier_sd * scale) & plausible
         if 2 * is_inlier.sum() <= len(points.free):
             break
-        free = _fit(points, free, is_inlier)
+        free_parameters = _fit(points, free_parameters, is_inlier)
         if (is_inlier == compared).all():
             break
         compared = is_inlier
-    return _Fit(free, compared, _median_distance(points.misses(free)[plausible]), points)
+    return _Fit(
+        free_parameters, compared, _median_distance(points.misses(free_parameters)[plausible]), points
+    )
 
 
 def _median_distance(misses: Floats) -> float:
@@ -429,11 +431,15 @@ def _median_distance(misses: Floats) -> float:
     return float(np.median(np.where(np.isfinite(distances), distances, np.inf)))
 
 
-def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used: Bools) -> float:
+def _refuse_unidentifiable(
+    points: Misses, free_parameters: Floats, names: list[str], is_used: Bools
+) -> float:
     # Return the condition number; SchemaError if it is too large.
-    slopes, lengths_fixed = points.slopes(free, used), points.lengths(free, used)
+    slopes, lengths_fixed = points.slopes(free_parameters, is_used), points.lengths(free_parameters, is_used)
     length = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
-    problems = Problems(f"{int(used.sum())} points do not determine all of {', '.join(names)}", SchemaError)
+    problems = Problems(
+        f"{int(is_used.sum())} points do not determine all of {', '.join(names)}", SchemaError
+    )
     for name, size in zip(names, lengths_fixed, strict=True):
         if not size * _MAX_SD[name] > 1.0:
             problems.add(
@@ -444,15 +450,15 @@ def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used:
     problems.raise_if_any()
     _, singular, directions = np.linalg.svd(slopes / length, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
-    widened = np.sqrt(((directions.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
-    # a tie point moves with both lines: it determines less the more equally they move it
-    widened *= np.maximum(lengths_fixed / length, 1.0)
-    weak = [k for k in range(len(names)) if widened[k] > RULES.max_widening]
-    if 2 * used.sum() <= len(names) or weak:
+    widening = np.sqrt(((directions.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
+    # a tie point depends on the poses of both lines; effects that are equal in both cancel
+    widening *= np.maximum(lengths_fixed / length, 1.0)
+    weak = [k for k in range(len(names)) if widening[k] > RULES.max_widening]
+    if 2 * is_used.sum() <= len(names) or weak:
         for k in weak:
             partners = [n for j, n in enumerate(names) if j != k and abs(directions[-1, j]) > 0.3]
             problems.add(
-                f"{names[k]}: its uncertainty is {min(widened[k], 1e9):.3g} times that of {names[k]} alone, "
+                f"{names[k]}: its uncertainty is {min(widening[k], 1e9):.3g} times that of {names[k]} alone, "
                 f"since {' and '.join(partners) or 'both lines'} would move the points equally",
                 code="parameter-correlated",
             )
@@ -475,13 +481,13 @@ def _labelled(covariance: Floats, names: list[str]) -> xr.DataArray:
     )
 
 
-def _residuals(points: xr.Dataset, misses: Floats, used: Bools) -> xr.Dataset:
-    labels = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * used.size
+def _residuals(points: xr.Dataset, misses: Floats, is_used: Bools) -> xr.Dataset:
+    labels = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * is_used.size
     distance = {"units": "1", "long_name": "Distance [pixel]"}
     return xr.Dataset(
         {
             "miss": ("point", np.linalg.norm(misses, axis=1), distance),
-            "outlier": ("point", ~used, {"long_name": "Left out"}),
+            "outlier": ("point", ~is_used, {"long_name": "Left out"}),
         },
         coords={"point": [name or str(k) for k, name in enumerate(labels)]},
     )

@@ -36,7 +36,7 @@ def picture_of(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
         name = next((name for name in _CUBES if name in line.variables), None)
         if name is None:
             raise SchemaError(
-                f"this line has no picture: {', '.join(_CUBES)}", mend="give image=", code="picture-missing"
+                f"this line has no picture: {', '.join(_CUBES)}", mend="pass image=", code="picture-missing"
             )
         image = line[name]
         if BAND in image.dims:

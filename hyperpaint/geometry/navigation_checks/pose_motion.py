@@ -134,7 +134,7 @@ def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = N
         subject = "this line" if navigation is None else "this navigation record"
         raise SchemaError(
             f"{subject} has no {', '.join(missing)} ({dim})",
-            mend="give navigation=hp.open_navigation(...)",
+            mend="pass navigation=hp.open_navigation(...)",
             code="variable-missing",
         )
     times = line_times if navigation is None else source[NAVIGATION_TIME].values
@@ -205,7 +205,7 @@ def setting_of(
         if not isinstance(located_ground, int | float):
             raise SchemaError(
                 "the height of the ground is missing",
-                mend="give ground= [m above the ellipsoid]",
+                mend="pass ground= [m above the ellipsoid]",
                 code="ground-height-missing",
             )
         ground = float(located_ground)

@@ -200,7 +200,7 @@ def sightings_of(
     if is_missing.any():
         raise SchemaError(
             f"points {index[is_missing].tolist()} are on lines without time or pose",
-            mend="look at gaps of the record",
+            mend="check the record for gaps",
             code="pose-missing",
         )
     return sightings

@@ -1,6 +1,6 @@
 """Cells of a map, and the survey of all lines that decides its extent.
 
-The survey keeps a few numbers per line, so that it needs the memory of a few slabs, whatever the length of
+The survey keeps a few numbers per line, so that it needs the memory of a few slabs at any length of
 the flight.
 """
 
@@ -82,10 +82,10 @@ class MapGrid:
     def transform(self) -> tuple[float, float, float, float, float, float]:
         """GeoTransform of GDAL: map coordinates of the outer corner of the first cell, and steps."""
         (a, b), (c, d), size = self.axes.right, self.axes.down, self.gsd
-        east, north = self._place(0.0, 0.0)
+        east, north = self._map_position(0.0, 0.0)
         return (east, size * a, size * c, north, size * b, size * d)
 
-    def _place(self, row: Any, col: Any) -> tuple[Any, Any]:
+    def _map_position(self, row: Any, col: Any) -> tuple[Any, Any]:
         (a, b), (c, d) = self.axes.right, self.axes.down
         y, x = (self.first[0] + row) * self.gsd, (self.first[1] + col) * self.gsd
         return self.axes.anchor[0] + x * a + y * c, self.axes.anchor[1] + x * b + y * d
@@ -93,12 +93,12 @@ class MapGrid:
     def centres(self, rows: slice, cols: slice) -> tuple[Floats, Floats]:
         """Return east and north of the centres of cells (row, col) [m]."""
         row, col = (np.arange(part.start, part.stop) + 0.5 for part in (rows, cols))
-        return self._place(row[:, None], col[None, :])
+        return self._map_position(row[:, None], col[None, :])
 
     @property
     def frame(self) -> Floats:
         """Transform from map coordinates to cells, see `hyperpaint.kernels.inverse_map`."""
-        east, north = self._place(0.5, 0.5)
+        east, north = self._map_position(0.5, 0.5)
         return np.concatenate([[east, north], np.array([*self.axes.right, *self.axes.down]) / self.gsd])
 
 
@@ -231,7 +231,7 @@ def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress
 def _nothing_located() -> SchemaError:
     return SchemaError(
         "no two neighbouring pixels have ground positions, so there is nothing to map",
-        mend="look at the poses and at the quality's off_swath",
+        mend="check the poses, and the flag off_swath of quality",
         code="ground-not-seen",
     )
 

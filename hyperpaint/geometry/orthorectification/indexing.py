@@ -199,9 +199,9 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
     dtype = np.asarray(empty).dtype
     out = np.empty((reading.shape[0] * reading.shape[1], bands), dtype)
     if reading.cells.size < len(out):
-        uncovered = np.ones(len(out), bool)
-        uncovered[reading.cells] = False
-        out[uncovered] = empty
+        is_uncovered = np.ones(len(out), bool)
+        is_uncovered[reading.cells] = False
+        out[is_uncovered] = empty
     buffer = np.empty((columns, bands), dtype)
     for slab, start, is_slab in _by_slab(reading, starts, slabs):
         pixel = reading.lines[is_slab] - start, reading.columns[is_slab]

@@ -13,7 +13,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -46,7 +46,7 @@ _AXES = {
     "nearest_sample": CROSS_TRACK,
 }
 # Largest relative shift of neighbouring pixels by their heights without hidden ground [spacing across].
-# On a visible wall it is 1, whatever its height. With 1.25, a sixth of the hidden cells behind
+# On a visible wall of any height it is 1. With 1.25, a sixth of the hidden cells behind
 # cars is shown; with 0.6, as many as with 1.05, and more visible ground is lost (support/hidden_ground.py).
 _MAX_PARALLAX_PX = 1.05
 _MAX_KEPT_BYTES = 64 * 2**20  # positions kept from the survey for the tiles: 6,500 lines of 640 columns
@@ -188,7 +188,7 @@ def orthorectify(
         raise SchemaError(
             f"a map of {rows} x {cols} cells of {cells.gsd:g} m is {count} tiles of {tile} x {tile}",
             expected=f"at most {_MAX_TILES}",
-            mend="give a larger gsd, bounds, or a larger tile",
+            mend="pass a larger gsd, bounds, or a larger tile",
             code="map-too-large",
         )
     windows = tile_windows(cells.shape, tile)
@@ -222,10 +222,7 @@ def _check(
         ("method", method, _METHODS),
         ("multi_hit", multi_hit, RULES),
     ):
-        if value not in choices:
-            problems.add(
-                f"{name} {value!r:.60}", expected=" or ".join(map(repr, choices)), code="choice-unknown"
-            )
+        one_of(value, choices, name, problems=problems)
     if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
         problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
     if not 1.0 <= max_stretch < np.inf:
@@ -307,7 +304,7 @@ def _survey_and_grid(
     if not size > 0.0:
         raise SchemaError(
             "the pixels have the same position, so the cell size is undefined",
-            mend="give gsd= [m]",
+            mend="pass gsd= [m]",
             code="gsd-missing",
         )
     if kind == "flight":

@@ -74,10 +74,10 @@ class Tiles:
         shared = {f"orthorectification-plan-{tokenize(plan)}": plan}
         key = next(iter(shared))
         tasks: dict[Place, Any] = {}
-        for place, (rows, cols) in _tiles_of(windows):
-            first = [starts[slab] for slab in slabs[place]]
-            read = [[(of.name, slab, 0) for slab in slabs[place]] for of in places]
-            tasks[place] = (index_tile, key, rows, cols, first, *read)
+        for tile_index, (rows, cols) in _tiles_of(windows):
+            first = [starts[slab] for slab in slabs[tile_index]]
+            read = [[(of.name, slab, 0) for slab in slabs[tile_index]] for of in places]
+            tasks[tile_index] = (index_tile, key, rows, cols, first, *read)
         single = ((1,) * len(windows), (1,) * len(windows[0]))
         index = _array("map-index", tasks, single, object, places, plan, shared)
         gaps = {p: (gaps_of, key, *window, (index.name, *p)) for p, window in _tiles_of(windows)}
@@ -85,7 +85,10 @@ class Tiles:
         nearest, before = (
             _array(
                 "map-reading",
-                {place: (reading_of, (index.name, *place), between) for place, _ in _tiles_of(windows)},
+                {
+                    tile_index: (reading_of, (index.name, *tile_index), between)
+                    for tile_index, _ in _tiles_of(windows)
+                },
                 single,
                 object,
                 [index],
@@ -96,7 +99,10 @@ class Tiles:
         return cls(plan.grid, windows, slabs, starts, index, gap, nearest, before, bilinear)
 
     def part(self, name: str, dtype: Any) -> da.Array:
-        tasks = {place: (getattr, (self.index.name, *place), name) for place, _ in _tiles_of(self.windows)}
+        tasks = {
+            tile_index: (getattr, (self.index.name, *tile_index), name)
+            for tile_index, _ in _tiles_of(self.windows)
+        }
         return _array(f"map-{name}", tasks, _chunks(self.windows), dtype, [self.index])
 
     def cube(self, cube: da.Array, empty: Any) -> da.Array:
@@ -123,7 +129,10 @@ class Tiles:
     def centres(self) -> tuple[da.Array, da.Array]:
         coordinates = []
         for part, name in enumerate(("east", "north")):
-            tasks = {place: (_centres, self.grid, *window, part) for place, window in _tiles_of(self.windows)}
+            tasks = {
+                tile_index: (_centres, self.grid, *window, part)
+                for tile_index, window in _tiles_of(self.windows)
+            }
             coordinates.append(
                 _array(f"map-{name}", tasks, _chunks(self.windows), np.float64, [], (self.grid,))
             )
@@ -141,9 +150,9 @@ class Tiles:
         # ``function`` computes the tiles from positions, source blocks and options
         tasks: dict[tuple[int, ...], Any] = {}
         dtype = np.asarray(options[-1]).dtype
-        for place, (rows, cols) in _tiles_of(self.windows):
-            needed = self.slabs[place]
-            key = (*place, *(0 for _ in bands))
+        for tile_index, (rows, cols) in _tiles_of(self.windows):
+            needed = self.slabs[tile_index]
+            key = (*tile_index, *(0 for _ in bands))
             if not needed:
                 shape = [rows.stop - rows.start, cols.stop - cols.start, *bands]
                 tasks[key] = (np.full, shape, options[-1], dtype)
@@ -152,7 +161,7 @@ class Tiles:
             if source.ndim > 1:
                 blocks = [(source.name, slab, *(0,) * (source.ndim - 1)) for slab in needed]
                 inputs = [[self.starts[slab] for slab in needed], blocks]
-            tasks[key] = (function, (index_array.name, *place), *inputs, *options)
+            tasks[key] = (function, (index_array.name, *tile_index), *inputs, *options)
         chunks = (*_chunks(self.windows), *((size,) for size in bands))
         return _array(label, tasks, chunks, dtype, [index_array, source], options)
 
@@ -181,7 +190,7 @@ def _array(
 ) -> da.Array:
     # the name of the array is a hash of the inputs
     name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
-    layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
+    layer = {(name, *tile_index): task for tile_index, task in tasks.items()} | dict(shared or {})
     graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
     return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
@@ -200,7 +209,7 @@ _PIXEL = (ALONG_TRACK, CROSS_TRACK)
 def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Dataset, list[str]]:
     """Return a line with spectra at nominal wavelengths, and the names of the variables to map.
 
-    By default reflectance, else radiance; from counts alone reflectance is computed.
+    By default reflectance, else radiance; reflectance is computed if the line has neither but counts.
 
     Raises
     ------
@@ -233,7 +242,7 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
             )
         elif _native(line[name].dtype) is None or (BAND in line[name].dims and line[name].dtype.kind == "M"):
             expected = "numbers" if BAND in line[name].dims else "numbers, flags or times"
-            problems.add(f"{name!r} is {line[name].dtype}", expected=f"{expected}", code="type-wrong")
+            problems.add(f"{name!r} is {line[name].dtype}", expected=expected, code="type-wrong")
     problems.raise_if_any()
     line = _as_native(line, names)
     spectra = [name for name in names if name in _PRODUCTS]

@@ -137,13 +137,13 @@ class EnviArray(BackendArray):
         lines = (planes[:, np.newaxis] * self.file_shape[1] + rows).ravel()
         first, last = int(samples[0]), int(samples[-1])
         gaps = np.diff(lines) * columns - (last - first + 1)
-        lines_a_box = max(1, _MAX_BOX_BYTES // (columns * self.stored.itemsize))
+        lines_per_box = max(1, _MAX_BOX_BYTES // (columns * self.stored.itemsize))
         is_break = (gaps * self.stored.itemsize > _MAX_GAP_BYTES) | (
-            np.diff((lines - lines[0]) // lines_a_box) != 0
+            np.diff((lines - lines[0]) // lines_per_box) != 0
         )
         is_break |= np.diff(lines) < 0  # a plane that is repeated
         edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(lines)]
-        places = np.unravel_index(np.arange(len(lines)), out.shape[:2])
+        plane_and_row = np.unravel_index(np.arange(len(lines)), out.shape[:2])
         columns_kept = _selector(samples)
         for start, stop in itertools.pairwise(edges):
             first_line = int(lines[start])
@@ -151,7 +151,7 @@ class EnviArray(BackendArray):
             buffer_part = buffer.reshape(-1)[first : (len(buffer) - 1) * columns + last + 1]
             self._fill(file, first_line * columns + first, buffer_part)
             rows = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
-            out[places[0][start:stop], places[1][start:stop]] = rows[:, columns_kept]
+            out[plane_and_row[0][start:stop], plane_and_row[1][start:stop]] = rows[:, columns_kept]
 
     def _fill(self, file: io.FileIO, first: int, out: Array) -> None:
         # Read samples from number `first` on into contiguous memory, without conversion.

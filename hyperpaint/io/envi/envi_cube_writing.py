@@ -19,7 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
@@ -115,10 +115,7 @@ def write_envi(
     if grid is not None and grid.mirrored:
         cube, grid = cube.isel(y=slice(None, None, -1)), grid.flipped(cube.sizes["y"])
     order = interleave or ("bil" if grid is None and "y" not in cube.dims else "bip")
-    if order not in _AXES:
-        raise SchemaError(
-            f"interleave {order!r:.40}", expected="'bil', 'bip' or 'bsq'", code="choice-unknown"
-        )
+    one_of(order, _AXES, "interleave")
     stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[order]])
     header = _header(dataset, cube, order, grid)
     # names of data file and header
@@ -145,8 +142,8 @@ def _stored_cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -
     if BAND not in cube.dims:
         cube = cube.expand_dims(BAND, axis=-1)
     cube = cube.transpose(*(("y", "x") if "y" in cube.dims else (ALONG_TRACK, CROSS_TRACK)), BAND)
-    if dtype not in (None, "float32", "uint16"):
-        raise SchemaError(f"dtype {dtype!r:.40}", expected="'float32' or 'uint16'", code="choice-unknown")
+    if dtype is not None:
+        one_of(dtype, ("float32", "uint16"), "dtype")
     if dtype == "uint16" and cube.dtype.kind == "f":
         if name != "reflectance":
             raise SchemaError(

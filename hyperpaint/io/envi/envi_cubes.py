@@ -22,6 +22,7 @@ from xarray.core import indexing
 
 from hyperpaint.base import schema, units
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file
 
 from .envi_array import EnviArray, Scaling
@@ -144,11 +145,11 @@ def open_envi(
 
     Notes
     -----
-    A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) wins over Headwall's
-    ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance products.
-    Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word raw,
-    counts or DN in the description, by units of counts, or by a description of Headwall's recorder without
-    a level; scaled products of other software without such a word are ``values``.
+    A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) takes precedence over
+    Headwall's ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance
+    products. Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word
+    raw, counts or DN in the description, by units of counts, or by a description of Headwall's recorder
+    without a level; scaled products of other software without such a word are ``values``.
 
     Examples
     --------
@@ -317,10 +318,8 @@ def _quantity(
     # Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``.
     declared, radiance_units = _declared_quantity(header)
     is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
-    if quantity not in (None, *_QUANTITIES):
-        raise FormatError(
-            f"quantity={quantity!r}", expected=f"one of {', '.join(_QUANTITIES)}", code="choice-unknown"
-        )
+    if quantity is not None:
+        one_of(quantity, _QUANTITIES, "quantity", error=FormatError)
     reason = mend = ""
     if quantity is not None and declared not in (None, quantity):
         reason, mend = f"its header says {declared}", "correct the header, or leave quantity= out"
@@ -360,8 +359,8 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     if level in ("reflectance", "radiance"):
         return level, radiance_units
     # raw counts, by units, description or level
-    count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
-    is_raw = count_units or _RAW.search(header.description[:10_000]) or level == "counts"
+    has_count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
+    is_raw = has_count_units or _RAW.search(header.description[:10_000]) or level == "counts"
     if is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and is_raw:
         return "counts", None
     return None, None

@@ -96,14 +96,14 @@ class EnviHeader:
     fwhm: Floats | None = None
     # False for bands that the header marks as bad; None without a bad band list
     good: npt.NDArray[np.bool_] | None = None
-    band_names: tuple[str, ...] = ()  # As written; empty where absent
+    band_names: tuple[str, ...] = ()  # As in the header; empty if absent
     data_ignore_value: int | float | None = None  # Stored value that means "no data"
     reflectance_scale_factor: float | None = None  # Stored value of a reflectance of 1
     # data_gain_values, data_offset_values: Per band: physical = stored * gain + offset
     data_gain_values: Floats | None = None
     data_offset_values: Floats | None = None
     map_info: MapInfo | None = None  # None for cubes in sensor geometry
-    description: str = ""  # As written, without braces
+    description: str = ""  # As in the header, without braces
     # Every key (lower case) and its raw text, in the order of the file, braces included
     fields: dict[str, str] = field(default_factory=dict)
     comments: dict[str, str] = field(default_factory=dict)  # ``;key = value`` lines, in the order of the file
@@ -177,7 +177,7 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     header = _interpret(scanned, findings) if scanned.fields else None
     findings.raise_if_any()
     if header is None:
-        raise FormatError(f"{name} cannot be used: it holds no 'key = value' line", code="empty-input")
+        raise FormatError(f"{name} cannot be used: it contains no 'key = value' line", code="empty-input")
     return header
 
 

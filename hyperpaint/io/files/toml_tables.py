@@ -103,21 +103,23 @@ class TableReader:
         """Return the name of a table in messages."""
         return f"[[{name}]] {number + 1}" if name in self.lists else f"[{name}]"
 
-    def _checked(self, place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    def _checked(self, table_place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
         valid: dict[str, Any] = {}
         facts = self.schema[name]
         for key, value in table.items():
             if key not in facts:
                 self.problems.add(
-                    f"{place} unknown key {key!r}", mend=suggestion(key, facts), code="key-unknown"
+                    f"{table_place} unknown key {key!r}", mend=suggestion(key, facts), code="key-unknown"
                 )
             elif value == UNKNOWN:
                 self.problems.add(
-                    f"{place} {key} is still {UNKNOWN!r}",
+                    f"{table_place} {key} is still {UNKNOWN!r}",
                     mend=f"fill in {facts[key].expected}",
                     code="value-unfilled",
                 )
-            elif facts[key].note(self.problems, f"{place} {key} = {shown(value)}", value, facts[key].mend):
+            elif facts[key].note(
+                self.problems, f"{table_place} {key} = {shown(value)}", value, facts[key].mend
+            ):
                 valid[key] = value
         valid["?"] = set(table)
         return valid

@@ -259,11 +259,11 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
 
 
 def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
-    complete = np.isfinite(linear).all(axis=-1, keepdims=True)
-    share = np.clip((np.where(complete, linear, low) - low) / (high - low), 0.0, 1.0)
+    is_complete = np.isfinite(linear).all(axis=-1, keepdims=True)
+    share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
     # IEC 61966-2-1
     encoded_share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-    encoded: NDArray[np.uint8] = np.where(complete, np.round(1.0 + 254.0 * encoded_share), 0.0).astype(
+    encoded: NDArray[np.uint8] = np.where(is_complete, np.round(1.0 + 254.0 * encoded_share), 0.0).astype(
         np.uint8
     )
     return encoded

@@ -29,9 +29,9 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
     name = variable or next((name for name in _PRODUCTS if name in dataset.data_vars), None)
     if name is None or name not in dataset.variables:
         names = ", ".join(map(str, dataset.data_vars)) or "nothing"
-        wanted = "one of " + ", ".join(_PRODUCTS) if name is None else repr(name)
+        expected = "one of " + ", ".join(_PRODUCTS) if name is None else repr(name)
         raise SchemaError(
-            f"there is no {wanted} to write; the dataset holds {names}",
+            f"there is no {expected} to write; the dataset holds {names}",
             mend="name one with variable=",
             code="variable-missing",
         )

@@ -71,7 +71,7 @@ def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
-    """Return the STAC item (version 1.1) of a map exported to a file or store; its times are computed.
+    """Return the STAC item (version 1.1) of a map exported to a file or store; computes ``line_time``.
 
     It has the fields of the extensions projection and eo; ``line_time`` gives the time of recording.
 

@@ -64,7 +64,7 @@ _ENVIRONMENT = {
 def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
     """Yield a raster opened by rasterio; ``purpose`` names the operation that needs rasterio.
 
-    From files beside it, only the ``.prj`` of an ASCII grid is read.
+    Of the files beside the raster, only the ``.prj`` of an ASCII grid is read.
 
     Raises `FormatError`: It is not a plain file, not a raster of these kinds, damaged, or names other files;
     or its ``.prj`` is not a plain file, or larger than 64 KiB. Raises `MissingExtraError`: rasterio is not
@@ -124,14 +124,14 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         if raster.count != 1:
             raise FormatError(
                 f"{path}: {raster.count} bands",
-                expected="one of heights",
+                expected="one band of heights",
                 mend="extract that band with gdal_translate -b",
                 code="band-count",
             )
         a, b, c, d, e, f = tuple(raster.transform)[:6]
         if b or d or not a or not e:
             raise FormatError(
-                f"{path}: its rows do not run east, by its transform {(a, b, c, d, e, f)}",
+                f"{path}: rows do not run from west to east, transform {(a, b, c, d, e, f)}",
                 expected="north up",
                 mend="gdalwarp in.tif out.tif",
                 code="grid-rotated",
@@ -201,12 +201,12 @@ def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
         if is_missing[item] and os.path.exists(name):
             files_by_item.setdefault(item, name)
     if files_by_item:
-        listed = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
+        items_text = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
         srs = (
             f" -a_srs {os.path.basename(stem)}.prj" if files_by_item.get("a crs", "").endswith(".prj") else ""
         )
         raise FormatError(
-            f"{path} is read without other files, which hold part of its metadata: {listed}",
+            f"{path} is read without other files, which hold part of its metadata: {items_text}",
             mend=f"merge them: gdal_translate{srs} in.tif out.tif",
             code="file-not-alone",
         )
@@ -299,7 +299,7 @@ def _window(
     if not is_inside.any():
         raise FormatError(
             f"{subject}, and the flight is outside of it",
-            mend="give the DEM of this place",
+            mend="pass the DEM of this place",
             code="flight-outside",
         )
     ground_heights = [

@@ -134,15 +134,17 @@ def read_lcf(path: str | Path) -> PoseRecord:
     }
     seconds = values.pop("time")
     invalid_rows = table.rows[~(seconds >= 0.0)]
-    in_week = seconds <= 2.0 * WEEK_S
+    is_in_week = seconds <= 2.0 * WEEK_S
     if invalid_rows.size:
         problems.add(
             f"time is negative or unknown in {name_rows(invalid_rows)}",
             expected="seconds of GPS time",
             code="value-out-of-range",
         )
-    elif in_week.any() and not in_week.all():
-        minority_rows = table.rows[in_week] if 2 * in_week.sum() < in_week.size else table.rows[~in_week]
+    elif is_in_week.any() and not is_in_week.all():
+        minority_rows = (
+            table.rows[is_in_week] if 2 * is_in_week.sum() < is_in_week.size else table.rows[~is_in_week]
+        )
         problems.add(
             f"time has another origin in {name_rows(minority_rows)} than in the other rows",
             code="time-origin-conflict",
@@ -150,7 +152,7 @@ def read_lcf(path: str | Path) -> PoseRecord:
     if not len(problems):  # else the same cells would be listed twice
         check_poses(values, "radian", problems, "row")
     problems.raise_if_any()
-    is_week_time = bool(in_week.all())
+    is_week_time = bool(is_in_week.all())
     stamp = unwrap_weeks(nanoseconds(seconds)) if is_week_time else nanoseconds(seconds) + GPS_EPOCH
     refuse_backwards(path.name, stamp, row="row")
     return PoseRecord(

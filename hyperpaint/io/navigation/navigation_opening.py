@@ -497,7 +497,7 @@ def _convention(record: PoseRecord, declared: Convention | Mapping[str, Any] | N
                 f"convention declares angle_unit {chosen.angle_unit!r}, {record.name} ({record.format}) "
                 f"contains {unit}"
             ),
-            mend=f"give Convention(angle_unit={unit!r}, ...), or a mapping of the fields that differ",
+            mend=f"pass Convention(angle_unit={unit!r}, ...), or a mapping of the fields that differ",
             code="units-conflict",
         )
     return chosen

@@ -142,8 +142,7 @@ class Navigation:
         """Return the relation of the frame index's clock to UTC.
 
         Raises TimeError: The record contains no UTC or no such clock, its stamps repeat or run backwards, one
-        of
-            its clocks jumps relative to the other, or it does not overlap the frame index.
+            of its clocks jumps relative to the other, or it does not overlap the frame index.
         """
         clock_columns = _CLOCK_COLUMNS if index.clock == "instrument" else ("time of day",)
         uncovered_spans: list[str] = []
@@ -199,11 +198,9 @@ class Navigation:
 
         time: UTC [datetime64[ns]], NaT allowed, (along_track,).
         max_gap_s: Longest interval [s] that is interpolated; by default 2.5 times the median interval, at
-        least
-            0.1 s.
+            least 0.1 s.
         Returns dict of (along_track,) float64: By the names of `values`; NaN in gaps, outside the record and
-        at
-            NaT.
+            at NaT.
         Raises TimeError: The record contains no UTC, or UTC runs backwards.
         """
         if self.utc is None:
@@ -219,7 +216,7 @@ class Navigation:
         next_knot = np.minimum(knot + 1, len(knots) - 1)
         steps = np.diff(knots) / NS_PER_S
         gap = max_gap_s or max(2.5 * float(np.median(steps)) if steps.size else 0.0, 0.1)
-        covered = is_inside & ((knots[next_knot] - knots[knot]) / NS_PER_S <= gap)
+        is_covered = is_inside & ((knots[next_knot] - knots[knot]) / NS_PER_S <= gap)
         poses: dict[str, NDArray[np.float64]] = {}
         for name, value in self.values.items():
             value_before = value[is_new_time][knot]
@@ -231,7 +228,7 @@ class Navigation:
                 pose %= 360.0
             elif name == "longitude":
                 pose = (pose + 180.0) % 360.0 - 180.0
-            poses[name] = np.where(covered, pose, np.nan)
+            poses[name] = np.where(is_covered, pose, np.nan)
         return poses
 
 
@@ -252,13 +249,13 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
     values = {name: limited_numbers(table, key, limit, problems) for key, (name, limit) in _COLUMNS.items()}
     problems.raise_if_any()
-    unaligned = np.cumsum(values["roll"] != 0.0) == 0
+    is_unaligned = np.cumsum(values["roll"] != 0.0) == 0
     has_no_position = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
     for name in _ATTITUDE:
-        values[name][unaligned] = np.nan
+        values[name][is_unaligned] = np.nan
     for name in ("latitude", "longitude", "altitude"):
         values[name][has_no_position] = np.nan
-    utc = _dates(table, _UTC_COLUMN, unaligned) if _UTC_COLUMN in table.columns else None
+    utc = _dates(table, _UTC_COLUMN, is_unaligned) if _UTC_COLUMN in table.columns else None
     stamps: dict[str, NDArray[np.int64]] = {}
     for column in _CLOCK_COLUMNS:
         if column not in table.columns:
@@ -272,12 +269,12 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
     if "time" in table.columns:
         stamps["time of day"] = time_of_day(table, "time")[0]
     record = Navigation(table.name, table.rows, stamps, utc=None, values=values)
-    if unaligned.all():
+    if is_unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
         warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
     if utc is None:
         return record
-    keep = _has_valid_date(utc, next(iter(record.stamps.values()), None), unaligned)
+    keep = _has_valid_date(utc, next(iter(record.stamps.values()), None), is_unaligned)
     if not keep.any():
         raise FormatError(f"{path}: no row with a date", code="date-missing")
     return replace(
@@ -315,10 +312,10 @@ def _number(cell: str) -> float:
         return np.inf
 
 
-def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _dates(table: Table, column: str, is_unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
     # Return nanoseconds since 1970-01-01; NaT for an unaligned row without a date.
     dates = instants([_iso_text(cell) for cell in table.columns[column]])
-    invalid_rows = table.rows[np.isnat(dates) & ~unaligned]
+    invalid_rows = table.rows[np.isnat(dates) & ~is_unaligned]
     if invalid_rows.size:
         raise FormatError(
             f"{table.name}: column {column!r} is unreadable in {name_rows(invalid_rows)}",
@@ -344,16 +341,16 @@ def _iso_text(cell: str) -> str:
 
 
 def _has_valid_date(
-    utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, unaligned: NDArray[np.bool_]
+    utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, is_unaligned: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     # Return which rows have a date; that of an unaligned row must agree with the aligned rows.
     has_time: NDArray[np.bool_] = np.not_equal(utc, NAT)
-    aligned = has_time & ~unaligned
-    if stamp is None or not aligned.any():
+    is_aligned = has_time & ~is_unaligned
+    if stamp is None or not is_aligned.any():
         return has_time
     offset = utc / 1e9 - stamp / 1e6
     has_date: NDArray[np.bool_] = has_time & (
-        (np.abs(offset - np.median(offset[aligned])) < 1.0) | ~unaligned
+        (np.abs(offset - np.median(offset[is_aligned])) < 1.0) | ~is_unaligned
     )
     return has_date
 
@@ -386,7 +383,8 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
             f"{path}: {name_rows(rows_without_tab)} without a tab between computer time and receiver time",
             code="row-unreadable",
         )
-    table = Table(path.name, rows, {"pc": [pair[0] for pair in pairs], "pos": [pair[1] for pair in pairs]})
-    utc = _dates(table, "pos", np.zeros(len(rows), bool))
+    columns = {name: [pair[k] for pair in pairs] for k, name in enumerate(("computer", "receiver"))}
+    table = Table(path.name, rows, columns)
+    utc = _dates(table, "receiver", np.zeros(len(rows), bool))
     utc = (correction or ClockCorrection()).apply(utc)
-    return tie_clock(time_of_day(table, "pc")[0], utc, rows, path.name, daily=True)
+    return tie_clock(time_of_day(table, "computer")[0], utc, rows, path.name, daily=True)

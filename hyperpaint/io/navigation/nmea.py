@@ -52,8 +52,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     path: The log.
     midnight: 0 h UTC of the first row's day [ns since 1970-01-01], for a log without dates.
     Returns PoseRecord: Angles [degree], NaN if unknown. The standard does not define the signs of roll and
-    pitch,
-        which are assumed.
+        pitch, which are assumed.
     Raises FormatError: No position with a fix, too many damaged sentences, or positions and angles out of
     range. Raises TimeError: No date, or time runs backwards. Warns PaintWarning: Damaged sentences; no
     attitude in the whole log.

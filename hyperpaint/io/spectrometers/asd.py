@@ -198,7 +198,7 @@ def _column_or_file_name(spectrum: Spectrum) -> str:
 def find_files(paths: Paths) -> list[Path]:
     """Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
 
-    Of a folder, the ``.asd`` files (or the numbered ``.000`` ones of old software), else its text files.
+    From a folder, the ``.asd`` files (of old software: ``.000`` and other numbers), or else its text files.
 
     Raises FormatError: No such file is found.
     """
@@ -357,17 +357,17 @@ def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]
     reasons: dict[str, list[str]] = {}
     masked = []
     for spectrum in spectra:
-        undefined = ~np.isfinite(spectrum.values)
-        if undefined.any():
+        is_undefined = ~np.isfinite(spectrum.values)
+        if is_undefined.any():
             reasons.setdefault("undefined (not finite)", []).append(spectrum.source)
         if quantity != "counts" and not spectrum.values.any():
             reasons.setdefault("zero throughout", []).append(spectrum.source)
-            undefined[:] = True
+            is_undefined[:] = True
         # saturated counts are kept: users examine them for saturation
         if quantity != "counts" and spectrum.saturated is not None and spectrum.saturated.any():
             reasons.setdefault("saturated", []).append(spectrum.source)
-            undefined |= spectrum.saturated
-        masked.append(replace(spectrum, values=np.where(undefined, np.nan, spectrum.values)))
+            is_undefined |= spectrum.saturated
+        masked.append(replace(spectrum, values=np.where(is_undefined, np.nan, spectrum.values)))
     for reason, names in reasons.items():
         text = (
             f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
@@ -452,7 +452,7 @@ def _in_quantity(
     # saturation flags of the detectors VNIR, SWIR 1 and SWIR 2, whose ends are infinite if they are the last
     ends = [splice if splice > 0 else np.inf for splice in file.splices]
     detector = np.searchsorted([ends[0], max(ends)], wavelength)
-    saturated = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])[detector]
+    is_saturated = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])[detector]
     if quantity == "reflectance":
         if file.reference is None:
             raise FormatError(
@@ -481,15 +481,15 @@ def _in_quantity(
             if quantity == "radiance":
                 per_count = per_count * blocks["BSE"][0] / np.pi
             values = file.spectrum * per_count
-        vnir = wavelength <= ends[0]
-        if not vnir.any():
+        is_vnir = wavelength <= ends[0]
+        if not is_vnir.any():
             raise FormatError(
                 f"{file.name}: all wavelengths lie beyond the first splice",
                 mend="copy the file again",
                 code="wavelength-range",
             )
-        return wavelength[vnir], values[vnir], saturated[vnir]
-    return wavelength, values, saturated
+        return wavelength[is_vnir], values[is_vnir], is_saturated[is_vnir]
+    return wavelength, values, is_saturated
 
 
 def _calibration_blocks(

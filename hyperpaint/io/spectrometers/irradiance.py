@@ -422,15 +422,15 @@ def _refuse_duplicates(
         return
     advice = "remove one spectrum of each pair, or write a csv series with finer stamps"
     problems = Problems(f"samples of one series have the same time stamp; {advice}", TimeError)
-    shown = repeats[:_MAX_SHOWN]
-    for first, second in zip(order[shown], order[shown + 1], strict=True):
+    shown_repeats = repeats[:_MAX_SHOWN]
+    for first, second in zip(order[shown_repeats], order[shown_repeats + 1], strict=True):
         is_same_spectrum = np.array_equal(series.values[first], series.values[second], equal_nan=True)
         remark = " (the same spectrum twice)" if is_same_spectrum else ""
         problems.add(
             f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
             code="time-duplicate",
         )
-    if len(repeats) > len(shown):
+    if len(repeats) > len(shown_repeats):
         problems.add(f"... ({len(repeats)} pairs in all)", code="time-duplicate")
     problems.raise_if_any()
 

@@ -131,7 +131,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     if len({time.tzinfo is None for time in times}) > 1:
         raise FormatError(
             f"{name}: some stamps have a zone and some have not",
-            mend="give a zone to all stamps, or to none",
+            mend="write a zone in all stamps, or in none",
             code="zone-missing",
         )
     width = number(comments.get("fwhm_nm", ""))
@@ -153,7 +153,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
 
 
 def _rows_without_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
-    # Yield number and text of each line that is no comment; add the comments met on the way to ``comments``.
+    # Yield number and text of each line that is not a comment; add comments on the way to ``comments``.
     for line_number, line in numbered_lines(text):
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")

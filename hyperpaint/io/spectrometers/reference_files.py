@@ -121,8 +121,7 @@ def read_pairs(path: str | os.PathLike[str]) -> dict[str, tuple[str, ...]]:
     r"""Read the assignment of references to paints.
 
     path: Lines of paint and reference, separated by a comma, with or without headings; a paint may have
-    several
-        lines. Or a JSON object of paints, each with one name or a list of them (``.json``).
+        several lines. Or a JSON object of paints, each with one name or a list of them (``.json``).
     Returns dict: Names of references by names of paints, in the order of the file.
     Raises FormatError: The file has another content; the first problems are listed.
 

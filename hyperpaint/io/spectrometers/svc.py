@@ -632,6 +632,7 @@ def read_stamp(text: str) -> LocalStamp | None:
     hours = int(hour) if am_pm is None else int(hour) % 12 + 12 * (am_pm.upper() == "P")
     clock = (hours, int(minute), int(seconds or 0))
     month = _month(second)
+    # the order is certain if the year comes first, or the month is a word
     if len(first) == 4 or month is None or not second.isdecimal():
         day = third if len(first) == 4 else first
         date = None if month is None else _date(int(year), month, int(day), clock)

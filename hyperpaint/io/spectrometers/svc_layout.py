@@ -96,8 +96,8 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     wavelength, reference, target, percent = _table(path.name, lines, first_row)
     # a file with preserved overlap has one row for each channel of its instrument
     model = _CHANNELS.search(header.get("instrument", ""))
-    overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
-    if model and overlap_preserved and len(wavelength) < int(model[1]):
+    is_overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
+    if model and is_overlap_preserved and len(wavelength) < int(model[1]):
         raise FormatError(
             f"{path.name}: {len(wavelength)} rows",
             expected=f"the {model[1]} channels of an HR-{model[1]} whose overlap is preserved",
