@@ -166,7 +166,7 @@ def test_every_wrong_option_is_told() -> None:
     told = str(caught.value)
     assert all(
         word in told
-        for word in ("no region", "exclude='glint'", "members=-1", "centre='mean'", "min_pixels=0")
+        for word in ("regions= is empty", "exclude='glint'", "members=-1", "centre='mean'", "min_pixels=0")
     )
     with pytest.raises(SchemaError, match="type-wrong"):
         extract_signatures(3, TWO)  # type: ignore[arg-type]
