@@ -301,8 +301,14 @@ def poses_at(
     for part in (slice(0, 3), slice(3, 6)):
         is_recorded = np.isfinite(values[part]).all(axis=0)
         if is_recorded.any():
-            knots, rows = knot_ns[is_recorded], values[part][:, is_recorded]
-            poses[part] = _between(knots, rows, wanted_ns, gap, interpolation, is_attitude=part.start == 3)
+            poses[part] = _between(
+                knot_ns[is_recorded],
+                values[part][:, is_recorded],
+                wanted_ns,
+                gap,
+                interpolation,
+                is_attitude=part.start == 3,
+            )
     # an incomplete pose becomes NaN in all six
     poses[:, np.isnan(poses).any(axis=0)] = np.nan
     return poses

@@ -31,7 +31,6 @@ from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs,
 
 _MAX_GRID_OFFSET_CELLS = 1e-3  # largest offset between two grids that are taken as equal
 _WAVELENGTH_TOLERANCE_NM = 1e-6
-_AXES = ("east", "north")
 _MAP_VARIABLES = ("hits", "gap")  # variables of every map from `orthorectify`
 
 #: The tasks of one tile of one line, run one after another within a task of the mosaic. As separate tasks
@@ -131,11 +130,7 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
             code="crs-conflict",
         )
     surveys = {
-        name: survey_lines(
-            *(in_slabs(line[axis].transpose(ALONG_TRACK, CROSS_TRACK), line_chunks(line)) for axis in _AXES),
-            NORTH,
-            progress,
-        )
+        name: survey_lines(*_positions(line), NORTH, progress)
         for name, line in lines.items()
         if not is_map(line)
     }
@@ -209,7 +204,7 @@ def strips_of(
             west + line_grid.shape[1] * line_grid.gsd,
             north,
         )
-        strip = orthorectify(
+        orthomap = orthorectify(
             line, line_grid.gsd, grid="north", variables=variables, tile=tile, bounds=bounds, **options
         )
         survey = shared.surveys[name]
@@ -217,16 +212,16 @@ def strips_of(
         touched = np.zeros((len(windows), len(windows[0])), bool)
         for place, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
             touched[place] = bool(slabs)
-        strips.append(Strip(name, strip, (row, col), touched))
+        strips.append(Strip(name, orthomap, (row, col), touched))
     # the variables of all lines must be those of the first
     problems = Problems("these lines make no mosaic", SchemaError)
     first = strips[0]
-    for strip in strips[1:]:
-        for name in first.map.data_vars:
-            first_array, array = first.map[name], strip.map.variables.get(name)
+    for other in strips[1:]:
+        for variable in first.map.data_vars:
+            first_array, array = first.map[variable], other.map.variables.get(variable)
             if array is None:
                 problems.add(
-                    f"{strip.name} has no {name}, which {first.name} has",
+                    f"{other.name} has no {variable}, which {first.name} has",
                     mend="give variables=",
                     code="variable-missing",
                 )
@@ -238,18 +233,18 @@ def strips_of(
             ):
                 if found != expected:
                     problems.add(
-                        f"{property_name} of {name} of {strip.name} {found}",
+                        f"{property_name} of {variable} of {other.name} {found}",
                         expected=f"{expected} of {first.name}",
                         code="variable-mismatch",
                     )
         first_wavelength, wavelength = (
-            np.asarray(s.map.coords.get("wavelength", ())) for s in (first, strip)
+            np.asarray(s.map.coords.get("wavelength", ())) for s in (first, other)
         )
         if first_wavelength.shape != wavelength.shape or not np.allclose(
             first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM
         ):
             problems.add(
-                f"wavelengths of {strip.name} differ from those of {first.name}", code="wavelength-mismatch"
+                f"wavelengths of {other.name} differ from those of {first.name}", code="wavelength-mismatch"
             )
     problems.raise_if_any()
     return strips
@@ -298,6 +293,12 @@ def _cut_map(
 def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
     """Return the value of a cell of a mosaic that no line shows."""
     return dtype.type(0) if name == "hits" else empty_value(name, dtype)
+
+
+def _positions(line: xr.Dataset) -> tuple[da.Array, da.Array]:
+    slabs = line_chunks(line)
+    east, north = (line[axis].transpose(ALONG_TRACK, CROSS_TRACK) for axis in ("east", "north"))
+    return in_slabs(east, slabs), in_slabs(north, slabs)
 
 
 def _reference(line: xr.Dataset) -> dict[str, xr.Variable]:

@@ -162,8 +162,11 @@ def reading_of(index: TileIndex, bilinear: bool) -> Reading:
     order = np.argsort(line, kind="stable")
     line, sample = line[order], sample[order]
     lines, columns = line.astype(np.int64), sample.astype(np.int64)
-    fractions = (line - lines, sample - columns) if bilinear else (np.zeros(0), np.zeros(0))
-    return Reading(index.hits.shape, cells[order], lines, columns, *fractions)
+    along, across = (
+        np.asarray(position - whole if bilinear else [], np.float64)
+        for position, whole in ((line, lines), (sample, columns))
+    )
+    return Reading(index.hits.shape, cells[order], lines, columns, along, across)
 
 
 # --- values of a tile ----------------------------------------------------------------------------------
