@@ -4,8 +4,3 @@ Located lines or maps come in. Files: `strips` (lines on one grid, cut into its 
 choice of the line at a cell, and areas of the lines as GeoJSON), `levelling` (one factor per line and band),
 `tie_points` (places that two lines show).
 """
-
-from .composing import mosaic, seamlines
-from .tie_points import find_tie_points
-
-__all__ = ["find_tie_points", "mosaic", "seamlines"]

@@ -17,7 +17,7 @@ from hyperpaint.base.errors import Problems, SchemaError, needs_extra
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import BAND, Quality
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.geometry.orthorectification.grids import MapGrid, Place, check_cells, tile_array
 from hyperpaint.io.store.layout import TILE as STORE_TILE
 

@@ -21,12 +21,10 @@ from dask.highlevelgraph import HighLevelGraph
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
-from hyperpaint.geometry.georeference import locate
-from hyperpaint.geometry.georeference.locating import is_located
-from hyperpaint.geometry.orthorectification import MapGrid, orthorectify
-from hyperpaint.geometry.orthorectification.grids import NORTH, Survey, covering, survey_lines
+from hyperpaint.geometry.georeference.locating import is_located, locate
+from hyperpaint.geometry.orthorectification.grids import NORTH, MapGrid, Survey, covering, survey_lines
 from hyperpaint.geometry.orthorectification.indexing import needed_slabs
-from hyperpaint.geometry.orthorectification.mapping import line_chunks
+from hyperpaint.geometry.orthorectification.mapping import line_chunks, orthorectify
 from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, tile_windows
 
 _MAX_GRID_OFFSET_CELLS = 1e-3  # largest offset between two grids that are taken as equal

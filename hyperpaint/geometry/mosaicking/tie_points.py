@@ -16,8 +16,8 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS
-from hyperpaint.geometry.orthorectification import orthorectify
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 
 from .strips import is_map, located_lines, named_lines, shared_grid
 

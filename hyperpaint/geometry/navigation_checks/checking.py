@@ -16,8 +16,8 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import conversion_factor, takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
-from hyperpaint.geometry.georeference.poses import ANGLES
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import ANGLES, LOCATION_UNITS
 
 from .hypotheses import Hypothesis, Scored, fields_of, score
 from .motion_fit import Refined, costs_of, fit_clock, fit_height

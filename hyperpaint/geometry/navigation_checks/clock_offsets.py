@@ -19,7 +19,8 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.light.synchrony import check_irradiance_times
 
 from .hypotheses import Hypothesis

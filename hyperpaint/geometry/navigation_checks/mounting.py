@@ -13,7 +13,8 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 
 from .sightings import Sightings, sightings_of
 

@@ -15,9 +15,8 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, require
-from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
-from hyperpaint.geometry.georeference.cameras import look_angles
+from hyperpaint.geometry.georeference.cameras import PinholeCamera, look_angles
 from hyperpaint.geometry.georeference.poses import (
     NAVIGATION_TIME,
     POSE,

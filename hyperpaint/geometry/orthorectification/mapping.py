@@ -26,9 +26,9 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
-from hyperpaint.geometry.georeference.locating import is_located, line_slabs
+from hyperpaint.geometry.georeference.locating import is_located, line_slabs, locate
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.io.store.computing import client_in_force
 
 from .grids import NORTH, check_cells, covering, direction_of_flight, survey_lines
