@@ -24,7 +24,7 @@ from hyperpaint.base.units import convert, takes_quantities
 from .diffuse_record import SKY_STATES, diffuse_from_record
 from .sky_functions import sunward_gain
 from .sun import diffuse_fraction, solar_position
-from .synchrony import check_irradiance_times
+from .synchrony import channels_of, check_irradiance_times
 
 _ANGLES = ("roll", "pitch", "heading")
 _POSITION = ("latitude", "longitude")
@@ -57,7 +57,7 @@ class _Sensor(NamedTuple):
     normal: Floats  # (sample, 3) to the east, the north and up; NaN where unknown
     zenith: Floats  # (sample,) of the sun [degree]
     azimuth: Floats
-    position: tuple[float, float]  # Latitude and longitude [degree]
+    place: tuple[float, float]  # Latitude and longitude [degree]
     response: tuple[Floats, Floats]  # Incidence [degree], and response relative to the cosine law [1]
     ground: float  # Reflectance of the ground [1]
 
@@ -78,12 +78,6 @@ class _Sensor(NamedTuple):
         azimuth = np.radians(self.azimuth)
         sunward = self.normal[:, 0] * np.sin(azimuth) + self.normal[:, 1] * np.cos(azimuth)
         return np.asarray(sunward * np.tan(np.radians(self.zenith)))
-
-    def sunward_gain(self, channels: Floats) -> Floats:
-        # Relative gain of clear-sky diffuse light per unit of `lean` (sample, channel) [1]
-        # one gain for sun zenith angles within half a degree
-        suns, sun_of_sample = np.unique(np.round(2.0 * self.zenith) / 2.0, return_inverse=True)
-        return np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in suns])[sun_of_sample]
 
     def factor(self, diffuse: Floats, by_lean: Floats) -> Floats:
         """Return the reading relative to a level sensor that follows the cosine law (sample, channel) [1].
@@ -166,7 +160,7 @@ def level_irradiance(
     the sky in view, :math:`b` the lean towards the sun times :math:`\tan \theta`, :math:`s` the relative gain
     of a clear sky on that side (`hyperpaint.light.sky_functions.sunward_gain`), :math:`\rho_n` the ground's
     reflectance, and :math:`r`, :math:`\bar r` the response to the beam and to the sky. Under an overcast sky
-    light comes from above at any attitude: only :math:`\bar r` is corrected.
+    light comes from above whatever the attitude: only :math:`\bar r` is corrected.
 
     Examples
     --------
@@ -198,32 +192,37 @@ def level_irradiance(
     record = variables["irradiance"]
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(stamps)
-    if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError(
-            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
-        )
-    wavelength = record[IRRADIANCE_WAVELENGTH]
-    if "units" in wavelength.attrs:
-        wavelength = convert(wavelength, "nm")
-    channels = wavelength.values.astype(np.float64)
+    channels = channels_of(record)
     sensor = _sensor(stamps, attitude, mounting, cosine_response, ground_reflectance)
-    is_usable = np.nan_to_num(sensor.tilt, nan=np.inf) <= MAX_TILT_DEG
-    if not is_usable.any():
+    usable = np.nan_to_num(sensor.tilt, nan=np.inf) <= MAX_TILT_DEG
+    if not usable.any():
         raise SchemaError(
             "no sample of the light sensor has an attitude",
             mend="pass navigation that covers the record",
             code="attitude-missing",
         )
-    if not is_usable.all():
-        text = f"{(~is_usable).sum()} of {is_usable.size} samples without attitude become NaN"
-        warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=2)
+    if not usable.all():
+        warnings.warn(
+            PaintWarning(
+                f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become "
+                "NaN",
+                code="attitude-missing",
+            ),
+            stacklevel=2,
+        )
     is_low = sensor.zenith > MAX_ZENITH_DEG
-    if is_low[is_usable].any():
-        text = f"the light sensor's attitude is not corrected with the sun beyond {MAX_ZENITH_DEG:g} degrees"
-        warnings.warn(PaintWarning(text, code="sun-low"), stacklevel=2)
-    spectra = np.where(is_usable[:, None], record.values.astype(np.float64), np.nan)
+    if is_low[usable].any():
+        warnings.warn(
+            PaintWarning(
+                "the light sensor's attitude is not corrected with the sun beyond "
+                f"{MAX_ZENITH_DEG:g} degrees",
+                code="sun-low",
+            ),
+            stacklevel=2,
+        )
+    spectra = np.where(usable[:, None], record.values.astype(np.float64), np.nan)
     factor = np.ones(spectra.shape)
-    correctable = np.flatnonzero(is_usable & ~is_low & np.isfinite(spectra).any(axis=1))
+    correctable = np.flatnonzero(usable & ~is_low & np.isfinite(spectra).any(axis=1))
     sky = "the sun too low"
     if correctable.size:
         factor, sky = _factor(spectra, stamps, channels, sensor, correctable)
@@ -241,11 +240,13 @@ def _factor(
 ) -> tuple[Floats, str]:
     # Return the factor of all samples (sample, channel), from the `usable` samples, and the name of the sky.
     sky_samples = usable[:: max(1, -(-usable.size // MAX_SKY_SAMPLES))]
-    _, state = _split(spectra[sky_samples], stamps[sky_samples], channels, sensor.position)
+    _, state = _split(spectra[sky_samples], stamps[sky_samples], channels, sensor.place)
     if np.mean(state == _OVERCAST) > 0.5:
         return np.full(spectra.shape, sensor.sky_response()), "overcast, its attitude without effect"
     clear = np.stack([diffuse_fraction(channels, min(float(zenith), 89.0)) for zenith in sensor.zenith])
-    gain = sensor.sunward_gain(channels)
+    # gain of clear-sky diffuse light per unit of lean, one for sun zenith angles within half a degree
+    suns, sun_of_sample = np.unique(np.round(2.0 * sensor.zenith) / 2.0, return_inverse=True)
+    gain = np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in suns])[sun_of_sample]
     factor = sensor.factor(clear, clear * gain)
     # periods of SAME_SKY_S, each with one split
     seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
@@ -253,9 +254,7 @@ def _factor(
     period = np.minimum((seconds / (np.ptp(seconds) + 1.0) * periods).astype(np.int64), periods - 1)
     # the first pass corrects under a modelled clear sky, the second under the sky that the first one finds
     for _ in range(2):
-        fraction, state = _split(
-            (spectra / factor)[sky_samples], stamps[sky_samples], channels, sensor.position
-        )
+        fraction, state = _split((spectra / factor)[sky_samples], stamps[sky_samples], channels, sensor.place)
         is_explained = (state != _CONTRADICTORY) & np.isfinite(fraction).all(axis=1)
         diffuse, by_lean = clear.copy(), clear * gain
         for number in range(periods):
@@ -273,8 +272,13 @@ def _factor(
             by_lean[inside] += linear + quadratic * sensor.lean[inside][:, None]
         factor = sensor.factor(diffuse, by_lean)
     if (state == _CONTRADICTORY).mean() > 0.5:
-        text = "the light sensor's record fits no sky; its attitude is corrected as under a clear one"
-        warnings.warn(PaintWarning(text, code="sky-unknown"), stacklevel=3)
+        warnings.warn(
+            PaintWarning(
+                "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
+                code="sky-unknown",
+            ),
+            stacklevel=3,
+        )
     return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
 
 
@@ -291,11 +295,11 @@ def _residual_by_lean(
     nodes = np.arange(channels.min(), channels.max() + FIT_INTERVAL_NM, FIT_INTERVAL_NM)
     slopes = np.zeros((nodes.size, 2))
     for row, node in enumerate(nodes):
-        is_inside = np.abs(channels - node) <= FIT_INTERVAL_NM / 2.0
-        light = np.nan_to_num(spectra[:, is_inside]).sum(axis=1)
-        if is_near.sum() < MIN_FIT_STEPS or not is_inside.any() or not (light > 0.0).all():
+        inside = np.abs(channels - node) <= FIT_INTERVAL_NM / 2.0
+        light = np.nan_to_num(spectra[:, inside]).sum(axis=1)
+        if is_near.sum() < MIN_FIT_STEPS or not inside.any() or not (light > 0.0).all():
             continue
-        mean_factor = factor[:, is_inside].mean(axis=1)
+        mean_factor = factor[:, inside].mean(axis=1)
         rise, steps = np.diff(np.log(light / mean_factor)), np.diff(powers / mean_factor[:, None], axis=0)
         fit = slopes[row]
         for _ in range(10):
@@ -311,7 +315,7 @@ def _residual_by_lean(
 
 
 def _split(
-    spectra: Floats, stamps: Array, channels: Floats, position: tuple[float, float]
+    spectra: Floats, stamps: Array, channels: Floats, place: tuple[float, float]
 ) -> tuple[Floats, Array]:
     # Return the diffuse fraction (sample, channel) and the number of the sky state (sample,).
     wavelength = xr.Variable(IRRADIANCE_WAVELENGTH, channels, schema.VARIABLES[IRRADIANCE_WAVELENGTH].attrs)
@@ -321,7 +325,7 @@ def _split(
         (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH),
     )
     dataset = schema.label(record, "irradiance").to_dataset()
-    split = diffuse_from_record(dataset, *position, wavelength=_NODES_NM)
+    split = diffuse_from_record(dataset, *place, wavelength=_NODES_NM)
     rows = split["diffuse_fraction"].values.astype(np.float64)
     return np.stack([np.interp(channels, _NODES_NM, row) for row in rows]), split["sky_state"].values
 

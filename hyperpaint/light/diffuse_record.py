@@ -20,9 +20,9 @@ from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.base.units import convert, takes_quantities
 
-from .sky_states import RULES, Evidence, explain, windows_in
+from .sky_states import NODES_NM, RULES, Evidence, explain, windows_in
 from .sun import solar_position
-from .synchrony import check_irradiance_times
+from .synchrony import channels_of, check_irradiance_times
 
 #: Words of ``sky_state``, in the order of its numbers.
 SKY_STATES = ("clear", "hazy", "broken", "overcast", "contradictory")
@@ -111,15 +111,23 @@ def diffuse_from_record(
     """
     variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
-    if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError(
-            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
-        )
-    channels = record[IRRADIANCE_WAVELENGTH]
-    channels = convert(channels, "nm") if "units" in channels.attrs else channels
-    _check(latitude, longitude, calibration_uncertainty, pressure)
+    channels = channels_of(record)
+    problems = Problems("the split of irradiance is not known", SchemaError)
+    is_finite = np.isfinite(latitude) and np.isfinite(longitude)
+    for is_valid, found, expected in (
+        (is_finite, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
+        (
+            0.0 < calibration_uncertainty <= 1.0,
+            f"calibration_uncertainty={calibration_uncertainty!r}",
+            "above 0, at most 1",
+        ),
+        (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
+    problems.raise_if_any()
     check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
-    if not windows_in(channels.values.astype(np.float64)).centre.size:
+    if not windows_in(channels).centre.size:
         raise SchemaError(
             "irradiance has no channel in the compared intervals, "
             f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
@@ -128,9 +136,7 @@ def diffuse_from_record(
     wavelengths = np.atleast_1d(np.asarray(wavelength, np.float64))
     time = variables[IRRADIANCE_TIME].values
     receiver = float(latitude), float(longitude), float(calibration_uncertainty), float(pressure)
-    fraction, u, probability, cloud = _split(
-        record.values, time, channels.values.astype(np.float64), wavelengths, receiver
-    )
+    fraction, u, probability, cloud = _split(record.values, time, channels, wavelengths, receiver)
     split = xr.Dataset(
         {
             "diffuse_fraction": ((IRRADIANCE_TIME, BAND), fraction.astype(np.float32)),
@@ -165,35 +171,22 @@ def states_of(probability: Floats) -> npt.NDArray[np.int8]:
     return np.where(probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, state).astype(np.int8)
 
 
-def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
-    problems = Problems("the split of irradiance is not known", SchemaError)
-    is_finite = np.isfinite(latitude) and np.isfinite(longitude)
-    for is_valid, found, expected in (
-        (is_finite, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
-        (0.0 < calibration <= 1.0, f"calibration_uncertainty={calibration!r}", "above 0, at most 1"),
-        (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
-    ):
-        if not is_valid:
-            problems.add(found, expected=expected, code="value-out-of-range")
-    problems.raise_if_any()
-
-
 def _split(
     spectra: Array,
     time: Array,
     channels: Floats,
     wavelength: Floats,
-    position: tuple[float, float, float, float],
+    place: tuple[float, float, float, float],
     sun_zenith: float | None = None,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     # Return fraction and uncertainty (sample, band), probabilities (sample, state), cloud share (sample,).
     # `receiver`: latitude, longitude [degree], relative uncertainty of the level [1], pressure [Pa];
     # `sun_zenith` replaces the zenith angle from clock and place [degree].
-    latitude, longitude, level_u, pressure = position
+    latitude, longitude, level_u, pressure = place
     spectra = np.asarray(spectra, np.float64)
     # leave out channels that most samples lack: a sample needs finite values in all intervals
-    is_finite = np.isfinite(spectra)
-    is_frequent = 2 * is_finite.sum(axis=0) > is_finite.any(axis=1).sum()
+    finite = np.isfinite(spectra)
+    is_frequent = 2 * finite.sum(axis=0) > finite.any(axis=1).sum()
     spectra, channels = spectra[:, is_frequent], channels[is_frequent]
     # means over the compared intervals, at one astronomical unit
     windows = windows_in(channels)
@@ -204,7 +197,7 @@ def _split(
     if sun_zenith is not None:
         zenith = np.full(zenith.shape, sun_zenith)
     # without any interval, as in a record without values, no sample is usable
-    is_usable = (
+    usable = (
         bool(windows.centre.size) & ((means > 0.0) & np.isfinite(means)).all(axis=1) & np.isfinite(zenith)
     )
     samples, bands = len(means), wavelength.size
@@ -212,20 +205,19 @@ def _split(
     probability = np.zeros((samples, len(SKY_STATES)))
     probability[:, -1] = 1.0
     cloud = np.full(samples, np.nan)
-    if is_usable.any():
-        seconds = (time[is_usable] - time[is_usable][0]).astype("timedelta64[ns]").astype(np.float64) / 1e9
-        evidence = Evidence(np.log(means[is_usable]), zenith[is_usable], seconds, level_u)
-        explained = explain(evidence, windows, pressure)
-        for out, values in ((fraction, explained.fraction), (u, explained.u)):
-            out[is_usable] = [np.interp(wavelength, explained.nodes, row) for row in values]
-        probability[is_usable], cloud[is_usable] = explained.probability, explained.cloud
+    if usable.any():
+        seconds = (time[usable] - time[usable][0]).astype("timedelta64[ns]").astype(np.float64) / 1e9
+        evidence = Evidence(np.log(means[usable]), zenith[usable], seconds, level_u)
+        node_fraction, node_u, probability[usable], cloud[usable] = explain(evidence, windows, pressure)
+        for out, values in ((fraction, node_fraction), (u, node_u)):
+            out[usable] = [np.interp(wavelength, NODES_NM, row) for row in values]
     return fraction, u, probability, cloud
 
 
 def split_of_lines(
     line: xr.Dataset, *, calibration_uncertainty: float = 0.05, sun_zenith: float | None = None
 ) -> xr.Dataset | None:
-    """Return `SPLIT` for the lines of a flight line, from its record; None without record or position.
+    """Return `SPLIT` for the lines of a flight line, from its own record; None without a record or a place.
 
     ``line`` has ``irradiance``, ``time``, ``latitude``, ``longitude`` and ``wavelength``. A line has the
     fraction interpolated between both samples around it, and the state of the nearer one; NaN, and
@@ -235,10 +227,10 @@ def split_of_lines(
     import dask
     import dask.array as da
 
-    needed_names = ("irradiance", "time", "latitude", "longitude", "wavelength")
-    if not set(needed_names) <= set(line.variables) or line.sizes.get(IRRADIANCE_TIME, 0) == 0:
+    wanted = ("irradiance", "time", "latitude", "longitude", "wavelength")
+    if not set(wanted) <= set(line.variables) or line.sizes.get(IRRADIANCE_TIME, 0) == 0:
         return None
-    variables = schema.require(line, [*needed_names, IRRADIANCE_TIME], "the split of irradiance")
+    variables = schema.require(line, [*wanted, IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
     latitude, longitude = (variables[name].values for name in ("latitude", "longitude"))
     is_located = np.isfinite(latitude) & np.isfinite(longitude)
@@ -248,11 +240,11 @@ def split_of_lines(
     if not windows_in(channels).centre.size:
         return None
     # rounded to a kilometre, so that a crop of the line gets the same sky
-    position = round(float(latitude[is_located].mean()), 2), round(float(longitude[is_located].mean()), 2)
+    place = round(float(latitude[is_located].mean()), 2), round(float(longitude[is_located].mean()), 2)
     wavelength = variables["wavelength"].values.astype(np.float64)
     samples = variables[IRRADIANCE_TIME].values
     check_irradiance_times(samples.astype("datetime64[ns]"))
-    receiver = (*position, calibration_uncertainty, 101_325.0)
+    receiver = (*place, calibration_uncertainty, 101_325.0)
     split_of_record = dask.delayed(_split)(record.data, samples, channels, wavelength, receiver, sun_zenith)
     parts: list[list[Any]] = [[], [], []]
     for rows in np.split(variables["time"].values, _block_starts(line)):

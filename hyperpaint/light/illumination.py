@@ -24,6 +24,7 @@ from hyperpaint.base.units import convert, takes_quantities
 from .responses import Matching, Responses, log_slope, matching_operator, mean_responsivity, misfit_through
 from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
+from .synchrony import channels_of
 
 #: Wavelength at which the shift between camera and record is stated, and interval of its slope [nm].
 ALIGNED_AT_NM, ALIGNED_PER_NM = 600.0, 100.0
@@ -278,17 +279,11 @@ def match_irradiance(
     >>> print(matched.dims, matched.values.round(4))
     ('irradiance_time', 'node', 'band') [[[1.3 1.3]]]
     """
-    problems = Problems("irradiance cannot be matched to the imager's bands", SchemaError)
     dims = schema.VARIABLES["irradiance"].dims
     if set(irradiance.dims) != set(dims):
-        problems.add(f"'irradiance' has dims {irradiance.dims}", expected=f"{dims}", code="dims-wrong")
-    elif schema.IRRADIANCE_WAVELENGTH not in irradiance.coords:
-        problems.add("'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing")
-    problems.raise_if_any()
+        raise SchemaError(f"'irradiance' has dims {irradiance.dims}", expected=f"{dims}", code="dims-wrong")
     irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
-    channels = irradiance[schema.IRRADIANCE_WAVELENGTH]
-    if "units" in channels.attrs:
-        channels = convert(channels, "nm")
+    channels = channels_of(irradiance)
     imager = {
         "wavelength": wavelength,
         "fwhm": fwhm,
@@ -297,9 +292,9 @@ def match_irradiance(
         "srf_offset": srf_offset,
         "srf": srf,
     }
-    responses = _responses(channels.values, irradiance_fwhm, irradiance_srf_shape, imager)
+    responses = _responses(channels, irradiance_fwhm, irradiance_srf_shape, imager)
     matching = matching_operator(*responses, nodes)
-    _warn_of_bands(matching, channels.values, imager)
+    _warn_of_bands(matching, channels, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
         irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,

@@ -16,7 +16,8 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.schema import Quality
+from hyperpaint.base.schema import IRRADIANCE_WAVELENGTH, Quality
+from hyperpaint.base.units import convert
 
 from .sun import solar_position
 
@@ -59,8 +60,8 @@ def line_light(
     (sample,) is UTC of the samples and must increase. ``levels`` (sample,) or (sample, interval) are the
     irradiance of each sample, summed over 400-1000 nm or over intervals of it, any scale; NaN marks a sample
     to leave out. ``max_gap`` is the longest interval that is interpolated [s], 2.5 median intervals by
-    default; without the camera's ``latitude`` and ``longitude`` (line,) [degree] a low sun is not flagged;
-    ``clock_uncertainty`` is the largest difference between the clocks of camera and spectrometer [s],
+    default; without the camera's ``latitude`` and ``longitude`` (line,) [degree] the sun's height is not
+    judged; ``clock_uncertainty`` is how far the clocks of camera and spectrometer may disagree [s],
     `UNKNOWN_CLOCK` by default.
 
     Raises
@@ -75,48 +76,57 @@ def line_light(
     The weight is the quotient of two int64 intervals in nanoseconds, so that no bit of it depends on chunks
     or on the distance to 1970.
     """
-    line_times = np.asarray(time).astype("datetime64[ns]")
-    sample_times = np.asarray(irradiance_time).astype("datetime64[ns]")
-    check_irradiance_times(sample_times)
-    _check_seconds(max_gap, clock_uncertainty)
-    levels = np.reshape(levels, (sample_times.size, -1))
-    valid_samples = np.flatnonzero(np.isfinite(levels).all(axis=1))
-    if valid_samples.size == 0:
-        raise TimeError("the irradiance record contains no valid spectrum", code="irradiance-empty")
-    is_missing = np.isnat(line_times)
-    line_ns, sample_ns = line_times.astype(np.int64), sample_times[valid_samples].astype(np.int64)
-    line_ns = np.where(is_missing, sample_ns[0], line_ns)
-    sample_before = np.searchsorted(sample_ns, line_ns, side="right") - 1
-    is_outside = (sample_before < 0) | (line_ns > sample_ns[-1])
-    sample_before = np.clip(sample_before, 0, max(sample_ns.size - 2, 0))
-    sample_after = np.minimum(sample_before + 1, sample_ns.size - 1)
-    elapsed, interval = line_ns - sample_ns[sample_before], sample_ns[sample_after] - sample_ns[sample_before]
-    weight = elapsed / np.maximum(interval, 1)
-    distance_s = np.minimum(np.abs(elapsed), np.abs(sample_ns[sample_after] - line_ns)) / 1e9
+    lines = np.asarray(time).astype("datetime64[ns]")
+    samples = np.asarray(irradiance_time).astype("datetime64[ns]")
+    check_irradiance_times(samples)
+    problems = Problems("irradiance cannot be assigned to lines", SchemaError)
+    if max_gap is not None and not max_gap > 0:
+        problems.add(
+            f"'irradiance_max_gap' is {max_gap:g} s", expected="a positive number", code="value-out-of-range"
+        )
+    if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
+        problems.add(
+            f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
+            expected="0 or more seconds",
+            code="value-out-of-range",
+        )
+    problems.raise_if_any()
+    levels = np.reshape(levels, (samples.size, -1))
+    valid = np.flatnonzero(np.isfinite(levels).all(axis=1))
+    if valid.size == 0:
+        raise TimeError("the irradiance record holds no valid spectrum", code="irradiance-empty")
+    missing = np.isnat(lines)
+    stamps, ticks = lines.astype(np.int64), samples[valid].astype(np.int64)
+    stamps = np.where(missing, ticks[0], stamps)
+    low = np.searchsorted(ticks, stamps, side="right") - 1
+    outside = (low < 0) | (stamps > ticks[-1])
+    low = np.clip(low, 0, max(ticks.size - 2, 0))
+    high = np.minimum(low + 1, ticks.size - 1)
+    since, interval = stamps - ticks[low], ticks[high] - ticks[low]
+    weight = since / np.maximum(interval, 1)
+    age = np.minimum(np.abs(since), np.abs(ticks[high] - stamps)) / 1e9
     if max_gap is None:
-        max_gap = 2.5 * float(np.median(np.diff(sample_ns))) / 1e9 if sample_ns.size > 1 else 0.0
-    is_in_gap = ~is_outside & (interval / 1e9 > max_gap) & (weight > 0.0) & (weight < 1.0)
-    level = levels[valid_samples].sum(axis=1)
-    change = np.abs(level[sample_after] - level[sample_before]) / np.maximum(
-        np.minimum(level[sample_after], level[sample_before]), 1e-30
-    )
-    has_no_light = is_outside | is_in_gap | is_missing
+        max_gap = 2.5 * float(np.median(np.diff(ticks))) / 1e9 if ticks.size > 1 else 0.0
+    gap = ~outside & (interval / 1e9 > max_gap) & (weight > 0.0) & (weight < 1.0)
+    level = levels[valid].sum(axis=1)
+    change = np.abs(level[high] - level[low]) / np.maximum(np.minimum(level[high], level[low]), 1e-30)
+    has_no_light = outside | gap | missing
     max_offset = UNKNOWN_CLOCK if clock_uncertainty is None else clock_uncertainty
-    sensitivity = timing_sensitivity(line_ns, sample_ns, levels[valid_samples], max_offset)
+    sensitivity = timing_sensitivity(stamps, ticks, levels[valid], max_offset)
     sensitivity[has_no_light] = np.nan
-    flags = np.zeros(line_times.shape, np.uint16)
-    flags[is_outside | is_in_gap] |= np.uint16(Quality.IRRADIANCE_GAP)
-    flags[~is_outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
+    flags = np.zeros(lines.shape, np.uint16)
+    flags[outside | gap] |= np.uint16(Quality.IRRADIANCE_GAP)
+    flags[~outside & (change > UNSTABLE_CHANGE)] |= np.uint16(Quality.ILLUMINATION_UNSTABLE)
     flags[sensitivity > TIMING_EFFECT] |= np.uint16(Quality.TIMING_SENSITIVE)
     if latitude is not None and longitude is not None:
-        zenith, _ = solar_position(line_times, latitude, longitude)
+        zenith, _ = solar_position(lines, latitude, longitude)
         flags[np.nan_to_num(zenith, nan=0.0) > LOW_SUN_ZENITH] |= np.uint16(Quality.LOW_SUN)
-    flags[is_missing] = Quality.NO_DATA
+    flags[missing] = Quality.NO_DATA
     return LineLight(
-        valid_samples[sample_before].astype(np.int64),
-        valid_samples[sample_after].astype(np.int64),
+        valid[low].astype(np.int64),
+        valid[high].astype(np.int64),
         np.where(has_no_light, np.nan, weight),
-        np.where(is_missing, np.nan, distance_s).astype(np.float32),
+        np.where(missing, np.nan, age).astype(np.float32),
         sensitivity.astype(np.float32),
         flags,
     )
@@ -176,19 +186,14 @@ def _log_level_at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
     return np.asarray(np.log(np.maximum(level, 1e-30)))
 
 
-def _check_seconds(max_gap: float | None, clock_uncertainty: float | None) -> None:
-    problems = Problems("irradiance cannot be assigned to lines", SchemaError)
-    if max_gap is not None and not max_gap > 0:
-        problems.add(
-            f"'irradiance_max_gap' is {max_gap:g} s", expected="a positive number", code="value-out-of-range"
+def channels_of(record: xr.DataArray) -> Floats:
+    """Return the wavelengths of a record's channels [nm]; SchemaError where it has no such coordinate."""
+    if IRRADIANCE_WAVELENGTH not in record.coords:
+        raise SchemaError(
+            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
         )
-    if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
-        problems.add(
-            f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
-            expected="0 or more seconds",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
+    channels = record[IRRADIANCE_WAVELENGTH]
+    return (convert(channels, "nm") if "units" in channels.attrs else channels).values.astype(np.float64)
 
 
 def check_irradiance_times(samples: Array) -> None:
@@ -220,12 +225,12 @@ def check_irradiance_times(samples: Array) -> None:
 
 
 def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
-    """Return the line with its irradiance record, and the attributes of that, replaced.
+    """Return the line with another irradiance record, attributes included, in place of its own.
 
     Raises
     ------
     SchemaError
-        ``irradiance`` is not a Dataset, or lacks 'irradiance'.
+        ``irradiance`` is no Dataset, or lacks 'irradiance'.
     """
     if not isinstance(irradiance, xr.Dataset):
         raise SchemaError(
@@ -239,7 +244,7 @@ def replace_record(dataset: xr.Dataset, irradiance: Any) -> xr.Dataset:
     if "irradiance" not in names:
         contents = ", ".join(map(str, irradiance.data_vars)) or "nothing"
         raise SchemaError(
-            f"the Dataset irradiance= contains {contents}",
+            f"the Dataset given as irradiance= holds {contents}",
             expected="'irradiance' and 'irradiance_fwhm'",
             code="variable-missing",
         )

@@ -14,7 +14,7 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality
-from hyperpaint.geometry.orthorectification import orthorectify
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.paints.signatures import EXCLUDED
 from hyperpaint.paints.signatures.pixel_gathering import gather
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES

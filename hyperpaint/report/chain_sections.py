@@ -12,7 +12,7 @@ import xarray as xr
 
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, rename_to_roles
-from hyperpaint.geometry.orthorectification import orthorectify
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.pictures.figures import data_uri, encode_png, png_of
 from hyperpaint.pictures.plot import rgb
 from hyperpaint.pictures.plot_chain import triptych

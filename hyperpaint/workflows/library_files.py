@@ -25,7 +25,7 @@ from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
 from hyperpaint.io.files.publishing import check_place, publish_file
-from hyperpaint.io.files.text_cells import safe_cell
+from hyperpaint.io.files.reading import safe_cell
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 from hyperpaint.regions import Regions, regions_from
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged

@@ -28,7 +28,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     ----------
     located
     crs
-        Reference system of the outline; by default longitude and latitude, the standard of GeoJSON.
+        Reference system of the outline; by default longitude and latitude, as GeoJSON wants it.
 
     Returns
     -------
@@ -46,8 +46,8 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
 
     Notes
     -----
-    The outline is the union of the quadrilaterals between neighbouring lines: ground that is recorded twice,
-    as in turbulence, is counted once. Bends smaller than half the pixel spacing are removed.
+    The outline is the union of the quadrilaterals between the ends of neighbouring lines: ground that a
+    wobble shows twice is counted once. Bends of less than half the spacing of the pixels are left out.
 
     Examples
     --------
@@ -79,14 +79,13 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
     if not pairs.size:
         raise SchemaError(
             "no two neighbouring lines have ground positions",
-            mend="check the poses, and the flag off_swath of quality",
+            mend="look at poses and at the quality's off_swath",
             code="ground-not-seen",
         )
     corners = np.concatenate([ends[pairs], ends[pairs + 1]], axis=1)
-    quadrilaterals = shapely.convex_hull(shapely.multipoints(corners))
-    across, along = _steps(east, north)
-    max_bend = 0.5 * float(np.nanmedian(np.concatenate([across.ravel(), along.ravel()])))
-    covered = shapely.simplify(shapely.union_all(quadrilaterals), max_bend)
+    quads = shapely.convex_hull(shapely.multipoints(corners))
+    bend = 0.5 * float(np.nanmedian(np.concatenate([steps.ravel() for steps in _steps(east, north)])))
+    covered = shapely.simplify(shapely.union_all(quads), bend)
     target = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)
     outline = shapely.transform(covered, lambda xy: between_maps(xy, source, target))
     return {
@@ -133,19 +132,19 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     (100, 11.1)
     """
     east, north, _ = _positions(located)
-    across, along = _steps(east, north)
     distances: dict[str, float] = {}
-    for name, steps in (("across", across), ("along", along)):
+    for name, steps in zip(("across", "along"), _steps(east, north), strict=True):
         finite = steps[np.isfinite(steps)]
         # a single column or line has no neighbour
         distances[name] = float(np.median(finite)) if finite.size else np.nan
         for percent in _PERCENTILES:
-            value = float(np.percentile(finite, percent)) if finite.size else np.nan
-            distances[f"{name}_p{percent:02.0f}"] = value
+            distances[f"{name}_p{percent:02.0f}"] = (
+                float(np.percentile(finite, percent)) if finite.size else np.nan
+            )
     if np.isnan([distances["across"], distances["along"]]).all():
         raise SchemaError(
             "no two neighbouring pixels have ground positions",
-            mend="check the poses, and the flag off_swath of quality",
+            mend="look at poses and at the quality's off_swath",
             code="ground-not-seen",
         )
     distances["gsd"] = float(np.nanmax([distances["across"], distances["along"]]))

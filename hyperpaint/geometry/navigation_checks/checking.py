@@ -16,8 +16,8 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import conversion_factor, takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
-from hyperpaint.geometry.georeference.poses import ANGLES
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import ANGLES, LOCATION_UNITS
 
 from .hypotheses import Hypothesis, Scored, fields_of, score
 from .motion_fit import Refined, costs_of, fit_clock, fit_height
@@ -167,7 +167,7 @@ def check_conventions(
 
     Notes
     -----
-    A single line cannot determine which north headings refer to, since a constant error of heading
+    A single line cannot decide which north headings count from, since a heading with a constant error
     looks like wind, or like leaning structures on the ground; nor ``"ZYX"`` from ``"ZXY"``, which
     differ by the product of roll and pitch; nor a wrong stamp from a clock offset of the same size. Where the
     platform does not wobble signs cannot be decided.
@@ -194,10 +194,18 @@ def check_conventions(
     is_labelled = not other_units and labelled != "None"
     if is_labelled and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
         evidence = f"the variables have units {labelled!r}"
-        finding_of_units = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
-        findings = [finding_of_units if finding.field == "angle_unit" else finding for finding in findings]
+        unit = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
+        findings = [unit if finding.field == "angle_unit" else finding for finding in findings]
     first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
-    return ConventionCheck(tuple(findings), _suggested(setting.declared, findings), (first, stop))
+    # a wrong field is replaced only where one alternative remains
+    changes = {
+        finding.field: finding.likely
+        for finding in findings
+        if finding.verdict == "wrong"
+        and hasattr(setting.declared, finding.field)
+        and " or " not in finding.likely
+    }
+    return ConventionCheck(tuple(findings), setting.declared.replace(**changes), (first, stop))
 
 
 def _findings(setting: Setting) -> list[Finding]:
@@ -205,7 +213,9 @@ def _findings(setting: Setting) -> list[Finding]:
     recorded_height = _median_height(declared, setting)
     if recorded_height <= 0.0:
         # signs can be tested at any height: use the height of square pixels, as flights are planned
-        setting = _at_height(setting, declared, _square_pixel_height(declared, setting))
+        north, east = local_metres(*declared.poses(setting.recorded)[:2])
+        distance = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
+        setting = _at_height(setting, declared, max(distance / float(np.abs(setting.view.step).mean()), 1.0))
     scored, compared = _scores(setting)
     if not scored or scored[0].over_rest < RULES.log_odds:
         evidence = (
@@ -258,14 +268,14 @@ def _scores(setting: Setting) -> tuple[list[Scored], Bools]:
 def _nearest_plausible(scored: list[Scored], declared: Hypothesis) -> Hypothesis:
     # Return, of the hypotheses that fit equally well, the nearest to the declared one.
     declared_fields = fields_of(declared)
-    plausible = [score.hypothesis for score in scored if score.odds > -RULES.log_odds]
+    plausible = [one.hypothesis for one in scored if one.odds > -RULES.log_odds]
     return min(plausible, key=lambda h: sum(declared_fields[n] != v for n, v in fields_of(h).items()))
 
 
 def _sign_findings(
     setting: Setting, scored: list[Scored], declared: Hypothesis, compared: Bools
 ) -> list[Finding]:
-    plausible = [fields_of(score.hypothesis) for score in scored if score.odds > -RULES.log_odds]
+    plausible = [fields_of(one.hypothesis) for one in scored if one.odds > -RULES.log_odds]
     clock_reason = (
         ""
         if fields_of(declared) in plausible
@@ -274,8 +284,8 @@ def _sign_findings(
     findings = []
     for name, declared_value in fields_of(declared).items():
         fitting_values = [v for v in dict.fromkeys(fields[name] for fields in plausible) if v is not None]
-        other_odds = [score.odds for score in scored if fields_of(score.hypothesis)[name] != declared_value]
-        own_odds = [score.odds for score in scored if fields_of(score.hypothesis)[name] == declared_value]
+        other_odds = [one.odds for one in scored if fields_of(one.hypothesis)[name] != declared_value]
+        own_odds = [one.odds for one in scored if fields_of(one.hypothesis)[name] == declared_value]
         likely = " or ".join(v for v in fitting_values if v != declared_value)
         verdict: Verdict = "right"
         if declared_value in (None, "None"):
@@ -336,13 +346,6 @@ def _median_height(hypothesis: Hypothesis, setting: Setting) -> float:
 def _at_height(setting: Setting, hypothesis: Hypothesis, height: float) -> Setting:
     ground = setting.view.ground + _median_height(hypothesis, setting) - height
     return replace(setting, view=replace(setting.view, ground=ground))
-
-
-def _square_pixel_height(hypothesis: Hypothesis, setting: Setting) -> float:
-    # Return the height at which pixels are square [m].
-    north, east = local_metres(*hypothesis.poses(setting.recorded)[:2])
-    distance = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
-    return max(distance / float(np.abs(setting.view.step).mean()), 1.0)
 
 
 def _is_off(fitted: Refined, recorded: float) -> bool:
@@ -406,13 +409,3 @@ def _north_finding(hypothesis: Hypothesis, setting: Setting) -> Finding:
     crab = float(np.degrees(np.angle(direction.mean()))) if has_heading.any() else float("nan")
     evidence = f"heading {crab:+.1f} degrees from the course: wind, boresight and declination look alike"
     return Finding("heading_reference", setting.declared.heading_reference, "undecided", "", evidence)
-
-
-def _suggested(declared: Convention, findings: list[Finding]) -> Convention:
-    # a wrong field is replaced only where one alternative remains
-    changes = {
-        finding.field: finding.likely
-        for finding in findings
-        if finding.verdict == "wrong" and hasattr(declared, finding.field) and " or " not in finding.likely
-    }
-    return declared.replace(**changes)

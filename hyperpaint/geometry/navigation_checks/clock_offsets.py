@@ -7,19 +7,20 @@ nearly the same ground, so that the median change over columns is the change of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats, Floats32
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.light.synchrony import check_irradiance_times
 
 from .hypotheses import Hypothesis
@@ -67,9 +68,9 @@ class ClockOffset:
     Attributes
     ----------
     offset_s
-        From navigation: time of the navigation's clock minus ``time`` of the lines, ``clock_offset_s`` of
-        `hyperpaint.geometry.locate`. From irradiance: time of the camera's clock minus stamps of the
-        irradiance record, ``clock_offset_s`` of a collect's ``[irradiance]`` [s].
+        From navigation: to be added to the ``time`` of lines to have navigation's, ``clock_offset_s`` of
+        `hyperpaint.geometry.locate`. From irradiance: to be added to the stamps of the irradiance record to
+        have the camera's, ``clock_offset_s`` of a collect's ``[irradiance]`` [s].
     uncertainty_s
         Standard uncertainty [s].
     method
@@ -166,7 +167,7 @@ def estimate_clock_offset(
     if (navigation is None) == (irradiance is None):
         raise SchemaError(
             "navigation= and irradiance= are both given or both missing",
-            mend="pass one of them",
+            mend="give one of them",
             code="option-conflict",
         )
     if not 0.0 < max_offset_s < np.inf:
@@ -186,20 +187,18 @@ def estimate_clock_offset(
         return expected.poses(setting.recorded, offset)
 
     is_steady = np.broadcast_to(setting.is_steady[:, None], setting.observed.shift.shape)
-    is_compared = is_steady & np.isfinite(setting.observed.shift)
-    if not is_compared.any():
+    compared = is_steady & np.isfinite(setting.observed.shift)
+    if not compared.any():
         _refuse("no two lines in a row show a motion", "motion-not-seen")
     offsets = np.arange(-max_offset_s, max_offset_s + ATTITUDE.search_step_s / 2, ATTITUDE.search_step_s)
-    costs = costs_of(setting.observed, poses, view, is_compared, offsets)
+    costs = costs_of(setting.observed, poses, view, compared, offsets)
     if np.isnan(costs).all():
-        _refuse(
-            "the record has no poses at the times of the lines; check dates and time zones", "pose-missing"
-        )
+        _refuse("the record has no poses at the times of the lines; look at dates and zones", "pose-missing")
     poses_at_lowest = poses(float(offsets[np.nanargmin(costs)]))
     cost_at_rest = float(
-        costs_of(
-            setting.observed, lambda _: _without_rotation(poses_at_lowest), view, is_compared, np.zeros(1)
-        )[0]
+        costs_of(setting.observed, lambda _: _without_rotation(poses_at_lowest), view, compared, np.zeros(1))[
+            0
+        ]
     )
     misfit = costs / cost_at_rest
     best = int(np.nanargmin(misfit))
@@ -224,7 +223,7 @@ def estimate_clock_offset(
         setting.observed,
         view.motion(poses_at_best).shift,
         view.motion(_without_rotation(poses_at_best)).shift,
-        is_compared,
+        compared,
     )
     if not ATTITUDE.min_amplitude < ratio < 1.0 / ATTITUDE.min_amplitude:
         _refuse(
@@ -232,14 +231,14 @@ def estimate_clock_offset(
             "farther, or at signs and units with hyperpaint.geometry.check_conventions",
             "motion-mismatch",
         )
-    fitted = fit_clock(setting.observed, poses, view, is_compared, float(offsets[best]))
+    fitted = fit_clock(setting.observed, poses, view, compared, float(offsets[best]))
     limit = max_uncertainty_s or 0.05
     if not fitted.sd < limit:
         _refuse(
-            f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, expected at most {limit:g} s",
+            f"it is {fitted.value:+.3f} +- {fitted.sd:.3f} s, while {limit:g} s is asked for",
             "offset-uncertain",
         )
-    evidence = f"attitude explains {100 * gain:.0f} % of the shifts of {int(is_compared.sum())} parts of rows"
+    evidence = f"attitude explains {100 * gain:.0f} % of the shifts of {int(compared.sum())} parts of rows"
     return ClockOffset(fitted.value, fitted.sd, "attitude", evidence, _curve(offsets, misfit))
 
 
@@ -283,104 +282,106 @@ def _light_offset(
     part = line if lines is None else line.isel({ALONG_TRACK: lines})
     part_image = image if image is None or lines is None else image.isel({ALONG_TRACK: lines})
     record = require(irradiance, [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, "irradiance"], "a clock's offset")
-    sample_times = record[IRRADIANCE_TIME].values.astype("datetime64[ns]")
-    check_irradiance_times(sample_times)
+    ticks = record[IRRADIANCE_TIME].values.astype("datetime64[ns]")
+    check_irradiance_times(ticks)
     time = require(part, ["time"], "a clock's offset")["time"].values.astype("datetime64[ns]")
-    start = sample_times[0]
-    sample_seconds, line_seconds = ((t - start).astype(np.int64) / 1e9 for t in (sample_times, time))
-    level = np.log(np.maximum(_mean_level(record), _EPS))
+    samples, seconds = ((t - ticks[0]).astype(np.int64) / 1e9 for t in (ticks, time))
+    # mean irradiance of every sample, any scale
+    wavelength = record[IRRADIANCE_WAVELENGTH].values
+    is_inside = (wavelength >= LIGHT.wavelengths_nm[0]) & (wavelength <= LIGHT.wavelengths_nm[1])
+    channels = np.flatnonzero(is_inside) if is_inside.any() else np.arange(wavelength.size)
+    spectra = record["irradiance"].transpose(IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH).values
+    level = np.log(np.maximum(np.asarray(spectra[:, channels].mean(axis=1), np.float64), _EPS))
     is_finite = np.isfinite(level)
-    sample_seconds, level = sample_seconds[is_finite], level[is_finite]
-    if sample_seconds.size < 4:
-        _refuse(f"the record has {sample_seconds.size} spectra", "record-too-short")
-    line_seconds, change = _changes(picture_of(part, part_image), line_seconds)
-    width = float(np.median(np.diff(sample_seconds))) / LIGHT.bins_an_interval
-    edges = np.arange(
-        line_seconds[0], line_seconds[-1], max(width, 3.0 * float(np.median(np.diff(line_seconds))))
-    )
+    samples, level = samples[is_finite], level[is_finite]
+    if samples.size < 4:
+        _refuse(f"the record has {samples.size} spectra", "record-too-short")
+    # the times of lines in order, and the log change of the light from each line to the next
+    is_valid = np.isfinite(seconds) & (np.abs(seconds) < 1e9)
+    order = np.flatnonzero(is_valid)[np.argsort(seconds[is_valid], kind="stable")]
+    seconds, values = seconds[order], picture_of(part, part_image)[order].astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steps = np.diff(np.log(np.where(values > 0, values, np.nan)), axis=0)
+    steps[~np.isfinite(steps).any(axis=1)] = 0.0
+    change = np.nanmedian(steps, axis=1)
+    width = float(np.median(np.diff(samples))) / LIGHT.bins_an_interval
+    edges = np.arange(seconds[0], seconds[-1], max(width, 3.0 * float(np.median(np.diff(seconds)))))
     if edges.size <= LIGHT.min_bins:
         _refuse(
-            f"the line lasts {line_seconds[-1] - line_seconds[0]:.1f} s, "
+            f"the line lasts {seconds[-1] - seconds[0]:.1f} s, "
             f"expected {LIGHT.min_bins * width:.0f} s for this record",
             "line-too-short",
         )
-    observed = np.diff(np.interp(edges, line_seconds, np.concatenate([[0.0], np.cumsum(change)])))
+    observed = np.diff(np.interp(edges, seconds, np.concatenate([[0.0], np.cumsum(change)])))
     offsets = np.linspace(-max_offset_s, max_offset_s, LIGHT.offset_steps + 1)
     expected = np.full((offsets.size, observed.size), np.nan)
     for k, offset in enumerate(offsets):
-        shifted_seconds = sample_seconds + offset
-        if edges[0] >= shifted_seconds[0] and edges[-1] <= shifted_seconds[-1]:
-            expected[k] = np.diff(np.interp(edges, shifted_seconds, level))
-    is_covered = np.asarray(np.isfinite(expected).all(axis=1))
-    if not is_covered.any():
+        stamps = samples + offset
+        if edges[0] >= stamps[0] and edges[-1] <= stamps[-1]:
+            expected[k] = np.diff(np.interp(edges, stamps, level))
+    covered = np.asarray(np.isfinite(expected).all(axis=1))
+    if not covered.any():
         _refuse(
-            "the irradiance record does not cover the line at any offset; check dates and time zones",
+            "the irradiance record does not cover the line, whatever the offset; look at dates and zones",
             "record-elsewhere",
         )
-    largest_change = float(np.ptp(np.cumsum(expected[is_covered], axis=1), axis=1).max())
-    if largest_change < LIGHT.min_change:
+    swing = float(np.ptp(np.cumsum(expected[covered], axis=1), axis=1).max())
+    if swing < LIGHT.min_change:
         _refuse(
-            f"light changes by {100 * largest_change:.1f} % over the line, expected at least "
-            f"{100 * LIGHT.min_change:.0f} %",
+            f"light changes by {100 * swing:.1f} % over the line, at least {100 * LIGHT.min_change:.0f} %",
             "light-constant",
         )
-    return _best_offset(offsets, observed, expected, is_covered, max_uncertainty_s)
+    return _best_offset(offsets, observed, expected, covered, max_uncertainty_s)
 
 
 def _best_offset(
-    offsets: Floats, observed: Floats, expected: Floats, is_covered: Bools, max_uncertainty_s: float
+    offsets: Floats, observed: Floats, expected: Floats, covered: Bools, max_uncertainty_s: float
 ) -> ClockOffset:
     observed = observed - np.median(observed)
     centred = expected - expected.mean(axis=1, keepdims=True)
-    scale = 1.4826 * min(float(np.median(np.abs(observed - m))) for m in centred[is_covered]) + _EPS
+    scale = 1.4826 * min(float(np.median(np.abs(observed - m))) for m in centred[covered]) + _EPS
     cost = np.full(expected.shape, np.nan)
-    cost[is_covered] = _clipped_squares(observed - centred[is_covered], scale)
+    cost[covered] = _clipped_squares(observed - centred[covered], scale)
     misfit, misfit_constant = cost.mean(axis=1), float(_clipped_squares(observed, scale).mean())
     best = int(np.nanargmin(misfit))
     residual = observed - centred[best]
     autocorrelation = float((residual[1:] * residual[:-1]).sum() / max((residual**2).sum(), _EPS))
-    effective_count = observed.size * (1.0 - max(autocorrelation, 0.0)) / (1.0 + max(autocorrelation, 0.0))
-    odds = 0.5 * effective_count * np.log(misfit / misfit[best])
-    constant_odds = 0.5 * effective_count * np.log(misfit_constant / misfit[best])
-    if not constant_odds > LIGHT.min_log_odds:
+    count = observed.size * (1.0 - max(autocorrelation, 0.0)) / (1.0 + max(autocorrelation, 0.0))
+    odds = 0.5 * count * np.log(misfit / misfit[best])
+    gain = 0.5 * count * np.log(misfit_constant / misfit[best])
+    if not gain > LIGHT.min_log_odds:
         _refuse(
-            f"the brightness of lines does not follow the light (log odds {constant_odds:.1f}, expected "
+            f"the brightness of lines does not follow the light (log odds {gain:.1f}, expected "
             f"{LIGHT.min_log_odds:g})",
             "light-mismatch",
         )
-    is_rival = is_covered & (odds < 2.0)
-    if is_rival[0] or is_rival[-1] or (is_rival[1:-1] & ~(is_covered[2:] & is_covered[:-2])).any():
+    rivals = covered & (odds < 2.0)
+    if rivals[0] or rivals[-1] or (rivals[1:-1] & ~(covered[2:] & covered[:-2])).any():
         _refuse(
             f"the best offset, {offsets[best]:+.2f} s, is at the limit of the offsets that the record covers",
             "offset-at-limit",
         )
     offset = _minimum(offsets, misfit)
     blocks = np.array_split(np.arange(observed.size), LIGHT.blocks)
-    offsets_without_block = np.array(
-        [_minimum(offsets, cost.sum(axis=1) - cost[:, b].sum(axis=1)) for b in blocks]
-    )
-    jackknife_sd = np.sqrt(
-        (LIGHT.blocks - 1)
-        / LIGHT.blocks
-        * ((offsets_without_block - offsets_without_block.mean()) ** 2).sum()
-    )
+    without = np.array([_minimum(offsets, cost.sum(axis=1) - cost[:, b].sum(axis=1)) for b in blocks])
+    jackknife_sd = np.sqrt((LIGHT.blocks - 1) / LIGHT.blocks * ((without - without.mean()) ** 2).sum())
     near_best = offsets[odds < 0.5]  # within one standard deviation, for a parabolic curve
     sd = max(float(jackknife_sd), float(np.ptp(near_best)) / 2.0, float(offsets[1] - offsets[0]) / 2.0)
-    is_distant_rival = is_rival & (
+    distant_rivals = rivals & (
         np.abs(offsets - offsets[best]) > max(LIGHT.rival_sd * sd, LIGHT.rival_distance_s)
     )
-    if is_distant_rival.any():
+    if distant_rivals.any():
         _refuse(
-            f"{offsets[is_distant_rival][0]:+.2f} s fits nearly as well as {offsets[best]:+.2f} s",
+            f"{offsets[distant_rivals][0]:+.2f} s fits nearly as well as {offsets[best]:+.2f} s",
             "offset-ambiguous",
         )
     if sd > max_uncertainty_s:
         _refuse(
-            f"it is {offset:+.2f} +- {sd:.2f} s, expected at most {max_uncertainty_s:g} s",
+            f"it is {offset:+.2f} +- {sd:.2f} s, while {max_uncertainty_s:g} s is asked for",
             "offset-uncertain",
         )
     share = 100.0 * (1.0 - misfit[best] / misfit_constant)
-    evidence = f"the light explains {share:.0f} % of the changes of brightness, log odds {constant_odds:.0f}"
+    evidence = f"the light explains {share:.0f} % of the changes of brightness, log odds {gain:.0f}"
     return ClockOffset(offset, sd, "irradiance", evidence, _curve(offsets, np.sqrt(misfit / misfit_constant)))
 
 
@@ -397,24 +398,3 @@ def _minimum(offsets: Floats, cost: Floats) -> float:
 def _clipped_squares(values: Floats, scale: float) -> Floats:
     # Return squares, limited to those of four standard deviations.
     return np.asarray(np.minimum(values**2, (4.0 * scale) ** 2))
-
-
-def _mean_level(irradiance: Mapping[str, xr.DataArray]) -> Floats:
-    # Return the mean irradiance of every sample (irradiance_time,), any scale.
-    wavelength = irradiance[IRRADIANCE_WAVELENGTH].values
-    is_inside = (wavelength >= LIGHT.wavelengths_nm[0]) & (wavelength <= LIGHT.wavelengths_nm[1])
-    chosen = np.flatnonzero(is_inside) if is_inside.any() else np.arange(wavelength.size)
-    spectra = irradiance["irradiance"].transpose(IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH).values
-    return np.asarray(spectra[:, chosen].mean(axis=1), np.float64)
-
-
-def _changes(picture: Floats32, seconds: Floats) -> tuple[Floats, Floats]:
-    # Return the times of lines, and the log change of the light from each line to the next.
-    is_valid = np.isfinite(seconds) & (np.abs(seconds) < 1e9)
-    order = np.flatnonzero(is_valid)[np.argsort(seconds[is_valid], kind="stable")]
-    values = picture[order].astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        steps = np.diff(np.log(np.where(values > 0, values, np.nan)), axis=0)
-    is_empty = ~np.isfinite(steps).any(axis=1)
-    steps[is_empty] = 0.0
-    return seconds[order], np.asarray(np.nanmedian(steps, axis=1))

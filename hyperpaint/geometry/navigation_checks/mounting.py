@@ -13,11 +13,14 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 
-from .misses import PARAMETERS, STEPS, Misses, TieMisses
 from .sightings import Sightings, sightings_of
 
+PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
+#: Parameter steps of the numerical derivatives of misses.
+STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
 _ANGLES = ("roll", "pitch", "heading")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
 #: Largest useful uncertainty from points picked to one pixel [degree, m, s].
@@ -210,24 +213,29 @@ def solve_boresight(
         )
     names = _checked_names((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
-    forward, right, down = (float(length) for length in lever_arm)
     sights = _sightings(
-        lines, control_points, navigation, (forward, right, down), camera, convention, crs, start
+        lines, control_points, navigation, tuple(map(float, lever_arm)), camera, convention, crs, start
     )
-    free_parameters = [PARAMETERS.index(name) for name in names]
+    free = [PARAMETERS.index(name) for name in names]
     white = [sight.whitening(start) for sight in sights]
-    points = Misses(sights, start, free_parameters, control_points.sizes["point"], white)
-    if pairs:
-        heights = control_points["height"].values.astype(np.float64)
-        points = TieMisses(sights, start, free_parameters, points.count, white, heights)
-    plausible = _plausible(points)
-    _refuse_unidentifiable(points, start[free_parameters], names, plausible)
+    heights = control_points["height"].values.astype(np.float64) if pairs else None
+    points = Misses(sights, start, free, control_points.sizes["point"], white, heights)
+    # points with misses that a mounting or a clock offset can explain
+    plausible = np.ones(points.count, bool)
+    misses_at_start = [sight.misses(start) for sight in sights]
+    median_miss = np.median(np.concatenate(misses_at_start), axis=0)
+    for sight, miss in zip(sights, misses_at_start, strict=True):
+        limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
+        plausible[sight.index] = ~((np.linalg.norm(miss - median_miss, axis=1) > limit) | sight.behind(start))
+    if 2 * plausible.sum() <= points.count:
+        plausible[:] = True
+    _refuse_unidentifiable(points, start[free], names, plausible)
     fit = _best_fit(points, plausible)
     slopes = fit.points.slopes(fit.free, fit.used)
     condition = _refuse_unidentifiable(fit.points, fit.free, names, fit.used)
     misses = fit.points.misses(fit.free)
     # half of the measurements of a tie point determine its ground position
-    freedom = (1 if pairs else 2) * int(fit.used.sum()) - len(free_parameters)
+    freedom = (1 if pairs else 2) * int(fit.used.sum()) - len(free)
     variance = float((misses[fit.used] ** 2).sum()) / freedom
     if variance > largest_picking_sd**2:
         raise SchemaError(
@@ -237,11 +245,30 @@ def solve_boresight(
             code="control-points-misfit",
         )
     roll, pitch, heading, height, clock = fit.points.parameters(fit.free).tolist()
+    covariance = xr.DataArray(
+        np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64),
+        dims=("parameter", "other_parameter"),
+        coords={"parameter": names, "other_parameter": names},
+        attrs={
+            "long_name": "Covariance of the camera's mounting",
+            "parameter_units": ", ".join(_UNITS[name] for name in names),
+        },
+    )
+    labels = control_points["name"].values if "name" in control_points.variables else [""] * points.count
+    residuals = xr.Dataset(
+        {
+            "miss": (
+                "point",
+                np.linalg.norm(misses, axis=1),
+                {"units": "1", "long_name": "Distance [pixel]"},
+            ),
+            "outlier": ("point", ~fit.used, {"long_name": "Left out"}),
+        },
+        coords={"point": [str(label) or str(number) for number, label in enumerate(labels)]},
+    )
     return BoresightSolution(
-        (roll, pitch, heading), height, clock,
-        _labelled(np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64), names),
-        _residuals(control_points, misses, fit.used), float(np.sqrt(variance)), condition,
-    )  # fmt: skip
+        (roll, pitch, heading), height, clock, covariance, residuals, float(np.sqrt(variance)), condition
+    )
 
 
 def _checked_names(solve: Sequence[str], points: xr.Dataset) -> list[str]:
@@ -279,7 +306,7 @@ def _sightings(
     lines: xr.Dataset | Mapping[str, xr.Dataset],
     points: xr.Dataset,
     navigation: xr.Dataset | Mapping[str, xr.Dataset] | None,
-    lever_arm: tuple[float, float, float],
+    lever_arm: tuple[float, ...],
     camera: Any,
     convention: Convention | None,
     crs: Any,
@@ -309,15 +336,76 @@ def _sightings(
     sights = []
     for name, line, index in parts:
         if index.size:
-            has_many = navigation is not None and not isinstance(navigation, xr.Dataset)
-            record: Any = navigation.get(name) if has_many and navigation is not None else navigation
+            record: Any = (
+                navigation
+                if navigation is None or isinstance(navigation, xr.Dataset)
+                else navigation.get(name)
+            )
             fields = {field: points[field].values[index].astype(np.float64) for field in _FIELDS}
-            sight = sightings_of(
+            sights.append(sightings_of(
                 line, fields, index, navigation=record, convention=convention, camera=camera,
                 lever_arm=lever_arm, crs=crs, clock=float(start[4]),
-            )  # fmt: skip
-            sights.append(sight)
+            ))  # fmt: skip
     return sights
+
+
+@dataclass(frozen=True)
+class Misses:
+    """Residuals of all points as a function of the free parameters.
+
+    Of tie points, the first half is seen by one line of a pair, the second half by the other.
+    """
+
+    sights: list[Sightings]
+    start: Floats  #: start values of all five parameters
+    free: list[int]  #: positions in `PARAMETERS` of the solved parameters
+    count: int
+    white: list[Floats]  #: matrices that convert the misses of each sighting to pixels of picking
+    height: Floats | None  #: (point,): of tie points, height of the ground above the ellipsoid [m]
+
+    def parameters(self, free: Floats) -> Floats:
+        """Return all five parameters."""
+        parameters = self.start.copy()
+        parameters[self.free] = free
+        return parameters
+
+    def misses(self, free: Floats) -> Floats:
+        """Return misses of all points (point, 2) [pixel of picking]; of ties from their mean position."""
+        parameters, misses = self.parameters(free), np.zeros((self.count, 2))
+        sights = self.sights
+        if self.height is not None:
+            positions = np.zeros((self.count, 3))
+            for sight in sights:
+                positions[sight.index] = sight.hits(parameters, self.height)
+            means = np.tile(positions.reshape(2, -1, 3).mean(axis=0), (2, 1))
+            sights = [replace(sight, ground=means[sight.index]) for sight in sights]
+        for sight, white in zip(sights, self.white, strict=True):
+            misses[sight.index] = np.einsum("nij,nj->ni", white, sight.misses(parameters))
+        return misses
+
+    def distances(self, free: Floats) -> Floats:
+        """Return the length of the misses (point,) [pixel of picking]; of ties the larger one for both."""
+        distances = np.linalg.norm(self.misses(free), axis=1)
+        return distances if self.height is None else np.tile(distances.reshape(2, -1).max(axis=0), 2)
+
+    def whitened(self, free: Floats) -> Misses:
+        """Return the misses with whitening computed at these parameters."""
+        parameters = self.parameters(free)
+        return replace(self, white=[sight.whitening(parameters) for sight in self.sights])
+
+    def slopes(self, free: Floats, used: Bools) -> Floats:
+        """Return derivatives of the misses of points that are used (2 point, parameter)."""
+        columns = []
+        for k, parameter in enumerate(self.free):
+            step = np.zeros(free.size)
+            step[k] = STEPS[PARAMETERS[parameter]]
+            change = self.misses(free + step) - self.misses(free - step)
+            columns.append(change[used].ravel() / (2.0 * step[k]))
+        return np.stack(columns, axis=1)
+
+    def lengths(self, free: Floats, used: Bools) -> Floats:
+        """Return the length of the misses per unit of a parameter, for fixed ground points (parameter,)."""
+        return np.asarray(np.linalg.norm(replace(self, height=None).slopes(free, used), axis=0))
 
 
 class _Fit(NamedTuple):
@@ -329,16 +417,16 @@ class _Fit(NamedTuple):
 
 
 def _fit(
-    points: Misses, free_parameters: Floats, is_used: Bools, scale: float | None = None, roughly: bool = False
+    points: Misses, free: Floats, used: Bools, scale: float | None = None, roughly: bool = False
 ) -> Floats:
     # Fit by least squares, or with a scale [pixel] by soft-L1.
     from scipy.optimize import least_squares
 
     units = np.array([STEPS[PARAMETERS[p]] for p in points.free])
     solution = least_squares(
-        lambda u: np.nan_to_num(points.misses(u * units)[is_used].ravel(), nan=1e3),
-        free_parameters / units,
-        jac=lambda u: np.nan_to_num(points.slopes(u * units, is_used)) * units,
+        lambda u: np.nan_to_num(points.misses(u * units)[used].ravel(), nan=1e3),
+        free / units,
+        jac=lambda u: np.nan_to_num(points.slopes(u * units, used)) * units,
         loss="linear" if scale is None else "soft_l1",
         f_scale=scale or 1.0,
         x_scale=1e3
@@ -350,24 +438,31 @@ def _fit(
     return np.asarray(solution.x * units)
 
 
-def _plausible(points: Misses) -> Bools:
-    # Return which points have misses that a mounting or a clock offset can explain.
-    start, plausible = points.start, np.ones(points.count, bool)
-    misses = [sight.misses(start) for sight in points.sights]
-    median_miss = np.median(np.concatenate(misses), axis=0)
-    for sight, miss in zip(points.sights, misses, strict=True):
-        limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
-        plausible[sight.index] = ~((np.linalg.norm(miss - median_miss, axis=1) > limit) | sight.behind(start))
-    return plausible if 2 * plausible.sum() > points.count else np.ones(points.count, bool)
-
-
 def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     if PARAMETERS.index("clock") not in points.free:
         return _robust_fit(points, points.start[points.free], plausible)
     # the clock is the last free parameter
-    fits = [_robust_fit(points, start, plausible) for start in _clock_candidates(points, plausible)]
-    best, *other_fits = sorted(fits, key=lambda fit: fit.median_miss)
-    for rival in other_fits:
+    # start values: the best clock offsets of the search, with the other parameters fitted to them
+    starts, medians = [], []
+    for clock in points.start[4] + np.array(RULES.clock_search_s):
+        # misses of all clock offsets have the whitening of the start values
+        fixed = replace(points, start=np.append(points.start[:4], clock), free=points.free[:-1])
+        free = fixed.start[fixed.free]
+        # the record may end before other points
+        is_usable = plausible & np.isfinite(fixed.misses(free)).all(axis=1)
+        if free.size and is_usable.any():
+            # plain least squares first: soft-L1 converges slowly from far away
+            rough = _fit(fixed, free, is_usable, roughly=True)
+            free = _fit(fixed, rough, is_usable, RULES.soft_miss_px, roughly=True)
+        starts.append(np.append(free, clock))
+        medians.append(_median_distance(fixed.misses(free)[plausible]))
+    padded = np.pad(medians, 1, constant_values=np.inf)
+    lowest = [k for k, median in enumerate(medians) if median <= min(padded[k], padded[k + 2])]
+    candidates = [k for k in lowest if medians[k] <= RULES.candidate_ratio * min(medians)]
+    candidates = sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]
+    fits = [_robust_fit(points, starts[k], plausible) for k in candidates]
+    best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
+    for rival in rest:
         is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
         if is_distinct and not rival.median_miss > RULES.rival_ratio * best.median_miss:
             raise SchemaError(
@@ -379,50 +474,27 @@ def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     return best._replace(points=points.whitened(best.free))
 
 
-def _clock_candidates(points: Misses, plausible: Bools) -> list[Floats]:
-    # Return start values: the best clock offsets of the search, with the other parameters fitted to them.
-    starts, medians = [], []
-    for clock in points.start[4] + np.array(RULES.clock_search_s):
-        # misses of all clock offsets have the whitening of the start values
-        fixed = replace(points, start=np.append(points.start[:4], clock), free=points.free[:-1])
-        free_parameters = fixed.start[fixed.free]
-        # the record may end before other points
-        is_usable = plausible & np.isfinite(fixed.misses(free_parameters)).all(axis=1)
-        if free_parameters.size and is_usable.any():
-            # plain least squares first: soft-L1 converges slowly from far away
-            rough = _fit(fixed, free_parameters, is_usable, roughly=True)
-            free_parameters = _fit(fixed, rough, is_usable, RULES.soft_miss_px, roughly=True)
-        starts.append(np.append(free_parameters, clock))
-        medians.append(_median_distance(fixed.misses(free_parameters)[plausible]))
-    padded = np.pad(medians, 1, constant_values=np.inf)
-    lowest = [k for k, median in enumerate(medians) if median <= min(padded[k], padded[k + 2])]
-    candidates = [k for k in lowest if medians[k] <= RULES.candidate_ratio * min(medians)]
-    return [starts[k] for k in sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]]
-
-
-def _robust_fit(points: Misses, free_parameters: Floats, plausible: Bools) -> _Fit:
+def _robust_fit(points: Misses, free: Floats, plausible: Bools) -> _Fit:
     # Fit by soft-L1, then by least squares without outliers.
     compared, count = plausible, int(plausible.sum())
-    free_parameters = _fit(points, free_parameters, compared)
-    points = points.whitened(free_parameters)
+    free = _fit(points, free, compared)
+    points = points.whitened(free)
     for _ in range(3):
-        scale = max(1.4826 * float(np.nanmedian(np.abs(points.misses(free_parameters)[plausible]))), 1e-6)
-        free_parameters = _fit(points, free_parameters, compared, 1.5 * scale)
+        scale = max(1.4826 * float(np.nanmedian(np.abs(points.misses(free)[plausible]))), 1e-6)
+        free = _fit(points, free, compared, 1.5 * scale)
     freedom = np.sqrt(2 * count / max(2 * count - len(points.free), 1))
     for _ in range(RULES.max_outlier_rounds):
-        distances = points.distances(free_parameters)
+        distances = points.distances(free)
         # the median distance of points is 1.177 standard deviations of line or column
         scale = freedom * max(float(np.nanmedian(distances[compared])) / 1.1774, 1e-6)
         is_inlier = (distances < RULES.outlier_sd * scale) & plausible
         if 2 * is_inlier.sum() <= len(points.free):
             break
-        free_parameters = _fit(points, free_parameters, is_inlier)
+        free = _fit(points, free, is_inlier)
         if (is_inlier == compared).all():
             break
         compared = is_inlier
-    return _Fit(
-        free_parameters, compared, _median_distance(points.misses(free_parameters)[plausible]), points
-    )
+    return _Fit(free, compared, _median_distance(points.misses(free)[plausible]), points)
 
 
 def _median_distance(misses: Floats) -> float:
@@ -431,15 +503,11 @@ def _median_distance(misses: Floats) -> float:
     return float(np.median(np.where(np.isfinite(distances), distances, np.inf)))
 
 
-def _refuse_unidentifiable(
-    points: Misses, free_parameters: Floats, names: list[str], is_used: Bools
-) -> float:
+def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used: Bools) -> float:
     # Return the condition number; SchemaError if it is too large.
-    slopes, lengths_fixed = points.slopes(free_parameters, is_used), points.lengths(free_parameters, is_used)
+    slopes, lengths_fixed = points.slopes(free, used), points.lengths(free, used)
     length = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
-    problems = Problems(
-        f"{int(is_used.sum())} points do not determine all of {', '.join(names)}", SchemaError
-    )
+    problems = Problems(f"{int(used.sum())} points do not determine all of {', '.join(names)}", SchemaError)
     for name, size in zip(names, lengths_fixed, strict=True):
         if not size * _MAX_SD[name] > 1.0:
             problems.add(
@@ -450,15 +518,15 @@ def _refuse_unidentifiable(
     problems.raise_if_any()
     _, singular, directions = np.linalg.svd(slopes / length, full_matrices=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
-    widening = np.sqrt(((directions.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
-    # a tie point depends on the poses of both lines; effects that are equal in both cancel
-    widening *= np.maximum(lengths_fixed / length, 1.0)
-    weak = [k for k in range(len(names)) if widening[k] > RULES.max_widening]
-    if 2 * is_used.sum() <= len(names) or weak:
+    widened = np.sqrt(((directions.T / np.maximum(singular, 1e-12)) ** 2).sum(axis=1))
+    # a tie point moves with both lines: it determines less the more equally they move it
+    widened *= np.maximum(lengths_fixed / length, 1.0)
+    weak = [k for k in range(len(names)) if widened[k] > RULES.max_widening]
+    if 2 * used.sum() <= len(names) or weak:
         for k in weak:
             partners = [n for j, n in enumerate(names) if j != k and abs(directions[-1, j]) > 0.3]
             problems.add(
-                f"{names[k]}: its uncertainty is {min(widening[k], 1e9):.3g} times that of {names[k]} alone, "
+                f"{names[k]}: its uncertainty is {min(widened[k], 1e9):.3g} times that of {names[k]} alone, "
                 f"since {' and '.join(partners) or 'both lines'} would move the points equally",
                 code="parameter-correlated",
             )
@@ -469,25 +537,3 @@ def _refuse_unidentifiable(
         )
     problems.raise_if_any()
     return condition
-
-
-def _labelled(covariance: Floats, names: list[str]) -> xr.DataArray:
-    units = ", ".join(_UNITS[name] for name in names)
-    return xr.DataArray(
-        covariance,
-        dims=("parameter", "other_parameter"),
-        coords={"parameter": names, "other_parameter": names},
-        attrs={"long_name": "Covariance of the camera's mounting", "parameter_units": units},
-    )
-
-
-def _residuals(points: xr.Dataset, misses: Floats, is_used: Bools) -> xr.Dataset:
-    labels = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * is_used.size
-    distance = {"units": "1", "long_name": "Distance [pixel]"}
-    return xr.Dataset(
-        {
-            "miss": ("point", np.linalg.norm(misses, axis=1), distance),
-            "outlier": ("point", ~is_used, {"long_name": "Left out"}),
-        },
-        coords={"point": [name or str(k) for k, name in enumerate(labels)]},
-    )

@@ -92,7 +92,11 @@ class EnviArray(BackendArray):
             vector_shape = tuple(-1 if axis == self.band_axis else 1 for axis in range(3))
             bands = positions[self.band_axis]
             values = self.scaling.apply(values, lambda vector: vector[bands].reshape(vector_shape))
-        shape = [size for size, index in zip(values.shape, key, strict=True) if not _is_integer(index)]
+        shape = [
+            size
+            for size, index in zip(values.shape, key, strict=True)
+            if not isinstance(index, int | np.integer)
+        ]
         return values.reshape(shape)
 
     def _read(self, positions: list[Ints]) -> Array:
@@ -107,9 +111,12 @@ class EnviArray(BackendArray):
             # complete successive planes of the file are read in one piece
             planes, rows, columns = indices
             _, height, width = self.file_shape
-            is_slab = self.axes == (0, 1, 2) and bool((np.diff(planes) == 1).all())
-            is_slab = is_slab and np.array_equal(rows, np.arange(height))
-            if is_slab and np.array_equal(columns, np.arange(width)):
+            if (
+                self.axes == (0, 1, 2)
+                and (np.diff(planes) == 1).all()
+                and np.array_equal(rows, np.arange(height))
+                and np.array_equal(columns, np.arange(width))
+            ):
                 self._fill(file, int(planes[0]) * height * width, samples.reshape(-1))
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
@@ -170,12 +177,8 @@ class EnviArray(BackendArray):
             done += count
 
 
-def _is_integer(index: object) -> bool:
-    return isinstance(index, int | np.integer)
-
-
 def _positions(index: Any, size: int) -> Ints:
-    if _is_integer(index):
+    if isinstance(index, int | np.integer):
         return np.array([index], dtype=np.int64)
     if isinstance(index, slice):
         return np.arange(*index.indices(size), dtype=np.int64)

@@ -26,11 +26,10 @@ from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file
 
 from .envi_array import EnviArray, Scaling
+from .envi_grammar import FILE_AXES
 from .envi_header import EnviHeader, read_header
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
-# axes of the file, slowest first
-_FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
 # Headwall's recorder writes its name; its software adds the processing level
 _RAW = re.compile(r"\[headwall\b|\braw\b|\bdigital (?:numbers?|counts?)\b|\bcounts\b|\bdn\b", re.IGNORECASE)
@@ -54,7 +53,25 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     if not path.is_file():
         raise FileNotFoundError(f"no such file: {str(path)!r}")
     if path.suffix.lower() == ".hdr":
-        return path, _data_of(path)
+        bare_path = path.with_suffix("")
+        suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
+        candidates = _existing([bare_path]) or _existing(
+            [Path(f"{bare_path}{suffix}") for suffix in suffixes]
+        )
+        if not candidates:
+            raise FormatError(
+                f"ENVI header {str(path)!r} has no data file beside it",
+                expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
+                code="data-file-missing",
+            )
+        if len(candidates) > 1:
+            names = ", ".join(repr(candidate.name) for candidate in candidates)
+            raise FormatError(
+                f"ENVI header {str(path)!r} could belong to {names}",
+                mend="open the data file you mean",
+                code="data-file-ambiguous",
+            )
+        return path, candidates[0]
     header = _existing([Path(f"{path}{suffix}") for suffix in (".hdr", ".HDR")])
     header = header or _existing([path.with_suffix(suffix) for suffix in (".hdr", ".HDR")])
     if not header:
@@ -64,26 +81,6 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
             code="header-missing",
         )
     return header[0], path
-
-
-def _data_of(header: Path) -> Path:
-    bare_path = header.with_suffix("")
-    suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
-    candidates = _existing([bare_path]) or _existing([Path(f"{bare_path}{suffix}") for suffix in suffixes])
-    if not candidates:
-        raise FormatError(
-            f"ENVI header {str(header)!r} has no data file beside it",
-            expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
-            code="data-file-missing",
-        )
-    if len(candidates) > 1:
-        names = ", ".join(repr(path.name) for path in candidates)
-        raise FormatError(
-            f"ENVI header {str(header)!r} could belong to {names}",
-            mend="open the data file you mean",
-            code="data-file-ambiguous",
-        )
-    return candidates[0]
 
 
 def _existing(candidates: list[Path]) -> list[Path]:
@@ -209,12 +206,13 @@ def open_envi(
     if lines != header.lines:
         doubts.append(f"{lines} whole lines are kept where the header says {header.lines}")
     if doubts:
-        text = f"{data_path.name}: {'; '.join(doubts)}"
-        warnings.warn(PaintWarning(text, code="header-doubtful"), stacklevel=2)
+        warnings.warn(
+            PaintWarning(f"{data_path.name}: {'; '.join(doubts)}", code="header-doubtful"), stacklevel=2
+        )
     # axes of the file, and of the array
     name, attrs = _quantity(header, quantity, unsaid, data_path)
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
-    file_axes = _FILE_AXES[header.interleave]
+    file_axes = FILE_AXES[header.interleave]
     order = "lbs" if header.map_info is None else "lsb"
     dims = schema.CUBE if header.map_info is None else ("y", "x", "band")
     array = EnviArray(
@@ -257,11 +255,22 @@ def open_envi(
             y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
         else:
             unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
-            x_attrs, y_attrs = ({"standard_name": f"projection_{axis}_coordinate"} for axis in "xy")
-            for axis_attrs in (x_attrs, y_attrs):
-                axis_attrs.update({"units": unit} if unit else {})
+            x_attrs, y_attrs = (
+                {"standard_name": f"projection_{axis}_coordinate", **({"units": unit} if unit else {})}
+                for axis in "xy"
+            )
         coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
-    return xr.Dataset({name: variable}, coords=coords, attrs=_attributes(header, data_path, lines))
+    line_attrs: dict[str, Any] = {"source": data_path.name, "envi_header": json.dumps(header.fields)}
+    if header.comments:
+        line_attrs["envi_comments"] = json.dumps(header.comments)
+    if header.notes:
+        line_attrs["envi_notes"] = "; ".join(header.notes)
+    if lines != header.lines:
+        line_attrs["lines_declared"] = header.lines
+    for key in ("map info", "coordinate system string"):
+        if header.map_info is not None and key in header.fields:
+            line_attrs[key.replace(" ", "_")] = header.fields[key]
+    return xr.Dataset({name: variable}, coords=coords, attrs=line_attrs)
 
 
 def _has_gain(header: EnviHeader) -> bool:
@@ -382,17 +391,3 @@ def _scaling(header: EnviHeader, name: str) -> Scaling | None:
         gain=header.data_gain_values if has_gain else None,
         offset=header.data_offset_values if has_gain else None,
     )
-
-
-def _attributes(header: EnviHeader, path: Path, lines: int) -> dict[str, Any]:
-    attrs: dict[str, Any] = {"source": path.name, "envi_header": json.dumps(header.fields)}
-    if header.comments:
-        attrs["envi_comments"] = json.dumps(header.comments)
-    if header.notes:
-        attrs["envi_notes"] = "; ".join(header.notes)
-    if lines != header.lines:
-        attrs["lines_declared"] = header.lines
-    for key in ("map info", "coordinate system string"):
-        if header.map_info is not None and key in header.fields:
-            attrs[key.replace(" ", "_")] = header.fields[key]
-    return attrs

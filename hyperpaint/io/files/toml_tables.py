@@ -6,7 +6,6 @@ import difflib
 import itertools
 import os
 import re
-import stat
 import tomllib
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
@@ -212,8 +211,4 @@ def _anchored(pattern: str) -> tuple[str, str]:
 
 def _is_special(path: Path) -> bool:
     # Return whether a path names a pipe or device: reading it would block or never end.
-    try:
-        mode = path.stat().st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+    return os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path))

@@ -24,8 +24,7 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.base.old_names import NEW_NAMES
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.files.publishing import published_files
-from hyperpaint.io.files.reading import number, numbers
-from hyperpaint.io.files.text_cells import safe_cell, text_of_cell
+from hyperpaint.io.files.reading import number, numbers, safe_cell, text_of_cell
 
 from .library_spectra import MIN_NM, check_wavelengths
 from .metadata import metadata_path, metadata_text, table_columns

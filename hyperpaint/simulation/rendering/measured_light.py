@@ -17,7 +17,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaEr
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor, convert
-from hyperpaint.light.sky_fit import fit_sky
+from hyperpaint.light.sky_functions import fit_sky
 from hyperpaint.simulation.setting_checks import moment_of
 
 from .sky_models import Spread, check_curves, check_wavelengths
