@@ -267,7 +267,8 @@ class _Tiles:
             options = {"fill": fill, "bands": bands, "factors": factors}
             recipes = self._recipes([variable], place)
             tasks[place] = (partial(_spectra_of_tile, recipes=recipes, **options), (lines.name, *place))
-        return self._array(f"mosaic-{variable}", tasks, first.dtype, [lines], factors, (bands,))
+        sources = [strip.map[variable].data.name for strip in self.strips]
+        return self._array(f"mosaic-{variable}", tasks, first.dtype, [lines], (sources, factors), (bands,))
 
 
 def _composed_map(
