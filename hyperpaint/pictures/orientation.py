@@ -118,7 +118,7 @@ def _mean_step(values: Array) -> float:
     return float((values[places[-1]] - values[places[0]]) / (places[-1] - places[0]))
 
 
-def laid_down(picture: Array, orientation: Orientation) -> Array:
+def flown_right(picture: Array, orientation: Orientation) -> Array:
     """Return a picture (line, column, ...) as (row, line, ...) with the flight to the right."""
     # flown to the right, the columns to the right of the flight are the lower ones
     return np.asarray((picture[:, ::-1] if orientation.is_mirrored else picture).swapaxes(0, 1))

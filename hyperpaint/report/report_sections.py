@@ -21,7 +21,7 @@ from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, rename_to_roles
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure
-from hyperpaint.pictures.orientation import laid_down, orientation_of
+from hyperpaint.pictures.orientation import flown_right, orientation_of
 from hyperpaint.pictures.paint_cards import paint_card
 from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flag_label, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
@@ -128,7 +128,7 @@ def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
     except SchemaError as error:  # no reflectance, no visible bands
         return page_part("paragraph", text=f"There is no picture: {error}", heading="True colour")
     orientation = orientation_of(line)
-    shown = laid_down((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), orientation)
+    shown = flown_right((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), orientation)
     columns = "upwards" if orientation.is_mirrored else "downwards"
     caption = (
         f"{line.sizes[ALONG_TRACK]} lines, flown to the right;"

@@ -29,7 +29,7 @@ from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store import to_store
 from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.figures import encode_png
-from hyperpaint.pictures.orientation import laid_down, orientation_of
+from hyperpaint.pictures.orientation import flown_right, orientation_of
 from hyperpaint.pictures.plot import flag_label, rgb
 from hyperpaint.pictures.plot_flags import FLAG_COLOURS
 from hyperpaint.pictures.plot_spectra import find_usable
@@ -260,7 +260,7 @@ def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Pictur
     if is_line:
         orientation = orientation_of(source)
         places["mirrored"] = orientation.is_mirrored
-        picture = laid_down(picture, orientation)
+        picture = flown_right(picture, orientation)
     return np.ascontiguousarray(picture), places
 
 

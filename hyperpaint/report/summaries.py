@@ -14,7 +14,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANC
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.figures import data_uri, encode_png
-from hyperpaint.pictures.orientation import laid_down, orientation_of
+from hyperpaint.pictures.orientation import flown_right, orientation_of
 
 from .pages import page_part
 
@@ -198,7 +198,7 @@ def _picture_of(dataset: xr.Dataset) -> str:
     step = max(1, -(-picture.shape[0] // 480))
     # by the declared order of columns, since ground positions would have to be computed
     orientation = orientation_of(dataset.drop_vars(["east", "north"], errors="ignore"))
-    shown = laid_down(picture[::step, :: max(1, step // 2)], orientation)
+    shown = flown_right(picture[::step, :: max(1, step // 2)], orientation)
     return data_uri(encode_png(np.ascontiguousarray(shown)))
 
 
