@@ -179,10 +179,13 @@ def judge_bands(
     if record is None:
         return
     daylight = _Daylight(wavelength, fwhm, record)
-    clear_curvature = _curvature(_Daylight(wavelength, fwhm, None).at(wavelength))
-    if not _correlation(_curvature(daylight.at(wavelength)), clear_curvature) > BAND_RULES.daylight:
+    clear_curvature = _curvature(_Daylight(wavelength, fwhm, None).irradiance_at(wavelength))
+    if (
+        not _correlation(_curvature(daylight.irradiance_at(wavelength)), clear_curvature)
+        > BAND_RULES.daylight
+    ):
         return
-    expected_curvature = _curvature(daylight.at(wavelength) / gain)
+    expected_curvature = _curvature(daylight.irradiance_at(wavelength) / gain)
     curvature = _curvature(light)
     agreement = float(_correlation(curvature, expected_curvature))
     if not agreement < BAND_RULES.unexplained:
@@ -212,15 +215,15 @@ def judge_bands(
 
 def _roughness(spectrum: Floats, light: Floats) -> float:
     # Squared median difference of neighbouring bands relative to all pairs of bands; 0 with too few lit bands
-    lit = (light > max(BAND_RULES.lit_counts, BAND_RULES.lit_share * np.nanmax(light))) & np.isfinite(
+    is_lit = (light > max(BAND_RULES.lit_counts, BAND_RULES.lit_share * np.nanmax(light))) & np.isfinite(
         spectrum
     )
-    if lit.sum() < BAND_RULES.bands:
+    if is_lit.sum() < BAND_RULES.bands:
         return 0.0
-    pairs = np.abs(np.subtract.outer(spectrum[lit], spectrum[lit]))[np.triu_indices(lit.sum(), 1)]
-    steps = np.abs(np.diff(np.where(lit, spectrum, np.nan)))
+    pairs = np.abs(np.subtract.outer(spectrum[is_lit], spectrum[is_lit]))[np.triu_indices(is_lit.sum(), 1)]
+    steps = np.abs(np.diff(np.where(is_lit, spectrum, np.nan)))
     pair_step = float(np.median(pairs))
-    is_flat = pair_step < BAND_RULES.spread * float(np.median(spectrum[lit]))
+    is_flat = pair_step < BAND_RULES.spread * float(np.median(spectrum[is_lit]))
     return 0.0 if is_flat else float(np.nanmedian(steps) / pair_step) ** 2
 
 
@@ -232,7 +235,7 @@ def _agreements(curvature: Floats, wavelength: Floats, daylight: _Daylight) -> d
     for stretch in np.geomspace(*BAND_RULES.stretches, 140):
         for signed in (stretch, -stretch):
             nm = mean_nm + shifts + signed * (wavelength - mean_nm)
-            agreement = _correlation(curvature, _curvature(daylight.at(nm)))
+            agreement = _correlation(curvature, _curvature(daylight.irradiance_at(nm)))
             best = int(np.argmax(np.nan_to_num(agreement, nan=-1.0)))
             agreements[f"{nm[best, 0]:.0f} to {nm[best, -1]:.0f} nm"] = float(agreement[best])
     return agreements
@@ -249,15 +252,15 @@ class _Daylight:
         weights = np.exp(-0.5 * (2.3548 * np.linspace(-1.0, 1.0, 2 * half_width + 1)) ** 2)
         self._nm, self._values = nm, np.convolve(irradiance, weights / weights.sum(), "same")
 
-    def at(self, wavelength: Floats) -> Floats:
+    def irradiance_at(self, wavelength: Floats) -> Floats:
         return np.asarray(np.interp(wavelength, self._nm, self._values, np.nan, np.nan))
 
 
 def _curvature(spectrum: Floats) -> Floats:
     # Second differences of the logarithm (..., band), NaN where there is almost no light
-    least = 0.03 * np.nan_to_num(spectrum).max(axis=-1, keepdims=True)
+    min_light = 0.03 * np.nan_to_num(spectrum).max(axis=-1, keepdims=True)
     curvature = np.full(spectrum.shape, np.nan)
-    curvature[..., 1:-1] = np.diff(np.log(np.where(spectrum > least, spectrum, np.nan)), 2)
+    curvature[..., 1:-1] = np.diff(np.log(np.where(spectrum > min_light, spectrum, np.nan)), 2)
     return curvature
 
 
@@ -333,8 +336,8 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
         return
     yield from _judge_changes(name, spectra, times, line["time"].values)
     channels = line["irradiance_wavelength"].values.astype(np.float64)
-    place = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
-    level = light_level(place, spectra, channels, times)
+    position = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
+    level = light_level(position, spectra, channels, times)
     share = level.median / level.clear
     if math.isfinite(share) and not RECORD_RULES.least_share <= share <= RECORD_RULES.most_share:
         slip = f", {level.slip}" if level.slip else ""
