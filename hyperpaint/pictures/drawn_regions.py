@@ -46,9 +46,13 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
     An empty ``flightline`` takes all regions as its own. Raises `SchemaError` for regions in map coordinates
     or with holes.
 
-    Examples -------- >>> corners = [(0, 0), (4, 0), (4, 3)] >>> outlines, others = regions_on([Region("a",
-    corners), Region("b", corners, flightline="raw_1")], "raw_0") >>> outlines.names, [region.name for region
-    in others] (('a',), ['b'])
+    Examples
+    --------
+    >>> corners = [(0, 0), (4, 0), (4, 3)]
+    >>> given = [Region("a", corners), Region("b", corners, flightline="raw_1")]
+    >>> outlines, others = regions_on(given, "raw_0")
+    >>> outlines.names, [region.name for region in others]
+    (('a',), ['b'])
     """
     outlines = Regions(()) if regions is None else regions_from(regions)
     if outlines.coordinates != "sensor":

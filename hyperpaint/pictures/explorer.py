@@ -92,7 +92,11 @@ class Explorer:
         self._mode = make("RadioButtonGroup", "", options=_MODES, value="spectrum")
         self._recipe = make("Select", "Colours", options=[*recipes, _ONE_BAND])
         self._band = make(
-            "DiscreteSlider", "Band [nm]", options=bands, value=_nearest(bands, 650.0), formatter="%.1f"
+            "DiscreteSlider",
+            "Band [nm]",
+            options=bands,
+            value=_nearest_option(bands, 650.0),
+            formatter="%.1f",
         )
         self._stretch = make("RangeSlider", "Black and white [percentile]", start=0, end=100, value=(2, 98))
         self._flag_boxes = make("CheckBoxGroup", "", options=flags)
@@ -230,7 +234,7 @@ class Explorer:
     def take_band(self, wavelength: float) -> None:
         """Show the band nearest to a wavelength [nm]."""
         self._is_updating = True
-        self._band.value = _nearest(self._band.options, wavelength)
+        self._band.value = _nearest_option(self._band.options, wavelength)
         self._recipe.value = _ONE_BAND
         self._is_updating = False
         self._update_pictures()
@@ -253,10 +257,10 @@ class Explorer:
             )
         return name is not None
 
-    def _change_draft(self, stop: int | None, *more: tuple[float, float]) -> None:
+    def _change_draft(self, stop: int | None, *new_corners: tuple[float, float]) -> None:
         draft = self._picture.draft.data
         self._picture.draft.data = {
-            name: [*draft[name][:stop], *(corner[axis] for corner in more)]
+            name: [*draft[name][:stop], *(corner[axis] for corner in new_corners)]
             for axis, name in enumerate(("along", "across"))
         }
         self._undo_button.disabled = not self._picture.draft.data["along"]
@@ -292,14 +296,14 @@ class Explorer:
     def _write_regions(self) -> None:
         file = self._save_to or Path(self._file.value)
         try:
-            written = self._state.save_again(file)
+            saved_file = self._state.save_again(file)
         except PaintError as error:
             self._show_message(error.text(on_command_line=self._save_to is not None))
             return
         except OSError as error:
             self._show_message(str(error))
             return
-        self._show_message(f"{self._region_count()} saved in {written}")
+        self._show_message(f"{self._region_count()} saved in {saved_file}")
 
     def _view_changed(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002
         (first, last), (width, height) = new["along"], new["size"]
@@ -307,9 +311,9 @@ class Explorer:
             # the size of the picture is new: show as many lines as give pixels their aspect ratio on the
             # ground
             lines, columns = self._state.shape
-            shown = columns * width / height / self._state.orientation.aspect
-            first = -0.5 - max(0.0, shown - lines) / 2
-            last = first + shown
+            visible_lines = columns * width / height / self._state.orientation.aspect
+            first = -0.5 - max(0.0, visible_lines - lines) / 2
+            last = first + visible_lines
             self._picture.show_lines(first, last)
         window = int(np.floor(first)), int(np.ceil(last)) + 1
         if window != self._window:
@@ -323,8 +327,10 @@ class Explorer:
 
     def _region_count(self) -> str:
         count = len(self._state.drawn)
-        others = len(self._state.others)
-        return f"{count} region{'' if count == 1 else 's'}" + f" (and {others} of other lines)" * bool(others)
+        other_count = len(self._state.others)
+        return f"{count} region{'' if count == 1 else 's'}" + f" (and {other_count} of other lines)" * bool(
+            other_count
+        )
 
     def _update_pictures(self, *, base: bool = True) -> None:
         # update the lines in view; with ``base`` also the picture of the complete line behind them
@@ -359,27 +365,31 @@ class Explorer:
     def _select(self, name: str | None) -> None:
         # select a region, which is drawn bold, with handles in edit mode; None selects no region
         regions, picture = self._state.drawn, self._picture
-        chosen = name if name in regions.names else None
-        if chosen is not None or isinstance(self._selected, str):
-            self._selected = chosen
-        edited = [one.polygon for one in regions if one.name == chosen and self._mode.value == "edit"]
+        selected_name = name if name in regions.names else None
+        if selected_name is not None or isinstance(self._selected, str):
+            self._selected = selected_name
+        edited = [
+            region.polygon
+            for region in regions
+            if region.name == selected_name and self._mode.value == "edit"
+        ]
         along, across = (edited[0][:, axis].tolist() if edited else [] for axis in (1, 0))
         self._is_updating = True
         try:
             self._region_menu.options = [None, *regions.names]
-            self._region_menu.value = chosen
-            self._name.value = chosen or ""
+            self._region_menu.value = selected_name
+            self._name.value = selected_name or ""
             picture.corners.data = {"along": along, "across": across}
         finally:
             self._is_updating = False
-        self._name.disabled = self._remove_button.disabled = chosen is None
+        self._name.disabled = self._remove_button.disabled = selected_name is None
         self._box_button.disabled = not isinstance(self._selected, Region)
         picture.outlines.data = {
             "along": [region.polygon[:, 1].tolist() for region in regions],
             "across": [region.polygon[:, 0].tolist() for region in regions],
             "name": list(regions.names),
             "colour": [_colour(number) for number in range(len(regions))],
-            "width": [3 if region.name == chosen else 1.5 for region in regions],
+            "width": [3 if region.name == selected_name else 1.5 for region in regions],
         }
         self._show_message(self._region_count() + ("" if self._state.is_saved else ", not saved"))
         self._update_spectra()
@@ -411,16 +421,17 @@ class Explorer:
         ]
         curves = [_curve(spectrum, name, colour, width, "solid") for spectrum, name, colour, width in rows]
         # list the most similar paints, and draw the ticked ones
-        near = self._state.near_paints(spectrum_now) if isinstance(spectrum_now, Spectrum) else []
+        near_paints = self._state.near_paints(spectrum_now) if isinstance(spectrum_now, Spectrum) else []
         self._is_updating = True
         self._paint_boxes.options = {
-            f"{paint.name}: {paint.angle:.1f}°, x {paint.factor:.2f}": i for i, paint in enumerate(near)
+            f"{paint.name}: {paint.angle:.1f}°, x {paint.factor:.2f}": i
+            for i, paint in enumerate(near_paints)
         }
         self._is_updating = False
         curves += [
-            _curve(near[i], near[i].name, NEAR_COLOUR, 1.5, DASHES[i % len(DASHES)])
+            _curve(near_paints[i], near_paints[i].name, NEAR_COLOUR, 1.5, DASHES[i % len(DASHES)])
             for i in self._paint_boxes.value
-            if i < len(near)
+            if i < len(near_paints)
         ]
         _fill(self._spectra.spreads, spreads)
         _fill(self._spectra.curves, curves)
@@ -444,8 +455,8 @@ class Explorer:
 
     def _update_uncertainty(self) -> None:
         clicked = self._selected_place
-        now = None if clicked is None else self._state.spectrum_of(clicked)
-        if clicked is None or not isinstance(now, Spectrum):
+        spectrum = None if clicked is None else self._state.spectrum_of(clicked)
+        if clicked is None or not isinstance(spectrum, Spectrum):
             return
         uncertainty = self._state.uncertainty_of(clicked)
         name = f"{self._selected}: " if isinstance(self._selected, str) else ""
@@ -455,10 +466,15 @@ class Explorer:
             colour = INK[self._theme]
             if isinstance(self._selected, str):
                 colour = _colour(self._state.drawn.names.index(self._selected))
-            low, high = now.reflectance - uncertainty.u, now.reflectance + uncertainty.u
-            _fill(self._spectra.uncertainty, [{**band_around(now.wavelength, low, high), "colour": colour}])
+            lower, upper = spectrum.reflectance - uncertainty.u, spectrum.reflectance + uncertainty.u
+            _fill(
+                self._spectra.uncertainty,
+                [{**band_around(spectrum.wavelength, lower, upper), "colour": colour}],
+            )
             text = uncertainty.text
-        self._spectrum_pane.object = f"{html.escape(name + now.text)}<br><small>{html.escape(text)}</small>"
+        self._spectrum_pane.object = (
+            f"{html.escape(name + spectrum.text)}<br><small>{html.escape(text)}</small>"
+        )
 
 
 def _curve(spectrum: Spectrum | NearPaint, name: str, colour: str, width: float, dash: str) -> dict[str, Any]:
@@ -470,7 +486,7 @@ def _fill(source: Any, rows: list[dict[str, Any]]) -> None:
     source.data = {name: [row[name] for row in rows] for name in source.data}
 
 
-def _nearest(values: list[float], value: float) -> float:
+def _nearest_option(values: list[float], value: float) -> float:
     return min(values, key=lambda option: abs(option - value))
 
 

@@ -71,9 +71,11 @@ def explore(
     SchemaError
         Reflectance or wavelength is missing, or the regions are not in sensor coordinates.
 
-    Notes ----- The spectrum of a pixel is bit for bit that of `hyperpaint.radiometry.pixels`. The spectrum of
-    a region is the median of its pixels that are not excluded, with their 5 to 95 % range shaded. The shade
-    around the last clicked curve is its standard uncertainty, k = 1, if the noise of the line is known; see
+    Notes
+    -----
+    The spectrum of a pixel is bit for bit that of `hyperpaint.radiometry.pixels`. The spectrum of a region is
+    the median of its pixels that are not excluded, with their 5 to 95 % range shaded. The shade around the
+    last clicked curve is its standard uncertainty, k = 1, if the noise of the line is known; see
     `hyperpaint.radiometry.mean_uncertainty`.
 
     A notebook loads the widget's scripts from the internet, as panel does by default; without internet, set

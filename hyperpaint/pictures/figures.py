@@ -87,13 +87,13 @@ def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = No
     columns = max(1, min(len(texts), int(room / (max_chars / _CHARS_PER_INCH + 0.6))))
     settings = {"fontsize": "small", "frameon": False, "ncols": columns, "handlelength": 1.6, **options}
     # below the label of the axis
-    place = axes.transAxes + ScaledTranslation(0.0, -_AXIS_HEIGHT_INCH, figure.dpi_scale_trans)
+    below_axes = axes.transAxes + ScaledTranslation(0.0, -_AXIS_HEIGHT_INCH, figure.dpi_scale_trans)
     axes.legend(
         handles_by_label.values(),
         texts,
         loc="upper left",
         bbox_to_anchor=(0.0, 0.0),
-        bbox_transform=place,
+        bbox_transform=below_axes,
         borderaxespad=0.0,
         **settings,
     )
@@ -122,9 +122,8 @@ def label_for(text: object, longest: int = _MAX_LABEL_CHARS) -> str:
     if len(label) > longest:
         label = label[: longest - 3] + "..."
     label = label.replace("$", r"\$")
-    return (
-        f" {label}" if label.startswith("_") else label
-    )  # a legend omits labels that start with an underscore
+    # a legend omits labels that start with an underscore
+    return f" {label}" if label.startswith("_") else label
 
 
 def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:

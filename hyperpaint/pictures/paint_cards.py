@@ -84,7 +84,7 @@ def paint_card(
     """
     line, (signature, colour) = schema.rename_to_roles(line), _find_paint(library, paint)
     region = _paint_region(signature)
-    around, in_region = _surroundings(line, region)
+    surroundings, in_region = _surroundings(line, region)
     is_wide = columns_for(width, 3.0, 3) == 3
     # name, kind and finish of the paint, and the reasons stored with its region
     properties = region.properties
@@ -105,14 +105,18 @@ def paint_card(
     plots = figure.subplot_mosaic(mosaic, **ratios)
     plots["text"].set_axis_off()
     plots["text"].text(0.0, 1.0, "\n".join(lines_of_text), fontsize="small", va="top", in_layout=False)
-    show_picture(plots["place"], np.asarray(rgb(around).values), orientation_of(around))
+    show_picture(plots["place"], np.asarray(rgb(surroundings).values), orientation_of(surroundings))
     draw_outlines(plots["place"], [region], width=1.2, named=False)
     plots["place"].set_title("region on the flight line", fontsize="small", loc="left")
     # flags that the library excluded
     names = set(str(library.attrs.get("exclude", "")).split())
     excluded = sum(int(flag) for flag in Quality if str(flag.name).lower() in names)
     _draw_exclusions(
-        plots["used"], around, in_region, region, excluded_of(region, excluded if names else int(EXCLUDED))
+        plots["used"],
+        surroundings,
+        in_region,
+        region,
+        excluded_of(region, excluded if names else int(EXCLUDED)),
     )
     _draw_signature(plots["signature"], signature, colour)
     save_figure(figure, path)

@@ -201,8 +201,8 @@ def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: 
     )
     axes.set_facecolor(ink_of(axes, 0.15))
     # a colour bar beside narrow axes would shrink the plots above and below
-    place = {"location": "bottom", "pad": 0.03} if axes_width(axes) < _NARROW_INCH else {"pad": 0.02}
-    axes.figure.colorbar(mesh, ax=axes, label=label, **place)
+    options = {"location": "bottom", "pad": 0.03} if axes_width(axes) < _NARROW_INCH else {"pad": 0.02}
+    axes.figure.colorbar(mesh, ax=axes, label=label, **options)
     axes.set(xlabel="wavelength [nm]", ylabel="cross_track [column]")
     return mesh
 

@@ -196,8 +196,8 @@ def _draw_flags(
     if axes_width(axes) < _NARROW_INCH:
         legend_below(axes, entries=entries, title=title, alignment="left")
     else:
-        place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-        axes.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, title=title, **place)
+        options = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+        axes.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, title=title, **options)
 
 
 def reduced_lines(values: Array, step: int, combine: Any) -> Array:
@@ -233,8 +233,8 @@ def _draw_layer(
     image.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * magnitude / limit, 0.0, 1.0)))
     units = str(array.attrs.get("units", ""))
     caption = f"{label_for(layer)} [{label_for(units)}]" if units else label_for(layer)
-    place = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
-    axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **place)
+    options = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
+    axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **options)
 
 
 # --- light of neighbours -------------------------------------------------------------------------------

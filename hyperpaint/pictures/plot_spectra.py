@@ -173,9 +173,9 @@ def _draw_paints(axes: Any, library: xr.Dataset, paints: str | Iterable[str] | N
             code="curve-number",
         )
     problems.raise_if_any()
-    places = [names.index(name) for name in chosen]
-    for name, place, style in zip(chosen, places, styles_of(paint_colours(library)[places]), strict=True):
-        paint = library.isel({schema.SIGNATURE: place})
+    indices = [names.index(name) for name in chosen]
+    for name, index, style in zip(chosen, indices, styles_of(paint_colours(library)[indices]), strict=True):
+        paint = library.isel({schema.SIGNATURE: index})
         wavelength = schema.require(paint, ["wavelength"], "a picture of spectra")["wavelength"].values
         is_good = good_bands(paint)
         reflectance = np.where(is_good, paint["reflectance"].values, np.nan)
@@ -278,7 +278,7 @@ def draw_pixels(
 
 
 def pixel_label(along: int, across: int, bits: int) -> str:
-    """Return the place of a pixel and its flags as text.
+    """Return the position of a pixel and its flags as text.
 
     Examples
     --------

@@ -89,8 +89,8 @@ def validation_figure(
         limit = 1.15 * max(
             _MIN_SPAN, limits, *(difference for difference in max_differences if np.isfinite(difference))
         )
-    for place, pairs in enumerate(paints):
-        row, column = divmod(place, columns)
+    for panel, pairs in enumerate(paints):
+        row, column = divmod(panel, columns)
         upper = figure.add_subplot(grid[2 * row, column])
         lower = figure.add_subplot(grid[2 * row + 1, column], sharex=upper)
         _draw_spectra(upper, validation, pairs)
