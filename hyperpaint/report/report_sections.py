@@ -236,8 +236,8 @@ def _table_of_paints(library: xr.Dataset) -> Markup:
         for k, colour in enumerate(paint_colours(first_paints))
     ]
     numbers = [name.replace("_", " ") for name in columns]
-    hidden = library.sizes[SIGNATURE] - len(rows)
-    note = f"and {hidden} more paints" if hidden > 0 else ""
+    hidden_count = library.sizes[SIGNATURE] - len(rows)
+    note = f"and {hidden_count} more paints" if hidden_count > 0 else ""
     return page_part("paints", rows=rows, numbers=numbers, extra=extra, note=note)
 
 

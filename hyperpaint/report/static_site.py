@@ -142,8 +142,8 @@ def write_site(
             code="option-conflict",
         )
     origin = "" if link is None else _remote_origin(link)
-    place = Path(out)
-    if Path(store).resolve() in (place.resolve(), *place.resolve().parents):
+    folder = Path(out)
+    if Path(store).resolve() in (folder.resolve(), *folder.resolve().parents):
         raise StoreError(f"{out} is in the store itself", mend="choose another path", code="path-in-store")
     groups = groups_to_show(store, flightlines, library)
     site, unreadable = _Site({}, [], [], {}, list(groups.problems)), set()
@@ -169,13 +169,13 @@ def write_site(
             f"{store} has no readable flight line, map or paint library: {'; '.join(site.problems)}",
             code="store-empty",
         )
-    with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
+    with published_folder(folder, overwrite=overwrite, foreign=_foreign) as build:
         if link is None:
             tree = xr.DataTree.from_dict(site.groups)
             to_store(tree, build / "store.zarr", layout="web", progress=progress)
-        site.write(build, place.name, link or "store.zarr", origin)
+        site.write(build, folder.name, link or "store.zarr", origin)
     lines_and_maps = [tuple(n for n in names if n not in unreadable) for names in (groups.lines, groups.maps)]
-    return Written(place, lines_and_maps[0], lines_and_maps[1], tuple(site.problems))
+    return Written(folder, lines_and_maps[0], lines_and_maps[1], tuple(site.problems))
 
 
 class _Site(NamedTuple):

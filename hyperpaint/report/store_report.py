@@ -124,8 +124,8 @@ def write_report(
     ('flightlines/raw_0',)
     """
     new_figure("a report")  # before anything is read
-    place = Path(out)
-    check_place(place, "the report", example="report.html", store=Path(store), overwrite=overwrite)
+    page_path = Path(out)
+    check_place(page_path, "the report", example="report.html", store=Path(store), overwrite=overwrite)
     if max_lines < 1:
         raise SchemaError(f"max_lines={max_lines}", expected="1 or more", code="value-out-of-range")
     if cards < 0:
@@ -149,16 +149,16 @@ def write_report(
     if calibration is not None:
         sections.append(("calibration", calibration_section(calibration)))
     drawn_sections = []
-    for number, (name, draw) in enumerate(sections):
+    for number, (name, parts) in enumerate(sections):
         if progress is not None:
             progress(1000 * number, 1000 * steps)
-        drawn_sections.append((name, _draw_section(name, draw, problems)))
+        drawn_sections.append((name, _draw_section(name, parts, problems)))
     head = _head(store, groups.groups, problems)
     page = page_part("page", title=Path(store).resolve().name, head=head, sections=drawn_sections)
-    publish_file(place, page.encode("utf-8", "replace"), overwrite=True)
+    publish_file(page_path, page.encode("utf-8", "replace"), overwrite=True)
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
-    return Written(place, tuple(lines), tuple(maps), tuple(problems))
+    return Written(page_path, tuple(lines), tuple(maps), tuple(problems))
 
 
 def _flagged_section(
@@ -171,8 +171,8 @@ def _flagged_section(
     progress: Progress | None,
 ) -> Iterator[Part]:
     line, note = flagged(line, sun_zenith, progress) if flags else (line, "")
-    for part in line_section(line, lines, [paint.region for paint in paints], note):
-        yield part
+    for section_part in line_section(line, lines, [paint.region for paint in paints], note):
+        yield section_part
         # detected flags lie in memory-mapped files, which a picture reads completely
         for name in ("quality", *LAYERS):
             values = line.variables[name]._data if name in line.variables else None
@@ -211,28 +211,28 @@ def _paints_by_line(
 # --- the page ----------------------------------------------------------------------------------------------
 
 
-def _draw_section(name: str, section: Iterator[Part], problems: list[str]) -> list[Markup]:
+def _draw_section(name: str, parts: Iterator[Part], problems: list[str]) -> list[Markup]:
     # replace a part that cannot be drawn by a text with its problem
     markups: list[Markup] = []
-    for part, draw in section:
+    for part_name, draw in parts:
         try:
             markups.append(draw())
         # reading a damaged chunk fails, and drawing data of other programs may fail
         except Exception as error:
             message = message_of(error)
-            problems.append(f"/{name}, {part}: {message}")
-            text = f"This could not be shown: {part}: {message}"
+            problems.append(f"/{name}, {part_name}: {message}")
+            text = f"This could not be shown: {part_name}: {message}"
             markups.append(page_part("paragraph", text=text, kind="problem"))
     return markups
 
 
 def _head(store: str | os.PathLike[str], groups: dict[str, xr.Dataset], problems: list[str]) -> Markup:
-    now = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
+    created = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
     collects = [str(group.attrs["collect"]) for group in groups.values() if "collect" in group.attrs]
     facts = {
         "store": Path(store).resolve().name,
         "collect": ", ".join(dict.fromkeys(collects)),
         "groups": ", ".join(f"/{name}" for name in groups),
-        "reported": f"{now.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
+        "reported": f"{created.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
     }
     return page_part("head", pairs=list(facts.items()), problems=problems)
