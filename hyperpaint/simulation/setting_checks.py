@@ -1,4 +1,4 @@
-"""Checks of single arguments of the simulator; each notes a problem and goes on, so that all are listed."""
+"""Checks of arguments of the simulator, which add faults to `Problems`, so that all are listed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
         return np.zeros(0)
     if not np.isfinite(array).all():
         problems.add(
-            f"{name} holds {np.count_nonzero(~np.isfinite(array))} values that are not finite",
+            f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite",
             code="not-finite",
         )
     return array

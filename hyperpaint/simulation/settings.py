@@ -1,4 +1,4 @@
-"""Settings of a simulated collect: every effect is one field, declared with its unit, range and default."""
+"""Settings of a simulated collect: every effect is a field, declared with unit, range and default."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from hyperpaint.base.facts import Spelling, as_argument, check_fields, declared,
 
 from .optics import OpticsSettings
 from .setting_checks import moment_of
-from .sun_clock import USUAL_START, when_sun_stands
+from .sun_clock import DEFAULT_START, when_sun_stands
 
 #: Instants of an exposure that a time stamp can mark.
 STAMPS = ("start", "mid", "end")
 
-#: Scenes: a flat picture of a car park, a car park of triangles whose light is traced, or level squares of
-#: known corners.
+#: Scenes: a flat picture of a car park, a ray-traced car park of triangles, or level squares with known
+#: corners.
 SCENES = ("plan", "rendered", "checkerboard")
 
 #: Line shapes of the imager.
 SHAPES = ("gaussian", "slit")
 
-#: Motions of a platform about its course.
+#: Motions of a platform around its course.
 WOBBLES = ("none", "slow", "calm", "rough")
 
 #: Width of a scene across the track, unless it is a checkerboard.
@@ -36,7 +36,7 @@ SWATH_M = 16.0
 #: Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad].
 PIXEL_ANGLE_RAD = 7.4e-6 / 12e-3
 
-#: Maximum number of paths that are traced for a pixel.
+#: Maximum number of paths traced for a pixel.
 MOST_SAMPLES = 1 << 14
 
 #: Largest seed of a random generator.
@@ -51,20 +51,20 @@ SKIES = ("clear", "near_sunset", "overcast")
 #: Zenith angle and azimuth of the sun near sunset [degree].
 NEAR_SUNSET = (80.0, 292.0)
 
-#: Latitude and longitude [degree] of the ground under the first line, and its height [m].
+#: Latitude and longitude [degree] of the ground under the first line, and its height above the ellipsoid [m].
 ORIGIN = (43.0845, -77.6749, 160.0)
 
 _ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]{1,9})?)?)?")
 
 
 def _is_start_time(value: object) -> bool:
-    # the spectrometer's files count seconds in 32 bits
+    # times must fit the files of the spectrometer, which count seconds in 32 bits
     if not isinstance(value, str) or not _ISO_TIME.fullmatch(value):
         return False
     return bool(np.datetime64("1980-01-01") <= moment_of(value) < np.datetime64("2038-01-01"))
 
 
-def _is_dropped(value: object) -> bool:
+def _is_frame_selection(value: object) -> bool:
     numbers = list(value) if isinstance(value, list | tuple | range) else [value]
     return all(isinstance(number, int) for number in numbers)
 
@@ -283,7 +283,7 @@ class SimulationSettings(OpticsSettings):
         0,
         "frames that were never recorded: their number, with frames chosen by the seed, or the frame numbers",
         kind="own",
-        accepts=_is_dropped,
+        accepts=_is_frame_selection,
         phrase="a number of frames or a list of frame numbers",
     )
     irradiance_interval_s: int = fact(
@@ -359,23 +359,23 @@ class SimulationSettings(OpticsSettings):
 
     @classmethod
     def note_faults(cls, values: Mapping[str, Any], problems: Problems, spelled: Spelling) -> None:
-        """Note the faults of values, by field, without making settings; others have their defaults."""
+        """Note the faults of values, by field, without creating settings; other fields take defaults."""
         draft = object.__new__(cls)
         for field in fields(cls):
             object.__setattr__(draft, field.name, values.get(field.name, field.default))
         draft._note_faults(problems, spelled)
 
     def _note_faults(self, problems: Problems, spelled: Spelling) -> None:
-        before = len(problems)
+        problem_count = len(problems)
         check_fields(self, problems, spelled)
-        # the clock of a flight without a start time follows the sun
+        # the clock of a flight without a start time is set by the sun
         sun_is_known = self.sky in SKIES and all(is_number(v) and 0 <= v <= 360 for v in self.sun)
         if self.start_time is None and sun_is_known:
             try:
                 _ = self.start
             except SchemaError as error:
                 problems.extend([error.problem])
-        if len(problems) == before:
+        if len(problems) == problem_count:
             self._note_contradictions(problems, spelled)
 
     @property
@@ -396,10 +396,10 @@ class SimulationSettings(OpticsSettings):
         try:
             return when_sun_stands(*self.sun, *ORIGIN[:2])
         except SchemaError:
-            # nothing under a closed cloud shows where its sun stands
+            # under an overcast sky the position of the sun does not matter
             if self.sky != "overcast":
                 raise
-            return USUAL_START
+            return DEFAULT_START
 
     @property
     def exposure_time(self) -> float:
@@ -427,17 +427,17 @@ class SimulationSettings(OpticsSettings):
         return np.linspace(0, self.lines, self.cubes + 1).astype(np.int64)
 
     def _note_contradictions(self, problems: Problems, spelled: Spelling) -> None:
-        # Each value is in its range here.
+        # contradictions between values, each of which is in its range
         def add(name: str, found: str, expected: str, mend: str, code: str = "value-out-of-range") -> None:
-            problems.add(f"{other(name)}{found}", expected=expected, mend=mend, code=code)
+            problems.add(f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code)
 
-        def other(name: str) -> str:
+        def spelled_value(name: str) -> str:
             return spelled(name, getattr(self, name))
 
         if self.exposure_time_ms > self.frame_period_ms:
             add(
                 "exposure_time_ms",
-                f" exceeds {other('frame_period_ms')}",
+                f" exceeds {spelled_value('frame_period_ms')}",
                 "",
                 "shorten the exposure, or lengthen the period",
                 "exposure-too-long",
@@ -464,7 +464,13 @@ class SimulationSettings(OpticsSettings):
                         "option-conflict",
                     )
         if self.first_wavelength >= self.last_wavelength:
-            add("first_wavelength", "", f"less than {other('last_wavelength')}", "swap them", "band-order")
+            add(
+                "first_wavelength",
+                "",
+                f"less than {spelled_value('last_wavelength')}",
+                "swap them",
+                "band-order",
+            )
         if self.lines < 2 * self.cubes:
             add("cubes", "", f"at most one for every two of the {self.lines} lines", "take fewer cubes")
         elements = self.bands * self.columns
@@ -481,7 +487,7 @@ class SimulationSettings(OpticsSettings):
         if dark >= 2**self.bit_depth - 1:
             add(
                 "dark_level",
-                f" with {other('dark_rate')} and {other('pedestal')}",
+                f" with {spelled_value('dark_rate')} and {spelled_value('pedestal')}",
                 f"less than the {2**self.bit_depth - 1} counts of {self.bit_depth} bits",
                 "lower the dark, or take more bits",
                 "dark-saturated",
@@ -492,9 +498,9 @@ class SimulationSettings(OpticsSettings):
             add("cloud", "", "a fraction from 0 to 1 and a duration above 0 s", "correct them")
         dropped = self.dropped
         if isinstance(dropped, int):
-            most = self.lines - 2 * self.cubes
-            if not 0 <= dropped <= most:
-                add("dropped", "", f"at most {most}: a cube keeps its outer frames", "drop fewer")
+            max_dropped = self.lines - 2 * self.cubes
+            if not 0 <= dropped <= max_dropped:
+                add("dropped", "", f"at most {max_dropped}: a cube keeps its outer frames", "drop fewer")
         elif any(not 0 <= frame < self.lines for frame in dropped):
             add("dropped", "", f"frames from 0 to {self.lines - 1}", "leave the others out")
         elif any(
@@ -504,7 +510,7 @@ class SimulationSettings(OpticsSettings):
             add("dropped", " leaves a cube empty", "", "keep a frame of every cube", "cube-empty")
 
 
-#: Fields of `hyperpaint.simulation.SimulationSettings` that make the camera.
+#: Fields of `hyperpaint.simulation.SimulationSettings` that define the camera.
 CAMERA_FIELDS = frozenset(
     {
         "bands",

@@ -266,11 +266,11 @@ def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
 def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Parts]:
     # paints of the file take precedence over the library
     from hyperpaint.simulation.rendering.given_spectra import by_name
-    from hyperpaint.simulation.rendering.painting import dealt_paints
+    from hyperpaint.simulation.rendering.painting import assigned_paints
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     library = by_name(read_paints(paints))
-    dealt = dealt_paints(SceneRecord.of(parts.scene), list(library))
+    dealt = assigned_paints(SceneRecord.of(parts.scene), list(library))
     file = dataclasses.replace(file, paints={**dealt, **file.paints})
     return file, dataclasses.replace(parts, spectra={**library, **parts.spectra})
 

@@ -68,7 +68,9 @@ def test_share_is_the_mean_over_pixel_and_exposure() -> None:
         for column in range(15, 40):
             across = (column - 47.5 + parts) * PIXEL_ANGLE_RAD
             fine = [
-                is_bright(still.board, *still._map(still._places(origin, rotation, across, t))[:2]).mean()
+                is_bright(
+                    still.board, *still._map_coordinates(still._places(origin, rotation, across, t))[:2]
+                ).mean()
                 for t in parts * PIXEL_ANGLE_RAD
             ]
             errors.append(made["bright_share"][line, column] - np.mean(fine))

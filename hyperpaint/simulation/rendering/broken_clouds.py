@@ -1,9 +1,8 @@
 """Broken clouds over a scene: their shadows move over the ground, so that light varies over swath and time.
 
-Where a Gaussian random field of ground position, carried along by the wind, is above a threshold, there is a
-cloud's shadow. The field is a sum of plane waves with random directions and phases (M. Shinozuka, J. Sound
-Vib. 25, 111, 1972): it has a value at every place and time, needs no grid, and is the same whatever is asked
-for first.
+The ground is in shadow where a Gaussian random field, which moves with the wind, exceeds a threshold. The
+field is a sum of plane waves with random directions and phases (M. Shinozuka, J. Sound Vib. 25, 111, 1972):
+it is defined at every position and time without a grid, and does not depend on the order of evaluation.
 """
 
 from __future__ import annotations
@@ -19,7 +18,8 @@ from hyperpaint.base.facts import check_fields, declared, fact
 from hyperpaint.simulation.settings import MAX_SEED
 
 _WAVES = 64
-_RETURNED = 1.0 / 3.0  # of the direct light that clouds take, as diffuse light everywhere
+#: Share of the direct light blocked by clouds that becomes diffuse light everywhere.
+_SCATTERED_SHARE = 1.0 / 3.0
 
 
 @declared
@@ -61,7 +61,7 @@ class BrokenClouds:
     seed: int = fact(0, "chooses the clouds", least=0, most=MAX_SEED)
 
     def __post_init__(self) -> None:
-        problems = Problems("clouds cannot be over this scene", SchemaError)
+        problems = Problems("the clouds cannot be used", SchemaError)
         check_fields(self, problems)
         problems.raise_if_any()
 
@@ -71,18 +71,18 @@ class BrokenClouds:
         Parameters
         ----------
         east, north
-            Places on the ground, any shapes that go together [m].
+            Positions on the ground, of shapes that broadcast [m].
         seconds
-            Times, likewise [s].
+            Times, of a shape that broadcasts [s].
         """
         from scipy.special import ndtri
 
-        x, y, t = np.broadcast_arrays(*(np.asarray(part, np.float64) for part in (east, north, seconds)))
+        x, y, t = np.broadcast_arrays(*(np.asarray(values, np.float64) for values in (east, north, seconds)))
         towards = np.radians(self.heading)
         x = x - self.speed * np.sin(towards) * t
         y = y - self.speed * np.cos(towards) * t
         rng = np.random.default_rng([self.seed, 7])
-        # waves of a field whose correlation falls as exp(-d^2 / size^2)
+        # waves of a field with the correlation exp(-d^2 / size^2)
         waves = rng.standard_normal((_WAVES, 2)) * np.sqrt(2.0) / self.size
         phase = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
         field = np.zeros(x.shape)
@@ -91,6 +91,6 @@ class BrokenClouds:
         field *= np.sqrt(2.0 / _WAVES)
         shadow = np.clip(0.5 + (field - ndtri(1.0 - self.cover)) / self.edge, 0.0, 1.0)
         direct = 1.0 - self.opacity * shadow
-        diffuse = np.full(x.shape, 1.0 + _RETURNED * self.opacity * self.cover)
-        there = np.isfinite(x + y)
-        return np.stack([np.where(there, direct, 1.0), np.where(there, diffuse, 1.0)])
+        diffuse = np.full(x.shape, 1.0 + _SCATTERED_SHARE * self.opacity * self.cover)
+        is_finite = np.isfinite(x + y)
+        return np.stack([np.where(is_finite, direct, 1.0), np.where(is_finite, diffuse, 1.0)])

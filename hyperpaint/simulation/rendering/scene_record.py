@@ -139,13 +139,13 @@ class SceneRecord:
     Attributes
     ----------
     name
-        Of the scene.
+        Name of the scene.
     materials, instances
-        What the numbers of the label layers mean.
+        Materials and instances by the numbers of the label layers.
     members
-        Materials of every instance.
+        Numbers of the materials of every instance.
     factors
-        What the digits of path codes mean.
+        Spectra by the digits of path codes.
     """
 
     name: str
@@ -201,7 +201,7 @@ class SceneRecord:
             )
         problems = Problems("not a dataset from hyperpaint.simulation.trace", SchemaError)
         texts = {
-            name: _parsed(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
+            name: _parse_list(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
         }
         for name in ("samples", "depth", "seed", "overcast", "clear"):
             if not isinstance(attrs.get(name), int | np.integer):
@@ -254,11 +254,11 @@ class LabelTables:
     Attributes
     ----------
     surface_class : (material + 1,), int16
-        Number of the semantic class; the last entry serves the sky.
+        Number of the semantic class; the last entry is for the sky.
     paint_id : (material + 1,), int16
-        Number of the paint spectrum; -1 for what is no paint.
+        Number of the paint spectrum; -1 for other surfaces.
     car_id : (instance + 1,), int32
-        The instance itself where it is a car, else -1.
+        Number of the instance if it is a car, else -1.
     paints
         Names of the paint spectra.
     """
@@ -281,9 +281,11 @@ class LabelTables:
         """
         spectra = [material.spectrum for material in record.materials] if names is None else list(names)
         is_paint = [material.kind == "paint" for material in record.materials]
-        # built-in paints first, all of them: a number means the same paint in every scene of a training set
-        others = {name for name, paint in zip(spectra, is_paint, strict=True) if paint}.difference(FOURTEEN)
-        paints = (*FOURTEEN, *sorted(others))
+        # all built-in paints come first, so that their numbers are equal in all scenes of a training set
+        further_paints = {name for name, paint in zip(spectra, is_paint, strict=True) if paint}.difference(
+            FOURTEEN
+        )
+        paints = (*FOURTEEN, *sorted(further_paints))
         number = [paints.index(name) if paint else -1 for name, paint in zip(spectra, is_paint, strict=True)]
         cars = np.where(record.is_car, np.arange(len(record.instances)), -1)
         return cls(
@@ -294,7 +296,7 @@ class LabelTables:
         )
 
     def layers(self, material: Array, instance: Array) -> dict[str, Array]:
-        # Label layers of pixels; -1, the sky, takes the last entry of each table.
+        # label layers of pixels; the sky (-1) takes the last entry of the tables
         return {
             "surface_class": self.surface_class[material],
             "paint_id": self.paint_id[material],
@@ -308,7 +310,7 @@ class LabelTables:
         return {"flag_values": np.arange(len(meanings), dtype=np.int16), "flag_meanings": " ".join(meanings)}
 
 
-def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:
+def _parse_list(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:
     try:
         entries = json.loads(attrs[name])
     except KeyError:
