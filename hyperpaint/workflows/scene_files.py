@@ -174,7 +174,7 @@ SCHEMA: Mapping[str, Facts] = {
         Fact(name="irradiance", kind="texts",
              doc="files of an irradiance spectrometer; an alternative to preset"),
         Fact(name="time", kind="time",
-             doc="time at which irradiance is taken from the record; by default the whole record"),
+             doc="UTC for which irradiance is read from the record; needed if it holds several spectra"),
         *SKY.values(),
     ]),
     "sampling": by_key(facts_of(TraceSettings).values()),

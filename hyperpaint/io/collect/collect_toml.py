@@ -108,7 +108,7 @@ SCHEMA: Mapping[str, Facts] = {
         _number("fov_deg", "angle between the outer edges of the first and last column; an alternative to "
                 "look_angle", unit="degree", least=0, above=True, example=22.3),
         _text("look_angle",
-              "file with the angle of every column; an alternative to fov_deg",
+              "file with the look angle of every column; an alternative to fov_deg",
               example="angles.txt"),
         Fact(name="boresight_deg", kind="numbers", length=3, unit="degree", default=[0.0, 0.0, 0.0],
              doc="mounting angles of the camera on the platform: roll, pitch and heading"),
@@ -145,10 +145,10 @@ SCHEMA: Mapping[str, Facts] = {
                 *_STAMPS, example="end"),
         Fact(name="fwhm_nm", kind="own", accepts=_is_width, unit="nm", example=3.0,
              phrase="a positive number, or a list of pairs [wavelength, value]",
-             doc="full width at half maximum of the spectrometer channels; by default the usual width of an "
-             "ASD"),
+             doc="full width at half maximum of the spectrometer channels; by default the width of an ASD "
+             "spectrometer"),
         _number("max_gap_s", "longest time between two spectra across which irradiance is interpolated; by "
-                "default 2.5 times the median", unit="s", least=0, above=True),
+                "default 2.5 times the median interval", unit="s", least=0, above=True),
         _number("clock_uncertainty_s",
                 "largest possible error of clock_offset_s",
                 unit="s", least=0, example=0.5),
