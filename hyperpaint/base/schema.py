@@ -145,8 +145,8 @@ class Quality(IntFlag):
         return flag
 
     SATURATED = 1, "counts", "#ff3300", "a band within 16 counts of the converter's maximum", "the band NaN"
-    BELOW_DARK = 2, "counts", "#330080", "a band 5 sigma of noise below the dark, or over 10 % of bands below"
-    BAD_DETECTOR = 4, "counts", "#808080", "bad elements in over 5 % of the good bands", "bad elements NaN"
+    BELOW_DARK = 2, "counts", "#330080", "counts below the dark, by 5 sigma of noise or in over 10 % of bands"
+    BAD_DETECTOR = 4, "counts", "#808080", "over 5 % of the good bands have a bad element", "bad elements NaN"
     IRRADIANCE_GAP = 8, "light", "#80334d", "outside the record, or in a gap over `irradiance_max_gap`", "NaN"
     ILLUMINATION_UNSTABLE = 16, "light", "#e6ffb3", "irradiance changes by over 2 % between two samples"
     LOW_SUN = 32, "light", "#990000", "sun more than 75 degrees from the zenith"

@@ -60,16 +60,22 @@ class OpticsSettings:
 
     psf_across_columns: float = fact(
         0.0,
-        "full width at half maximum of a Gaussian point spread across the track [columns]; the variance is "
-        "kept for widths below a pixel; 0 switches it off",
+        "full width at half maximum of a Gaussian blur across the track [columns]; 0 for no blur; the "
+        "variance is exact also for widths below a pixel",
         least=0.0,
         most=_MAX_FWHM_PIXELS,
     )
-    psf_along_lines: float = fact(0.0, "the same along the track [lines]", least=0.0, most=_MAX_FWHM_PIXELS)
+    psf_along_lines: float = fact(
+        0.0,
+        "full width at half maximum of a Gaussian blur along the track [lines]; 0 for no blur",
+        least=0.0,
+        most=_MAX_FWHM_PIXELS,
+    )
     psf_kernel: Sequence[Sequence[float]] | None = fact(
         None,
-        "weights of a point spread in place of the Gaussian, divided by their sum; weights to the right of "
-        "and behind the middle move light right and behind",
+        "weights of a blur that replaces the Gaussian blur, one row per line; they are divided by their sum; "
+        "a weight right of the middle column moves light to the right, a weight after the middle row to "
+        "later lines",
         kind="own",
         accepts=_is_kernel,
         phrase="rows of equally many numbers from 0 on, rows and columns odd and at most "
@@ -77,28 +83,28 @@ class OpticsSettings:
     )
     keystone_columns: float = fact(
         0.0,
-        "displacement of the image of the last band to the right, of the first to the left [columns]; bands "
-        "between in proportion",
+        "displacement of the image of the last band to the right [columns]; the first band is displaced "
+        "equally to the left, bands between them in proportion",
         least=-20.0,
         most=20.0,
     )
     stray_light: float = fact(
         0.0,
-        "light scattered into broad wings over all bands, relative to the light of a band",
+        "share of the light of a band that is scattered into all bands",
         least=0.0,
         most=0.5,
     )
     pedestal: float = fact(
         0.0,
-        "counts of every frame of the scene and of the lab on top of its dark",
+        "offset of the counts of every frame, in flight and in the lab, that the dark does not contain",
         unit="count",
         least=-1000.0,
         most=30_000.0,
     )
     masked_columns: int = fact(
         0,
-        "columns at either edge of the detector that see no light; their gain is NaN, and their counts above "
-        "the dark are the pedestal",
+        "number of columns at each edge of the detector that receive no light; their gain is NaN, and their "
+        "counts minus dark are the pedestal",
         least=0,
         most=10_000,
     )

@@ -90,13 +90,13 @@ class SimulationSettings(OpticsSettings):
       srf_shape='box', expected one of gaussian, slit [choice-unknown]
     """
 
-    lines: int = fact(512, "lines of the cube, dropped frames included", least=2, most=10_000_000)
-    bands: int = fact(272, "bands of the cube", least=2, most=10_000)
-    columns: int = fact(320, "columns of the cube", least=1, most=100_000)
+    lines: int = fact(512, "number of lines of the cube, dropped frames included", least=2, most=10_000_000)
+    bands: int = fact(272, "number of bands of the cube", least=2, most=10_000)
+    columns: int = fact(320, "number of columns of the cube", least=1, most=100_000)
     seed: int = fact(
         0,
-        "chooses the scene, the pattern of the detector and the noise; the spectral lines of the light never "
-        "change",
+        "seed of the random numbers for the scene, the detector pattern and the noise; the absorption lines "
+        "of the light do not depend on it",
         least=0,
         most=MAX_SEED,
         phrase=f"a whole number from 0 to {MAX_SEED}",
@@ -139,7 +139,7 @@ class SimulationSettings(OpticsSettings):
     )
     boresight: tuple[float, float, float] = fact(
         (0.0, 0.0, 0.0),
-        "roll, pitch and heading of the camera in the body",
+        "mounting angles of the camera on the platform: roll, pitch and heading",
         unit="degree",
         length=3,
         least=-10.0,
@@ -147,18 +147,19 @@ class SimulationSettings(OpticsSettings):
     )
     lever_arm: tuple[float, float, float] = fact(
         (0.0, 0.0, 0.0),
-        "vector from the reference point of the navigation to the camera: forward, right, down",
+        "vector from the reference point of the navigation to the camera: forward, right and down",
         unit="m",
         length=3,
         least=-2.0,
         most=2.0,
     )
     navigation_rate: int = fact(
-        100, "rows of the navigation files in a second, a divisor of 1e9", least=1, most=1000
+        100, "number of rows of the navigation files per second, a divisor of 1e9", least=1, most=1000
     )
     samples: int = fact(
         16,
-        "rays of a pixel of a rendered scene; the rendered picture is the truth, however few they are",
+        "number of rays per pixel of a rendered scene; the true values are those of the rendered picture, "
+        "for any number of rays",
         least=1,
         most=MOST_SAMPLES,
     )
@@ -191,65 +192,90 @@ class SimulationSettings(OpticsSettings):
         accepts=_is_start_time,
         phrase="text like '2021-07-20T17:10:00', in UTC without a zone, from 1980 to 2037",
     )
-    exposure_time_ms: float = fact(5.0, "exposure of a line", unit="ms", least=0, above=True)
-    frame_period_ms: float = fact(7.0, "time from line to line", unit="ms", least=0, above=True)
+    exposure_time_ms: float = fact(5.0, "exposure time of a line", unit="ms", least=0, above=True)
+    frame_period_ms: float = fact(
+        7.0, "time from the start of a line to the start of the next line", unit="ms", least=0, above=True
+    )
     stamp: str = fact("end", "instant of the exposure that the time stamp of a frame marks", choices=STAMPS)
     first_wavelength: float = fact(
-        399.356, "centre of the first band", unit="nm", least=380.0, most=1050.0, key="first_wavelength_nm"
+        399.356,
+        "centre wavelength of the first band",
+        unit="nm",
+        least=380.0,
+        most=1050.0,
+        key="first_wavelength_nm",
     )
     last_wavelength: float = fact(
-        1001.42, "centre of the last band", unit="nm", least=380.0, most=1050.0, key="last_wavelength_nm"
+        1001.42,
+        "centre wavelength of the last band",
+        unit="nm",
+        least=380.0,
+        most=1050.0,
+        key="last_wavelength_nm",
     )
     dispersion_bow_nm: float = fact(
         0.0,
-        "deviation of the band centres from even spacing, largest in the middle",
+        "deviation of the centre wavelength of the middle band from even spacing; zero for the first and "
+        "last band",
         unit="nm",
         least=-20.0,
         most=20.0,
     )
     srf_shape: str = fact(
         "gaussian",
-        'line shape of the imager; "slit" is a box ``fwhm_nm`` wide convolved with a box one band wide',
+        'shape of the spectral response of a band; "slit" is a box ``fwhm_nm`` wide convolved with a box one '
+        "band wide",
         choices=SHAPES,
     )
-    fwhm_nm: float = fact(6.0, "full width at half maximum of the imager", unit="nm", least=0, above=True)
+    fwhm_nm: float = fact(
+        6.0,
+        "full width at half maximum of the spectral response of a band",
+        unit="nm",
+        least=0,
+        above=True,
+    )
     fwhm_slope: float = fact(
-        0.0, "relative change of that width from the middle to the last band", least=-0.5, most=0.5
+        0.0, "relative change of ``fwhm_nm`` from the middle band to the last band", least=-0.5, most=0.5
     )
     smile_nm: float = fact(
         0.5,
-        "wavelength shift at the edge of the swath, zero at the centre column",
+        "smile: wavelength shift of the outermost columns relative to the centre column",
         unit="nm",
         least=-20.0,
         most=20.0,
     )
-    noise: bool = fact(True, "shot and read noise in the frames of the scene")
-    dark_noise: bool = fact(True, "read noise in the dark frames")
+    noise: bool = fact(True, "whether the frames of the scene contain shot noise and read noise")
+    dark_noise: bool = fact(True, "whether the dark frames contain read noise")
     quantise: bool = fact(True, "whole, clipped counts (uint16); False leaves float32 counts, in memory only")
-    bit_depth: int = fact(12, "bits of the converter", least=1, most=16)
-    electrons_per_count: float = fact(20.0, "gain", unit="electron count-1", least=0, above=True)
-    read_noise: float = fact(0.5, "standard deviation of a dark count", unit="count", least=0)
-    dark_level: float = fact(110.0, "mean dark at no exposure", unit="count", least=0)
-    dark_pattern: float = fact(
-        3.0, "spread of the fixed pattern of the dark over the elements, 1 sigma", unit="count", least=0
+    bit_depth: int = fact(12, "number of bits of the analogue-digital converter", least=1, most=16)
+    electrons_per_count: float = fact(
+        20.0, "electrons of the detector per count", unit="electron count-1", least=0, above=True
     )
-    dark_rate: float = fact(0.0, "mean growth of the dark with exposure", unit="count s-1", least=0)
-    dark_frames: int = fact(64, "frames of the dark cube", least=1, most=100_000)
+    read_noise: float = fact(0.5, "standard deviation of the counts of a dark element", unit="count", least=0)
+    dark_level: float = fact(110.0, "mean dark at an exposure time of zero", unit="count", least=0)
+    dark_pattern: float = fact(
+        3.0, "standard deviation of the dark between detector elements", unit="count", least=0
+    )
+    dark_rate: float = fact(0.0, "mean increase of the dark with exposure time", unit="count s-1", least=0)
+    dark_frames: int = fact(64, "number of frames of the dark cube", least=1, most=100_000)
     nonuniformity: float = fact(
         0.02,
-        "spread of the elements' response about the common responsivity, 1 sigma",
+        "relative standard deviation of the responsivity between detector elements",
         least=0.0,
         most=0.2,
     )
     column_nonuniformity: float = fact(
-        0.0, "the same of whole columns: a slit of uneven width", least=0.0, most=0.2
+        0.0,
+        "relative standard deviation of the responsivity between columns, as from a slit of uneven width",
+        least=0.0,
+        most=0.2,
     )
     bad_elements: int = fact(
-        0, "number of elements that see no light; their gain is NaN", least=0, most=2**40
+        0, "number of detector elements that receive no light; their gain is NaN", least=0, most=2**40
     )
     texture: float = fact(
         0.02,
-        "spread of the brightness of a surface from pixel to pixel, 1 sigma, in a plan scene",
+        "relative standard deviation of the brightness between pixels of a surface, in a plan scene",
         least=0.0,
         most=0.2,
     )
@@ -264,7 +290,7 @@ class SimulationSettings(OpticsSettings):
         25.0, "zenith angle of the sun in a clear sky", unit="degree", least=0.0, most=85.0
     )
     sun_azimuth: float = fact(
-        178.0, "azimuth of that sun, clockwise from north", unit="degree", least=0.0, most=360.0
+        178.0, "azimuth of the sun in a clear sky, clockwise from north", unit="degree", least=0.0, most=360.0
     )
     drift_per_minute: float = fact(
         0.001,
@@ -314,23 +340,31 @@ class SimulationSettings(OpticsSettings):
     )
     frame_clock_offset_s: float = fact(
         0.0,
-        "lag of the clock that stamps the camera's frames behind the clock of the navigation",
+        "delay of the clock that stamps the camera's frames relative to the clock of the navigation",
         unit="s",
         least=-1.0,
         most=1.0,
     )
     clock_offset_s: float = fact(
         37.25,
-        "lag of the spectrometer's clock: UTC = stamp - utc_offset_h + clock_offset_s",
+        "delay of the spectrometer's clock: UTC = stamp - utc_offset_h + clock_offset_s",
         unit="s",
         least=-86400.0,
         most=86400.0,
     )
     clock_uncertainty_s: float | None = fact(
-        None, "declared uncertainty of that lag; None declares nothing", kind="number", unit="s", least=0
+        None,
+        "declared uncertainty of ``clock_offset_s``; None declares none",
+        kind="number",
+        unit="s",
+        least=0,
     )
     utc_offset_h: float = fact(
-        -5.0, "zone of the computer that logs the spectrometer", unit="h", least=-14.0, most=14.0
+        -5.0,
+        "time zone of the computer that logs the spectrometer: local time minus UTC",
+        unit="h",
+        least=-14.0,
+        most=14.0,
     )
 
     def __post_init__(self) -> None:

@@ -78,12 +78,14 @@ class SceneFile:
     sampling: Mapping[str, Any]  #: Every key of ``[sampling]``.
     spectra: Mapping[str, Path]
     paints: Mapping[str, str]  #: Name of a spectrum, material or instance: name of its new spectrum.
-    product: str = fact("radiance", "quantity of the cube", choices=PRODUCTS)
+    product: str = fact("radiance", "physical quantity of the cube", choices=PRODUCTS)
     #: Whether the reflectance without noise is stored as well.
-    true_reflectance: bool = fact(True, "store the reflectance without noise beside the cube")
+    true_reflectance: bool = fact(True, "whether to store the true reflectance, without noise, with the cube")
     #: Whether spectra are held beyond their ends, and over bands without values.
     hold_edges: bool = fact(
-        False, "hold spectra beyond their last band with values, and bridge bands without"
+        False,
+        "whether to continue spectra with constant values beyond their first and last band, and to "
+        "interpolate bands without values",
     )
 
 
@@ -95,7 +97,7 @@ COAT = by_key([
     *(dataclasses.replace(declared, default=None) for declared in facts_of(Coat).values()),
     Fact(
         name="gloss", key="coat_gloss", kind="number", scale=1.0, least=1.0, most=100.0,
-        doc="gloss of the clear coat at 20 degrees, in gloss units, in place of the roughness",
+        doc="gloss of the clear coat at 20 degrees [gloss units]; an alternative to coat_roughness",
     ),
 ])  # fmt: skip
 
@@ -103,7 +105,7 @@ COAT = by_key([
 MATERIAL = {
     **by_key(
         [
-            Fact(name="spectrum", doc="name of the reflectance spectrum", example="red"),
+            Fact(name="spectrum", doc="name of the reflectance spectrum of the surface", example="red"),
             Fact(name="class", kind="choice", choices=KINDS, doc="class of the surface"),
             facts_of(Flakes)["share"],
         ]
@@ -118,37 +120,42 @@ _CAMERA_FIELDS = CAMERA_FIELDS - {"columns"} | {"noise", "dark_frames"}
 SCHEMA: Mapping[str, Facts] = {
     "scene": by_key([
         Fact(name="name", doc="name of the scene; by default the name of the file"),
-        Fact(name="kind", kind="choice", choices=SCENE_KINDS, default="car_park", doc="kind of scene"),
+        Fact(name="kind", kind="choice", choices=SCENE_KINDS, default="car_park",
+             doc="kind of scene: a car park, a level plane, or only the meshes"),
         Fact(
             name="size_m", kind="numbers", length=2, single=True, unit="m", least=0.0, above=True,
-            default=1000.0, doc="side of a plane, or both of its sides",
+            default=1000.0, doc="length of the sides of a plane; one number for a square, or two",
         ),
-        Fact(name="spectrum", default="asphalt", doc="spectrum of a plane"),
+        Fact(name="spectrum", default="asphalt", doc="name of the reflectance spectrum of a plane"),
         *PARK.values(),
-        Fact(name="coat", kind="flag", default=True, doc="clear coats; false leaves Lambert paints"),
+        Fact(name="coat", kind="flag", default=True,
+             doc="whether paints have a clear coat; without it they are Lambertian"),
         *COAT.values(),
     ]),
     "meshes": by_key([
-        Fact(name="path", needed=True, doc="file of triangles: .obj, or .glb and .ply with hyperpaint[mesh]"),
+        Fact(name="path", needed=True, doc="file of the mesh: .obj, or .glb and .ply with the extra mesh"),
         Fact(name="name", doc="name of the mesh; by default mesh_1, mesh_2 ..."),
-        Fact(name="kind", kind="choice", choices=INSTANCE_KINDS, default="other", doc="kind of thing"),
+        Fact(name="kind", kind="choice", choices=INSTANCE_KINDS, default="other", doc="kind of object"),
         *MATERIAL.values(),
         Fact(
             name="materials", kind="own", accepts=lambda value: isinstance(value, dict),
             phrase="a table: name of a part = spectrum",
-            doc="materials by part: a spectrum, or a table with the keys of a material",
+            doc="materials of the parts of the mesh; a material is the name of a spectrum, or a table with "
+            "the keys spectrum, class, flakes and coat_...",
         ),
-        Fact(name="offset_m", kind="numbers", length=3, unit="m", doc="shift east, north and up",
+        Fact(name="offset_m", kind="numbers", length=3, unit="m",
+             doc="displacement of the mesh to east, north and up",
              default=[0.0, 0.0, 0.0]),
         Fact(
             name="heading_deg", kind="number", unit="degree", scale=1.0, least=-360.0, most=360.0,
-            default=0.0, doc="turn clockwise",
+            default=0.0, doc="rotation of the mesh, clockwise seen from above",
         ),
         Fact(
             name="unit_m", kind="number", unit="m", scale=1.0, least=0.0, above=True, default=1.0,
-            doc="length unit of the file",
+            doc="length of the unit in which the file states coordinates",
         ),
-        Fact(name="up", kind="choice", choices=("x", "y", "z"), doc="axis that points up in the file"),
+        Fact(name="up", kind="choice", choices=("x", "y", "z"),
+             doc="axis of the file that points up; by default y in GLB files, z in others"),
     ]),
     "platform": by_key([
         dataclasses.replace(one, kind="time", accepts=None, phrase="", example="2021-07-20T17:10:00")
@@ -159,11 +166,15 @@ SCHEMA: Mapping[str, Facts] = {
         one for name, one in facts_of(SimulationSettings).items() if name in _CAMERA_FIELDS
     ),
     "atmospheres": by_key([
-        Fact(name="name", doc="name of the group in the store; by default the preset"),
-        Fact(name="preset", kind="choice", choices=tuple(PRESETS), doc="light of a kind of sky"),
-        Fact(name="table", doc="file of wavelength, direct and diffuse irradiance, in place of a preset"),
-        Fact(name="irradiance", kind="texts", doc="files of a spectrometer, in place of a preset"),
-        Fact(name="time", kind="time", doc="time in that record; by default all of it"),
+        Fact(name="name", doc="name of the group of the store for this light; by default the preset"),
+        Fact(name="preset", kind="choice", choices=tuple(PRESETS),
+             doc="name of a built-in sun and sky; an alternative to table and irradiance"),
+        Fact(name="table",
+             doc="file with wavelength, direct and diffuse irradiance; an alternative to preset"),
+        Fact(name="irradiance", kind="texts",
+             doc="files of an irradiance spectrometer; an alternative to preset"),
+        Fact(name="time", kind="time",
+             doc="UTC for which irradiance is read from the record; needed if it holds several spectra"),
         *SKY.values(),
     ]),
     "sampling": by_key(facts_of(TraceSettings).values()),

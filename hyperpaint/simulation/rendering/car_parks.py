@@ -368,39 +368,47 @@ CAR_PARK = argument_facts(
     (
         Fact(
             name="length", key="length_m", **_LENGTH, least=0.0, above=True,
-            doc="length northwards from y = 0",
+            doc="length of the car park, northwards from y = 0",
         ),
         Fact(
             name="width", key="width_m", **_LENGTH, least=0.0, above=True,
-            doc="width; 16 m hold two rows of cars and an aisle, 32 m four rows",
+            doc="width of the car park; 16 m hold two rows of cars and an aisle, 32 m four rows",
         ),
-        Fact(name="rows", kind="whole", least=1, most=MAX_ROWS, doc="rows of bays; by default all that fit"),
-        Fact(name="occupancy", kind="number", least=0.0, most=1.0, doc="share of the bays that are taken"),
+        Fact(name="rows", kind="whole", least=1, most=MAX_ROWS,
+             doc="number of rows of parking bays; by default all that fit"),
+        Fact(name="occupancy", kind="number", least=0.0, most=1.0,
+             doc="share of the parking bays with a car"),
         Fact(
             name="paints", kind="words",
-            doc="spectra of the cars, all of them before any comes again, in place of those of the fleet",
+            doc="names of the paint spectra of the cars, instead of the spectra of the fleet; every spectrum "
+            "is used once before one is used again",
         ),
         Fact(
             name="fleet", kind="choice", choices=FLEETS,
-            doc="real: colours, finishes, age and dust of real car parks, on worn ground; solid: fourteen "
-            "paints in equal numbers, on clean uniform ground",
+            doc="paints of the cars and state of the ground; real: colours, finishes, age and dust as in "
+            "real car parks, on worn ground; solid: fourteen non-metallic paints in equal numbers, on clean "
+            "ground",
         ),
-        Fact(name="types", kind="words", choices=tuple(CAR_TYPES), doc="types of cars; by default all"),
-        Fact(name="seed", kind="whole", least=0, most=MAX_SEED, doc="chooses cars, paints, places and trees"),
+        Fact(name="types", kind="words", choices=tuple(CAR_TYPES),
+             doc="types of cars in the scene; by default all types"),
+        Fact(name="seed", kind="whole", least=0, most=MAX_SEED,
+             doc="seed of the random numbers for cars, paints, positions and trees"),
         Fact(
             name="neighbours", kind="words", choices=NEIGHBOURS,
-            doc="things around the car park; [] for an open place",
+            doc="objects around the car park; [] for none",
         ),
-        Fact(name="panels", kind="flag", doc="grey panels of known reflectance every 30 m of an aisle"),
-        Fact(name="islands", kind="flag", doc="kerbed islands with grass in place of every tenth bay or so"),
+        Fact(name="panels", kind="flag",
+             doc="whether grey panels of known reflectance lie every 30 m along an aisle"),
+        Fact(name="islands", kind="flag",
+             doc="whether kerbed islands with grass replace about every tenth bay"),
         Fact(
             name="line_width", key="line_width_m", **_LENGTH | {"most": 1.0}, least=0.02,
-            doc="width of the lines between bays",
+            doc="width of the painted lines between parking bays",
         ),
-        Fact(name="leaves", kind="whole", least=0, most=100_000, doc="leaves of a tree"),
+        Fact(name="leaves", kind="whole", least=0, most=100_000, doc="number of leaves of a tree"),
         Fact(
             name="margin", key="margin_m", **_LENGTH, least=0.0,
-            doc="width of the ground around the car park",
+            doc="width of the strip of ground around the car park",
         ),
     ),
 )  # fmt: skip

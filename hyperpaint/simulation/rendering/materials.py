@@ -61,7 +61,7 @@ class Coat:
     )
     roughness: float = fact(
         1e-3,
-        "roughness of the clear coat, GGX alpha; 0 is a mirror",
+        "roughness of the clear coat, the parameter alpha of the GGX model; 0 is a mirror",
         key="coat_roughness",
         scale=1.0,
         least=0.0,
@@ -69,7 +69,7 @@ class Coat:
     )
     waviness: float = fact(
         0.15,
-        "orange peel: root mean square slope of waves of millimetres to a centimetre",
+        "orange peel of the clear coat: root mean square slope of waves with lengths from 1 to 10 mm",
         unit="degree",
         key="coat_waviness_deg",
         scale=1.0,
@@ -105,7 +105,7 @@ class Flakes:
 
     share: float = fact(
         MISSING,
-        "share of the light entering the paint that meets metal flakes rather than pigment",
+        "share of the light in the paint that metal flakes reflect; pigment reflects the rest",
         kind="number",
         key="flakes",
         scale=1.0,

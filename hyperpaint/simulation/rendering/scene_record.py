@@ -49,17 +49,21 @@ class TraceSettings:
 
     suns: tuple[tuple[float, float], ...]
     samples: int = fact(
-        64, "rays of a pixel: noise falls with the root of their number", least=1, most=MOST_SAMPLES
+        64,
+        "number of rays per pixel; noise falls with the square root of this number",
+        least=1,
+        most=MOST_SAMPLES,
     )
-    depth: int = fact(4, "scatterings of a ray", least=1, most=32)
+    depth: int = fact(4, "maximum number of reflections of a ray", least=1, most=32)
     slots: int | None = fact(
         None,
-        "stored paths of a pixel; by default enough for the lights",
+        "maximum number of light paths that are stored per pixel; by default from the number of suns, skies "
+        "and samples",
         kind="whole",
         least=1,
         most=_MAX_SLOTS,
     )
-    seed: int = fact(0, "chooses the rays", least=0, most=MAX_SEED)
+    seed: int = fact(0, "seed of the random numbers for the rays", least=0, most=MAX_SEED)
     sun_radius: float = fact(
         0.267,
         "angular radius of the sun",

@@ -50,7 +50,7 @@ SKY = {
     for entry in (
         Fact(
             name="direct_fraction", kind="number", least=0.0, most=1.0,
-            doc="direct share of a measured irradiance",
+            doc="share of direct light in the irradiance; for irradiance that a spectrometer measured",
         ),
         Fact(
             name="sun_zenith", key="sun_zenith_deg", kind="number", unit="degree", scale=1.0, least=0.0,
@@ -66,11 +66,11 @@ SKY = {
         ),
         Fact(
             name="water", kind="number", least=0.0, most=100.0,
-            doc="precipitable water of a clear sky relative to a usual summer day",
+            doc="precipitable water vapour of a clear sky, divided by the value of a usual summer day",
         ),
         Fact(
             name="oktas", kind="number", scale=1.0, least=0.0, most=8.0,
-            doc="eighths of the sky that clouds cover",
+            doc="cloud cover in eighths of the sky",
         ),
         Fact(
             name="overcast_share", kind="number", least=0.0, most=1.0,
