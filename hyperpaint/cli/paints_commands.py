@@ -106,7 +106,7 @@ def make_signatures(
     properties of its region. Pixels with saturation, glint, shadow or a neighbour's light are left out.
     --ground, --dem and --set place the lines for regions in map coordinates.
     """
-    from hyperpaint.workflows.library_files import NOT_LOOKED_FOR, table_of, write_signatures
+    from hyperpaint.workflows.library_files import NOT_DETECTED, table_of, write_signatures
 
     smoothing = None if smooth is None else {"method": smooth, "window": window}
     limits: dict[str, Any] = {
@@ -129,7 +129,7 @@ def make_signatures(
             progress=shown,
             **options,
         )
-    if flags and library.attrs["flags"] == NOT_LOOKED_FOR:
+    if flags and library.attrs["flags"] == NOT_DETECTED:
         click.echo(
             "glint, shadow and light of neighbours are not flagged on a map; signatures of the flight line's "
             "own store leave them out",
