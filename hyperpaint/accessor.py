@@ -56,7 +56,7 @@ METHODS = {
 ARRAY_METHODS = ("smooth", "at", "to_nominal", "rgb", "spectrum")
 """Methods of a DataArray: they need only a cube or a spectrum with its coordinates."""
 
-_ABOUT_DIMS = """
+_DIMS_DOC = """
 
 The method passes the dataset as the first argument, and accepts ``dims``, a mapping such as
 ``{"along_track": "my_dim"}``, for dims with other names.
@@ -66,7 +66,7 @@ Dims = Mapping[str, Hashable]
 
 
 class _Method:
-    # A function of a room, loaded on first use; unbound on the class.
+    # Descriptor of a function of a room, which is loaded on first use; unbound on the class.
 
     def __init__(self, name: str, home: str, accessor: Any = None) -> None:
         self.__name__ = name
@@ -87,52 +87,52 @@ class _Method:
 
     @property
     def __doc__(self) -> str:  # type: ignore[override]
-        return inspect.cleandoc(self._function.__doc__ or "") + _ABOUT_DIMS
+        return inspect.cleandoc(self._function.__doc__ or "") + _DIMS_DOC
 
     @property
     def __signature__(self) -> inspect.Signature:
         signature = inspect.signature(self._function)
-        first, *others = signature.parameters.values()
+        dataset_parameter, *parameters = signature.parameters.values()
         dims = inspect.Parameter(
             "dims", inspect.Parameter.KEYWORD_ONLY, default=None, annotation="Dims | None"
         )
-        place = len(others) - any(each.kind is each.VAR_KEYWORD for each in others)
-        others.insert(place, dims)
+        place = len(parameters) - any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters)
+        parameters.insert(place, dims)
         if self._accessor is None:
-            others.insert(0, first.replace(name="self", annotation=inspect.Parameter.empty))
-        return signature.replace(parameters=others)
+            parameters.insert(0, dataset_parameter.replace(name="self", annotation=inspect.Parameter.empty))
+        return signature.replace(parameters=parameters)
 
     def __call__(self, *arguments: Any, dims: Dims | None = None, **options: Any) -> Any:
         from .base.schema import rename_to_roles
 
         if self._accessor is None:  # PaintAccessor.rgb(accessor)
-            accessor, *rest = arguments
-            return type(self)(self.__name__, self._home, accessor)(*rest, dims=dims, **options)
+            accessor, *method_arguments = arguments
+            return type(self)(self.__name__, self._home, accessor)(*method_arguments, dims=dims, **options)
         return self._function(rename_to_roles(self._accessor._dataset, dims), *arguments, **options)
 
 
 class _Accessor:
-    # Errors for users who expect a variable named paint, which the accessor hides.
+    # Errors for users who expect a variable named paint, which is hidden by the accessor.
 
     def __getattr__(self, name: str) -> Any:
         text = f"the accessor .paint has no attribute {name!r}"
         if not name.startswith("_"):  # copy, pickle and IPython ask for private names
-            if near := difflib.get_close_matches(
+            if matches := difflib.get_close_matches(
                 name, [method for method in dir(self) if method[0] != "_"], 1
             ):
-                text += f"; the nearest is .paint.{near[0]}"
-            text += f". {_HIDDEN}"
+                text += f"; the nearest is .paint.{matches[0]}"
+            text += f". {_ACCESS_HINT}"
         raise AttributeError(text, name=name, obj=self)
 
     def __eq__(self, other: object) -> bool:
         if isinstance(other, _Accessor):
             return self is other
-        raise TypeError(f"the accessor .paint cannot be compared with {type(other).__name__}. {_HIDDEN}")
+        raise TypeError(f"the accessor .paint cannot be compared with {type(other).__name__}. {_ACCESS_HINT}")
 
     __hash__ = object.__hash__
 
 
-_HIDDEN = (
+_ACCESS_HINT = (
     'Names of a paint library are library["signature"]; a variable of your own that is called paint is '
     'dataset["paint"]'
 )
@@ -140,7 +140,7 @@ _HIDDEN = (
 
 @xr.register_dataset_accessor("paint")
 class PaintAccessor(_Accessor):
-    """Methods on a flight line. Each returns a new object, lazily unless its documentation says "eager".
+    """Methods on a flight line. They return new objects, lazily unless their documentation says "eager".
 
     Dims are found by role. Names of other programs (downtrack, crosstrack, bands, y, x, ...) are recognised;
     declare others with ``dims={"along_track": "my_dim"}``.
@@ -183,7 +183,7 @@ class PaintAccessor(_Accessor):
             raise StoreError(
                 "the dataset has no path or URL of its store in encoding['source']",
                 expected="a dataset of xarray.open_zarr(path)",
-                mend="call hyperpaint.verify(path), or load a store of icechunk whole",
+                mend="call hyperpaint.verify(path), or load all of a store of icechunk",
                 code="store-unknown",
             )
         return verify(source)
@@ -221,12 +221,12 @@ class _ArrayMethod(_Method):
 
     def __call__(self, *arguments: Any, dims: Dims | None = None, **options: Any) -> Any:
         result = super().__call__(*arguments, dims=dims, **options)
-        return result if self._accessor is None else self._accessor._own(result)
+        return result if self._accessor is None else self._accessor._as_array(result)
 
 
 @xr.register_dataarray_accessor("paint")
 class PaintArrayAccessor(_Accessor):
-    """Methods on one cube, such as ``line.reflectance.paint.rgb()``. Each returns a new object."""
+    """Methods on a cube, such as ``line.reflectance.paint.rgb()``. They return new objects."""
 
     def __init__(self, array: xr.DataArray) -> None:
         self._array = array
@@ -240,7 +240,7 @@ class PaintArrayAccessor(_Accessor):
     def _dataset(self) -> xr.Dataset:
         return self._array.to_dataset(name=self._name)
 
-    def _own(self, result: Any) -> Any:
+    def _as_array(self, result: Any) -> Any:
         """Return the array of a resulting Dataset; pass other results through."""
         return result[self._name].rename(self._array.name) if isinstance(result, xr.Dataset) else result
 
@@ -248,7 +248,7 @@ class PaintArrayAccessor(_Accessor):
         """Return a view for pint-xarray users, a Quantity; see `PaintAccessor.quantify`."""
         from .base.units import quantify
 
-        quantified: xr.DataArray = self._own(quantify(self._dataset, registry))
+        quantified: xr.DataArray = self._as_array(quantify(self._dataset, registry))
         return quantified
 
 

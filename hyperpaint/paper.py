@@ -1,4 +1,4 @@
-"""The six equations of the paper this package starts from, corrected and as printed.
+"""The six equations of the paper on which this package is based, corrected and as printed.
 
 Mulhollan et al. (2020), section 3 [1]_, calibrate a pushbroom camera with a monochromator and a power meter.
 As printed, three of their equations lose the scale: eq. 4 inverts the ratio of exposures and uses an area on
@@ -61,7 +61,7 @@ Variant = Literal["corrected", "as_printed"]
 
 _RADIANCE = "W m-2 sr-1 nm-1"
 _IRRADIANCE = "W m-2 nm-1"
-_GAUSSIAN_AREA = float(np.sqrt(np.pi / (4.0 * np.log(2.0))))  # of a Gaussian of height and full width one
+_GAUSSIAN_AREA = float(np.sqrt(np.pi / (4.0 * np.log(2.0))))  # area of a Gaussian of height and FWHM 1
 _PLANCK, _LIGHT = 6.62607015e-34, 2.99792458e8  # J s, m s-1
 
 
@@ -93,15 +93,15 @@ def lambertian_radiance(
     Parameters
     ----------
     irradiance
-        E. Corrected: on the surface itself, as a level cosine-corrected receiver measures it. As printed: of
-        a plane that faces the light [W m-2 nm-1].
+        E [W m-2 nm-1]. Corrected: on the surface, as measured by a level cosine-corrected receiver. As
+        printed: on a plane that faces the light.
     reflectance
         rho [1]
     incidence
-        theta, angle between the light and the surface's normal [rad]; enters as printed only.
+        theta, angle between the light and the surface's normal [rad]; used as printed only.
     variant
-        Corrected, ``L = rho E / (pi sr)``; as printed, ``L = E rho cos(theta) / pi``, which takes the cosine
-        a second time where E is what a level receiver measures.
+        Corrected, ``L = rho E / (pi sr)``; as printed, ``L = E rho cos(theta) / pi``, which applies the
+        cosine twice if a level receiver measures E.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def electrons(
     efficiency
         eta, electrons freed per photon [1].
     variant
-        The same in both: this one is right.
+        Both are equal: the printed equation is correct.
 
     Returns
     -------
@@ -183,11 +183,11 @@ def spectral_responsivity(
     Parameters
     ----------
     counts, dark
-        With and without light, at the same exposure [count].
+        Counts with and without light, at the same exposure [count].
     flux
         phi [W]
     exposure
-        t [s]; does not enter as printed.
+        t [s]; not used as printed.
     variant
         Corrected, ``R = (DC - D) / (phi t)``; as printed, ``R = (DC - D) / phi``, which grows with exposure.
 
@@ -207,35 +207,35 @@ def spectral_responsivity(
     >>> print(f"{spectral_responsivity(2946.05, 100.0, 3e-12, 0.05):.4g}")
     1.897e+16
     """
-    given = counts, dark, flux, exposure
+    arguments = counts, dark, flux, exposure
     per_watt = (_amount(counts, "count") - _amount(dark, "count")) / _amount(flux, "W")
     if _is_corrected(variant):
-        return _result(per_watt / _amount(exposure, "s"), "count J-1", *given)
-    return _result(per_watt, "count W-1", *given)
+        return _result(per_watt / _amount(exposure, "s"), "count J-1", *arguments)
+    return _result(per_watt, "count W-1", *arguments)
 
 
 @dataclass(frozen=True)
 class Setup:
-    """One step of the monochromator, and the flight: all that eq. 4 needs. The defaults are a worked example.
+    """A step of the monochromator, and the flight: all inputs of eq. 4. The defaults are a worked example.
 
     Attributes
     ----------
     flux
-        phi_ref, power that enters slit width x one pixel [W].
+        phi_ref, power into the area of slit width x one pixel [W].
     reference_exposure, flight_exposure
         t_ref and t_obs [s].
     etendue
-        Of a pixel: slit width x pixel pitch x pi / (4 N^2) [m2 sr].
+        Etendue of a pixel, slit width x pixel pitch x pi / (4 N^2) [m2 sr].
     ground_sample
-        x_obs, side of a pixel on the ground [m]; enters as printed only.
+        x_obs, side of a pixel on the ground [m]; used as printed only.
     ifov
-        theta_IFOV, angle of a pixel [rad], 8 mm seen from 50 feet; enters as printed only.
+        theta_IFOV, angle of a pixel [rad], 8 mm from 50 feet; used as printed only.
     reference_bandwidth, flight_bandwidth
         B_ref and B_obs: full widths at half maximum of monochromator and camera [nm].
     band_spacing
-        From one band to the next [nm].
+        Distance of neighbouring bands [nm].
     peak_responsivity
-        Counts per energy at the centre of a band [count J-1]: the truth, which makes the counts below.
+        Counts per energy at the centre of a band [count J-1]: the truth, from which counts are computed.
 
     Examples
     --------
@@ -254,35 +254,35 @@ class Setup:
     band_spacing: Amount = 600.0 / 271.0
     peak_responsivity: Amount = 2.0e16
 
-    def _given(self) -> tuple[Amount, ...]:
+    def _values(self) -> tuple[Amount, ...]:
         return tuple(vars(self).values())
 
     @property
     def _lab_counts(self) -> Any:
-        """Counts of a band that would see all of the line."""
+        """Counts of a band that receives the complete lamp line."""
         energy = _amount(self.flux, "W") * _amount(self.reference_exposure, "s")
         return energy * _amount(self.peak_responsivity, "count J-1")
 
     @property
     def line_amplitude(self) -> Any:
-        """A_ref, height of the Gaussian fitted to the monochromator's line, above the dark [count]."""
-        camera = _amount(self.flight_bandwidth, "nm")
-        seen = (camera**2 + _amount(self.reference_bandwidth, "nm") ** 2) ** 0.5
-        return _result(self._lab_counts * camera / seen, "count", *self._given())
+        """A_ref, height above the dark of the Gaussian fitted to the lamp line [count]."""
+        camera_fwhm = _amount(self.flight_bandwidth, "nm")
+        total_fwhm = (camera_fwhm**2 + _amount(self.reference_bandwidth, "nm") ** 2) ** 0.5
+        return _result(self._lab_counts * camera_fwhm / total_fwhm, "count", *self._values())
 
     @property
     def line_area(self) -> Any:
-        """SUM_ref, sum of the line over the bands, above the dark, whatever the widths' ratio [count]."""
+        """SUM_ref, sum of the lamp line over the bands, above the dark; independent of the widths [count]."""
         width = _GAUSSIAN_AREA * _amount(self.flight_bandwidth, "nm")
-        return _result(self._lab_counts * width / _amount(self.band_spacing, "nm"), "count", *self._given())
+        return _result(self._lab_counts * width / _amount(self.band_spacing, "nm"), "count", *self._values())
 
     def counts(self, radiance: Amount) -> Any:
-        """Return the counts above the dark that a radiance [W m-2 sr-1 nm-1] gives in flight."""
+        """Return the counts above the dark of a radiance [W m-2 sr-1 nm-1] in flight."""
         width = _GAUSSIAN_AREA * _amount(self.flight_bandwidth, "nm")
-        seen = _amount(radiance, _RADIANCE) * _amount(self.etendue, "m2 sr") * width
-        energy = seen * _amount(self.flight_exposure, "s")
+        power = _amount(radiance, _RADIANCE) * _amount(self.etendue, "m2 sr") * width
+        energy = power * _amount(self.flight_exposure, "s")
         amount = energy * _amount(self.peak_responsivity, "count J-1")
-        return _result(amount, "count", radiance, *self._given())
+        return _result(amount, "count", radiance, *self._values())
 
 
 def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
@@ -293,10 +293,10 @@ def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
     setup
         Lab and flight.
     variant
-        Corrected, with the area of the line, ``phi_ref t_ref / (t_obs etendue spacing SUM_ref)``: independent
-        of the widths and shapes of both lines. As printed, ``phi_ref t_obs / t_ref / (x_obs^2 theta^2
-        B_ref / B_obs R_norm)``, called irradiance per count, with R_norm the fitted amplitude in counts: the
-        radiance per count then grows with exposure, and falls with the height of the flight.
+        Corrected, with the area of the lamp line, ``phi_ref t_ref / (t_obs etendue spacing SUM_ref)``:
+        independent of widths and shapes of lamp line and band. As printed, ``phi_ref t_obs / t_ref / (x_obs^2
+        theta^2 B_ref / B_obs R_norm)``, called irradiance per count, with R_norm the fitted amplitude in
+        counts: the radiance per count then grows with exposure, and falls with the height of the flight.
 
     Returns
     -------
@@ -318,15 +318,15 @@ def radiance_per_count(setup: Setup, *, variant: Variant = "corrected") -> Any:
     """
     flux = _amount(setup.flux, "W")
     lab, flight = _amount(setup.reference_exposure, "s"), _amount(setup.flight_exposure, "s")
-    given = setup._given()
+    arguments = setup._values()
     if _is_corrected(variant):
         per_line = _amount(setup.band_spacing, "nm") * _amount(setup.line_area, "count")
         amount = flux * (lab / flight) / (_amount(setup.etendue, "m2 sr") * per_line)
-        return _result(amount, f"{_RADIANCE} count-1", *given)
+        return _result(amount, f"{_RADIANCE} count-1", *arguments)
     footprint = _amount(setup.ground_sample, "m") ** 2 * _amount(setup.ifov, "rad") ** 2
     widths = _amount(setup.reference_bandwidth, "nm") / _amount(setup.flight_bandwidth, "nm")
     amount = flux * (flight / lab) / (footprint * widths * _amount(setup.line_amplitude, "count"))
-    return _result(amount, "W m-2 count-1", *given)
+    return _result(amount, "W m-2 count-1", *arguments)
 
 
 def radiance(counts: Amount, dark: Amount, per_count: Amount, *, variant: Variant = "corrected") -> Any:
@@ -335,13 +335,13 @@ def radiance(counts: Amount, dark: Amount, per_count: Amount, *, variant: Varian
     Parameters
     ----------
     counts, dark
-        Of the flight, at the same exposure [count].
+        Counts of the flight and its dark, at the same exposure [count].
     per_count
         From `radiance_per_count` with the same ``variant`` [W m-2 sr-1 nm-1 count-1]; as printed
         [W m-2 count-1].
     variant
-        Corrected, ``L = (DC - D) x per_count``; as printed, the same divided by pi, although the etendue has
-        made a radiance of it already.
+        Corrected, ``L = (DC - D) x per_count``; as printed, divided by pi, although dividing by the etendue
+        already gives a radiance.
 
     Returns
     -------
@@ -359,12 +359,12 @@ def radiance(counts: Amount, dark: Amount, per_count: Amount, *, variant: Varian
     >>> round(radiance(2066.09, 100.0, 8.4188e-05), 5)
     0.16552
     """
-    given = counts, dark, per_count
+    arguments = counts, dark, per_count
     signal = _amount(counts, "count") - _amount(dark, "count")
     if _is_corrected(variant):
-        return _result(signal * _amount(per_count, f"{_RADIANCE} count-1"), _RADIANCE, *given)
+        return _result(signal * _amount(per_count, f"{_RADIANCE} count-1"), _RADIANCE, *arguments)
     amount = signal * _amount(per_count, "W m-2 count-1") / _amount(np.pi, "sr")
-    return _result(amount, "W m-2 sr-1", *given)
+    return _result(amount, "W m-2 sr-1", *arguments)
 
 
 def reflectance(radiance: Amount, irradiance: Amount, *, variant: Variant = "corrected") -> Any:
@@ -375,9 +375,9 @@ def reflectance(radiance: Amount, irradiance: Amount, *, variant: Variant = "cor
     radiance
         L [W m-2 sr-1 nm-1]
     irradiance
-        E, downwelling, as a level receiver measures it [W m-2 nm-1].
+        E, downwelling, as measured by a level receiver [W m-2 nm-1].
     variant
-        Corrected, ``rho = pi L / E``; as printed, ``rho = L E / pi``, which is no reflectance.
+        Corrected, ``rho = pi L / E``; as printed, ``rho = L E / pi``, which is not a reflectance.
 
     Returns
     -------

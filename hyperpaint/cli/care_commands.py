@@ -26,7 +26,7 @@ Examples:
 )
 @click.pass_context
 def verify(ctx: click.Context, /, store: Path, inputs: bool, collect: Path | None) -> None:
-    """Read every chunk of a store and compare it with its record; exit status 1 where one is wrong.
+    """Read every chunk of a store and compare it with its checksum; exit status 1 if a chunk is wrong.
 
     Missing groups are listed, with the command that writes them.
     """
@@ -34,12 +34,12 @@ def verify(ctx: click.Context, /, store: Path, inputs: bool, collect: Path | Non
 
     report = verify_store(store)
     click.echo(str(report))
-    wrong = not report.ok
+    has_faults = not report.ok
     if inputs or collect is not None:
         from hyperpaint.workflows.input_comparison import compare_inputs
 
         compared = compare_inputs(store, collect)
         click.echo(str(compared))
-        wrong |= bool(compared.problems)
-    if wrong:
+        has_faults |= bool(compared.problems)
+    if has_faults:
         ctx.exit(FAILED_CHECK)

@@ -19,10 +19,11 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 EXISTING = click.Path(exists=True, path_type=Path)
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 
-#: Exit status of a command: the data fail a check, or the call or an input is wrong.
+#: Exit statuses of a command: data fail a check; the call or an input is wrong.
 FAILED_CHECK, WRONG_INPUT = 1, 2
 
-#: Added to the number of a signal that stopped a command, as shells do: 130 for Ctrl-C, 143 for SIGTERM.
+#: Exit status of a command stopped by a signal, minus the number of the signal: 130 for Ctrl-C, 143 for
+#: SIGTERM.
 SIGNALLED = 128
 
 
@@ -39,7 +40,7 @@ def is_watched() -> bool:
 
 @contextlib.contextmanager
 def progress_bar(label: str) -> Iterator[Any]:
-    """Yield a function of (done, total) that draws a bar on stderr; None where no progress is shown."""
+    """Yield a function of (done, total) that draws a bar on stderr; None if progress is not shown."""
     if not is_watched():
         yield None
         return
@@ -58,19 +59,19 @@ def progress_bar(label: str) -> Iterator[Any]:
 
 
 def beside(source: Path, name: str) -> Path:
-    """Return the default place of a product: a name in the folder of its source."""
+    """Return the default path of a product: ``name`` in the folder of its source."""
     return source.absolute().parent / name if source.name in ("", ".", "..") else source.with_name(name)
 
 
 def refuse_in_store(store: Path, *products: Path | None) -> None:
-    """Refuse a product in the store that it is made from (`click.UsageError`)."""
+    """Refuse a product inside the store from which it is made (`click.UsageError`)."""
     for path in products:
         if path is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
             raise click.UsageError(f"{path} is in the store itself; choose another path [output-in-store]")
 
 
 def without_none(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that the call names; the others have the defaults of the function."""
+    """Return the options that are not None; the function has defaults for other options."""
     return {name: value for name, value in options.items() if value is not None}
 
 

@@ -25,10 +25,10 @@ from .console import (
 from .options import command, settable, takes
 
 
-def _list_kinds(ctx: click.Context, _parameter: click.Parameter, wanted: bool) -> None:
+def _list_kinds(ctx: click.Context, _parameter: click.Parameter, is_set: bool) -> None:
     from hyperpaint.plausibility import KINDS
 
-    if wanted and not ctx.resilient_parsing:
+    if is_set and not ctx.resilient_parsing:
         for kind in KINDS.values():
             click.echo(f"{kind.name}  ({'refused' if kind.refused else 'warned of'})")
             for text in (kind.meaning, kind.mend):
@@ -56,8 +56,8 @@ def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
     """Check whether the inputs of a collect are plausible, in seconds.
 
     Prints every finding: its name, the observed value, the expected value, and the remedy. process and run
-    check the same first: they stop where results would be wrong, and warn of the rest; --accept FINDING
-    continues. Exit status 1 where something was found.
+    check the same first: they stop at findings that make results wrong, and warn of others; --accept FINDING
+    accepts a finding. Exit status 1 if there are findings.
     """
     from hyperpaint.workflows.collect_check import check_collect
 
@@ -66,7 +66,7 @@ def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
         click.echo(f"{'wrong' if finding.kind.refused else 'doubtful'}: {finding}")
     if findings:
         ctx.exit(FAILED_CHECK)
-    click.echo(f"{collect}: nothing found")
+    click.echo(f"{collect}: no findings")
 
 
 @command(
@@ -138,17 +138,19 @@ Raw files that lie neither beside the store nor below its folder are read only i
 def virtual(collect: Path, out: Path, **options: Any) -> None:
     """Write a store of a few kilobytes that refers to the raw cubes of a collect.
 
-    It holds what calibrates the lines; the counts stay where the camera wrote them, and are read from there
-    when something is computed. Raw files that were moved, cut short or written to since are refused.
+    It holds all variables that calibrate the lines; counts stay in the raw files of the camera, and are read
+    when a product is computed. Raw files that were moved, truncated or changed are refused.
     """
     from hyperpaint.io.store.raw_references import outside, virtual_groups
     from hyperpaint.workflows.virtual_store import virtualise
 
     say_outcome(virtualise(collect, out, **options))
-    _, needed = outside(out, virtual_groups(out))
-    if needed:
-        shown = needed[0] if len(needed) == 1 else needed
-        click.echo(f"its raw files lie elsewhere: open_virtual needs allow={shown!r}, `info` --allow")
+    _, allow = outside(out, virtual_groups(out))
+    if allow:
+        shown = allow[0] if len(allow) == 1 else allow
+        click.echo(
+            f"its raw files are outside its folder: open_virtual needs allow={shown!r}, `info` --allow"
+        )
 
 
 SHARE = click.FloatRange(0.0, 1.0)
@@ -188,7 +190,9 @@ A collect.toml can also name the sweep itself:
     etendue_uncertainty={"type": SHARE, "help": "Relative standard uncertainty of the etendue."},
     wavelength_uncertainty={"type": click.FloatRange(0.0, 10.0), "metavar": "NM"},
 )
-@click.option("--relative", is_flag=True, help="Gain without scale: capture fraction or etendue are unknown.")
+@click.option(
+    "--relative", is_flag=True, help="Gain without absolute scale, for unknown capture fraction or etendue."
+)
 @takes(
     "workflows.laboratory:write_calibration",
     only=["picture", "overwrite"],
@@ -199,8 +203,8 @@ def calibrate(
 ) -> None:
     """Turn a monochromator sweep into the calibration of a camera.
 
-    Fits every lamp line over bands; from the fits follow wavelength, width and shape of every band, and the
-    gain, with uncertainties. Unreliable steps and elements are named and left out; nothing is extrapolated.
+    Fits every lamp line over bands; the fits give wavelength, width and shape of every band, and the gain,
+    with uncertainties. Unreliable steps and elements are listed and excluded; nothing is extrapolated.
 
     SWEEP.zarr holds counts (step, band, cross_track), dark_counts, step_wavelength, flux, capture_fraction,
     exposure_time, monochromator_fwhm and etendue, with units.
@@ -208,15 +212,21 @@ def calibrate(
     from hyperpaint.workflows.laboratory import write_calibration
 
     out = out or sweep.with_name("calibration.zarr")
-    with progress_bar("calibrating") as shown:
+    with progress_bar("calibrating") as progress:
         calibration = write_calibration(
-            sweep, out, absolute=not relative, picture=picture, overwrite=overwrite, progress=shown, **options
+            sweep,
+            out,
+            absolute=not relative,
+            picture=picture,
+            overwrite=overwrite,
+            progress=progress,
+            **options,
         )
-    good = calibration.wavelength[calibration.good]
+    good_nm = calibration.wavelength[calibration.good]
     click.echo(
         f"{out}: {int(calibration.good.sum())} of {calibration.sizes['band']} bands have a gain", nl=False
     )
-    click.echo(f", {float(good.min()):.1f} to {float(good.max()):.1f} nm")
+    click.echo(f", {float(good_nm.min()):.1f} to {float(good_nm.max()):.1f} nm")
     click.echo(
         f"line shape {calibration.srf_shape}, FWHM {float(calibration.fwhm.median()):.2f} nm, "
         f"smile {float(calibration.wavelength_shift.max() - calibration.wavelength_shift.min()):.2f} nm, "
@@ -235,15 +245,15 @@ Examples:
   hyperpaint orthorectify lot.zarr --line raw_0 --dem dsm.tif --out map.zarr --gsd 0.01 \\
       --set dem_heights=ellipsoid --set focal_length_mm=12 --set pixel_pitch_um=7.4 \\
       --set column_order=left_to_right --set boresight=0.34,-0.95,-0.13
-  hyperpaint orthorectify lot.zarr --line raw_0 --out map.tif           a line that is located already
+  hyperpaint orthorectify lot.zarr --line raw_0 --out map.tif           a line that is already located
 
 \b
-Heights are above the ellipsoid, as GPS gives them, not above the sea. If the map is shifted or torn, check
+Heights are above the ellipsoid, as from GPS, not above sea level. If the map is shifted or distorted, check
 boresight, ground, clock_offset and column_order first. The signs of angles are declared in the table
 [navigation] of collect.toml.""",
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
-@click.option("--line", metavar="ID", help="Flight line of the store.  [default: the only one]")
+@click.option("--line", metavar="ID", help="Flight line of the store.  [default: the only line]")
 @click.option(
     "--out",
     metavar="MAP",
@@ -272,16 +282,16 @@ def make_map(
     from hyperpaint.workflows.maps import map_of_store, write_map
 
     out = out or beside(store, f"{line or 'map'}.tif")
-    writing = {name: options.pop(name) for name in ("stac", "geozarr", "overwrite")}
-    if writing["geozarr"] and out.suffix.lower() != ".zarr":
+    map_options = {name: options.pop(name) for name in ("stac", "geozarr", "overwrite")}
+    if map_options["geozarr"] and out.suffix.lower() != ".zarr":
         raise click.UsageError(f"--geozarr needs an --out that ends in .zarr, not {out} [option-conflict]")
     if out.suffix.lower() not in (".tif", ".tiff", ".zarr"):
         raise click.UsageError(f"--out {out}, expected a name that ends in .tif or .zarr [suffix-unknown]")
     refuse_in_store(store, out)
     arguments = {**settings, **without_none(options)}
-    with progress_bar("looking") as shown:
-        orthomap = map_of_store(store, line, progress=shown, **arguments)
-    notes = write_map(orthomap, out, progress=is_watched(), **writing)
+    with progress_bar("locating") as progress:
+        orthomap = map_of_store(store, line, progress=progress, **arguments)
+    notes = write_map(orthomap, out, progress=is_watched(), **map_options)
     rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
     facts = [f"{rows} x {cols} cells of {orthomap.attrs['gsd']:.4g} m", describe_swath(orthomap.attrs), notes]
     click.echo(f"{out}: {', '.join(fact for fact in facts if fact)}")
@@ -296,7 +306,7 @@ Examples:
   hyperpaint mosaic lot.zarr --line raw_0 --line raw_3 --ground 152.4 --out two.tif
 
 \b
-Options of the place default to the table [geometry] of collect.toml. Nothing is averaged; the map stores
+Options of location default to the table [geometry] of collect.toml. Nothing is averaged; the map stores
 the line of every cell. --levelling changes spectra; its factors are stored.""",
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
@@ -331,7 +341,7 @@ def make_mosaic(
     settings: dict[str, Any],
     **options: Any,
 ) -> None:
-    """Combine flight lines of a store on one map with north up; every cell shows one pixel of one line."""
+    """Combine flight lines of a store on one map with north up; a cell shows a pixel of a single line."""
     from hyperpaint.workflows.maps import mosaic_of_store, write_map
 
     out = out or beside(store, "mosaic.tif")
@@ -341,8 +351,8 @@ def make_mosaic(
     for path in (out, seams):
         if path is not None and path.exists() and not overwrite:
             raise click.UsageError(f"{path} exists; choose another path, or --overwrite [output-exists]")
-    with progress_bar("looking") as shown:
-        mosaic = mosaic_of_store(store, lines, progress=shown, **settings, **without_none(options))
+    with progress_bar("locating") as progress:
+        mosaic = mosaic_of_store(store, lines, progress=progress, **settings, **without_none(options))
     write_map(mosaic, out, seams=seams, overwrite=overwrite, progress=is_watched())
     rows, cols = mosaic.sizes["y"], mosaic.sizes["x"]
     names = ", ".join(mosaic.attrs["flightlines"])

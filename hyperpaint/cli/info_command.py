@@ -1,4 +1,4 @@
-"""The command ``hyperpaint info``: facts about a file or a store, in a few lines of text."""
+"""The command ``hyperpaint info``: a short description of a file or a store."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from hyperpaint.workflows.field_folder import FieldFolder
 
 
-_EXPECTED = (
+_KNOWN_FORMATS = (
     "an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
     "a text or csv export of spectra, "
     "a spectral library, a DIRSIG .ems or .mat file, a frame index, imu_gps.txt, "
@@ -48,11 +48,11 @@ _EXPECTED = (
 _TABLES = (".txt", ".csv", ".tsv", ".asc")
 MAX_NAMES = 5
 _DAY_NS = 86_400 * 10**9
-_HEAD = 4096
+_HEAD_BYTES = 4096
 
 
 def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]:
-    """Return the facts of `describe_path` by name; empty where unknown."""
+    """Return the facts of `describe_path` by name; unknown facts are empty texts."""
     path = input_path(path, "a file, a folder or a store")
     if not path.exists():
         raise FormatError(f"{path}: no such file or folder", code="file-not-found")
@@ -63,14 +63,15 @@ def facts_of_path(path: str | Path, allow: Sequence[str] = ()) -> dict[str, str]
 
 
 def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
-    """Return what a file, a Zarr store or a group of one is: dims, units, wavelengths, times, completeness.
+    """Describe a file, a Zarr store or a group of a store: dims, units, wavelengths, times, completeness.
 
-    Reads headers and small files; of cubes and stores no sample. Of a ``collect.toml`` everything is opened
-    that `process` would open; shown is what it would do.
+    Reads headers and small files, but no samples of cubes. Of a ``collect.toml`` all files are opened, and
+    the products of `process` are described. ``allow``: folders of the raw files of a virtual store, see
+    `open_virtual`.
 
-    Raises `FormatError`: the file is damaged, or of no kind known here; `CollectError`: the collect cannot be
-    processed; all problems are listed; `StoreError`: the folder is not a Zarr store, or the path is that of
-    references of kerchunk. ``allow``: where raw files of a virtual store may lie, see `open_virtual`.
+    Raises `FormatError` if the file is damaged, or has an unknown format; `CollectError` if the collect
+    cannot be processed, with all problems; `StoreError` if the folder is not a Zarr store, or the path is
+    that of kerchunk references.
     """
     facts = facts_of_path(path, allow)
     width = max(map(len, facts))
@@ -107,17 +108,17 @@ def _file(path: Path) -> Facts:
         return _navigation(path)
     if name == "settings.txt":
         return _settings(path)
-    beside = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
-    if any(header.is_file() for header in beside):
+    headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
+    if any(header.is_file() for header in headers):
         return _envi(path)
     if path.suffix.lower() in (*_TABLES, ".ems"):
         return _spectra_if_any(path)
     if path.suffix.lower() == ".mat":
         return _materials(path)
-    raise FormatError(f"{path}: unknown kind of file", expected=_EXPECTED, code="format-unknown")
+    raise FormatError(f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown")
 
 
-# --- one kind of file each ---------------------------------------------------------------------------------
+# --- facts by kind of file ---------------------------------------------------------------------------------
 
 
 def _envi(path: Path) -> Facts:
@@ -134,12 +135,12 @@ def _envi(path: Path) -> Facts:
     if is_eph_att(header):
         yield from _poses(path)
         return
-    opened = open_envi(path)
-    name, cube = next(iter(opened.data_vars.items()))
+    dataset = open_envi(path)
+    name, cube = next(iter(dataset.data_vars.items()))
     form = f"{header.interleave}, {header.dtype.newbyteorder('=')}, {size_of(data.stat().st_size)}"
     yield "is", f"ENVI cube, {form}"
     yield str(name), form_of(cube)
-    yield from facts_of_bands(opened)
+    yield from facts_of_bands(dataset)
     exposure = exposure_seconds(header.comments, header_path.name)
     yield "exposure", "" if exposure is None else f"{exposure * 1e3:g} ms (header comments)"
     yield "notes", "\n".join(header.notes)
@@ -155,12 +156,12 @@ def _geotiff(path: Path) -> Facts:
     if header.grid is not None:
         yield from facts_of_grid(header.grid, header.shape)
     else:
-        yield "crs", "not known, nor where it lies"
+        yield "crs", "unknown, as is its location"
     nm = [band.removesuffix(" nm") for band in header.descriptions if band.endswith(" nm")]
     yield "wavelength", range_of([float(text) for text in nm], "nm") if len(nm) == header.bands else ""
     yield (
         "bands",
-        "" if len(nm) == header.bands else _first_of([text for text in header.descriptions if text]),
+        "" if len(nm) == header.bands else _first_names([text for text in header.descriptions if text]),
     )
     yield "overviews", ", ".join(f"1:{factor}" for factor in header.overviews) or "none"
 
@@ -170,7 +171,7 @@ def _regions(path: Path) -> Facts:
 
     regions = read_regions(path)
     yield "is", f"{counted(len(regions), 'region')} in coordinates of the {regions.coordinates}"
-    yield "names", _first_of(regions.names)
+    yield "names", _first_names(regions.names)
     yield "crs", "" if regions.coordinates == "sensor" else regions.crs or "not said"
     yield "flight lines", ", ".join(regions.flightlines)
     if len(regions):
@@ -214,9 +215,9 @@ def _svc(path: Path) -> Facts:
     yield "saved", f"{pair(file.header, 'time')[1]} by the local clock, as written"
     clock = pair(file.header, "gpstime")[1]
     yield "GPS time", f"{clock} UTC" if clock else ""
-    place = position_of(file.header, 1)
-    if place is None or not np.isnan(place[0]):
-        yield "position", "cannot be read" if place is None else "{:.6f}, {:.6f}".format(*place)
+    position = position_of(file.header, 1)
+    if position is None or not np.isnan(position[0]):
+        yield "position", "cannot be read" if position is None else "{:.6f}, {:.6f}".format(*position)
     yield "errors", "reference {}, target {} (bits of the instrument)".format(*error_bits(file.header))
     yield "comment", file.header.get("comm", "")
 
@@ -243,13 +244,13 @@ def _irradiance_csv(path: Path) -> Facts:
 
 
 def _spectra_if_any(path: Path) -> Facts:
-    # an error adds that the file may be no table of spectra
+    # the error on a damaged table says that the file may have another format
     try:
         yield from _library(path)
     except FormatError as error:
         raise FormatError(
             f"{path}: unknown kind of file (as spectra: {error})",
-            expected=_EXPECTED,
+            expected=_KNOWN_FORMATS,
             code="format-unknown",
         ) from error
 
@@ -260,7 +261,7 @@ def _library(path: Path) -> Facts:
     library = open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
     yield "is", f"{form}: {counted(library.sizes['signature'], 'spectrum').replace('spectrums', 'spectra')}"
-    yield "paints", _first_of(library["signature"].values.tolist())
+    yield "paints", _first_names(library["signature"].values.tolist())
     yield from ((str(name), form_of(array)) for name, array in library.data_vars.items())
     yield from facts_of_bands(library)
     about = (str(name) for name, array in library.coords.items() if array.dims == ("signature",))
@@ -268,10 +269,10 @@ def _library(path: Path) -> Facts:
     yield "notes", str(library.attrs.get("notes", "")).replace("; ", "\n")
 
 
-def _first_of(names: Sequence[object]) -> str:
-    more = len(names) - MAX_NAMES
-    # a name may hold a comma
-    return "; ".join(map(str, names[:MAX_NAMES])) + (f"; and {more} more" if more > 0 else "")
+def _first_names(names: Sequence[object]) -> str:
+    hidden = len(names) - MAX_NAMES
+    # separated by semicolons, because names may contain commas
+    return "; ".join(map(str, names[:MAX_NAMES])) + (f"; and {hidden} more" if hidden > 0 else "")
 
 
 def _materials(path: Path) -> Facts:
@@ -279,7 +280,7 @@ def _materials(path: Path) -> Facts:
 
     materials = read_materials(path)
     yield "is", f"DIRSIG material list: {counted(len(materials), 'material')}"
-    yield "materials", _first_of([f"{one.id} ({one.name})" for one in materials])
+    yield "materials", _first_names([f"{material.id} ({material.name})" for material in materials])
 
 
 def _frame_index(path: Path) -> Facts:
@@ -308,7 +309,7 @@ def _is_pose_table(path: Path) -> bool:
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
-    head = head_of(path, _HEAD)
+    head = head_of(path, _HEAD_BYTES)
     if path.suffix.lower() == ".out":
         return b"\0" in head
     return is_nmea(head) or (path.suffix.lower() in _TABLES and b"\0" not in head and is_navigation_csv(head))
@@ -321,23 +322,26 @@ def _poses(path: Path) -> Facts:
     if kind == "imu_gps":
         yield from _navigation(path)
         return
-    # a log of sentences without a date is shown as one of the first day of all
+    # NMEA sentences without a date get the first day of the epoch
     record = read_record(path, kind, midnight=0)
-    meant = record.convention
+    convention = record.convention
     yield "is", f"navigation record ({record.format}): {counted(record.stamp.size, 'row')}"
     if record.counts_from == "week":
-        week = "a GPS week: give week= or date=" if record.week is None else f"GPS week {record.week}"
+        week = "a GPS week: pass week= or date=" if record.week is None else f"GPS week {record.week}"
         yield "times", f"{range_of(record.stamp / 1e9, 's')} of {week}"
     else:
         clock = " (clock of GPS)" if record.time_scale == "gps" else ""
         if kind == "nmea" and record.stamp[0] < _DAY_NS:
-            clock = " (of a day that no sentence names: give date=)"
+            clock = " (of an unknown day: pass date=)"
         yield "times", times_of(record.stamp.astype("datetime64[ns]")) + clock
     for name, values in record.values.items():
-        place = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
-        yield name, range_of(values, place.get(name, meant.angle_unit), digits=6)
-    signs = f"roll + {meant.roll_positive}, pitch + {meant.pitch_positive}, heading {meant.heading_positive}"
-    references = f"{meant.heading_reference} north, height above the {meant.height_reference}"
+        units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
+        yield name, range_of(values, units.get(name, convention.angle_unit), digits=6)
+    signs = (
+        f"roll + {convention.roll_positive}, pitch + {convention.pitch_positive}, "
+        f"heading {convention.heading_positive}"
+    )
+    references = f"{convention.heading_reference} north, height above the {convention.height_reference}"
     yield "means", f"{signs} from {references}".replace("_", " ")
     yield "assumed", ", ".join(record.assumed)
 
@@ -359,23 +363,24 @@ def _collect(path: Path) -> Facts:
     from hyperpaint.workflows.laboratory import open_collect
 
     collect = read_collect(path, need_irradiance=False)
-    lit = collect.irradiance is not None
-    tree = open_collect(path, need_irradiance=lit, chunks=None)  # nothing is computed: without dask
-    several = counted(len(collect.flightlines), "flight line")
-    yield "is", f"collect {collect.name!r}, {several}; every file opens"
+    has_irradiance = collect.irradiance is not None
+    # without dask, because nothing is computed
+    tree = open_collect(path, need_irradiance=has_irradiance, chunks=None)
+    lines_text = counted(len(collect.flightlines), "flight line")
+    yield "is", f"collect {collect.name!r}, {lines_text}; every file opens"
     total = 0
     for entry in collect.flightlines:
         line = tree[f"flightlines/{entry.name}"].to_dataset()
         total += line["counts" if "counts" in line else "radiance"].nbytes
-        yield str(entry.name), _joined(facts_of_line(line))
-    if lit:
-        yield "irradiance", _joined(facts_of_irradiance(tree["irradiance"].to_dataset()))
+        yield str(entry.name), _facts_text(facts_of_line(line))
+    if has_irradiance:
+        yield "irradiance", _facts_text(facts_of_irradiance(tree["irradiance"].to_dataset()))
     for reference in collect.references:
         yield "references", f"{reference.instrument}: {counted(len(reference.files), 'file')}"
-    product = "reflectance" if lit else "radiance only, since there is no irradiance"
-    options = "" if lit else " --to radiance"
-    stored = f"{several} ({size_of(total)} of cubes), quality and {product}"
-    yield "process", f"would store {stored}:\nhyperpaint process {path} --out STORE.zarr{options}"
+    product = "reflectance" if has_irradiance else "radiance only, because there is no irradiance"
+    options = "" if has_irradiance else " --to radiance"
+    products = f"{lines_text} ({size_of(total)} of cubes), quality and {product}"
+    yield "process", f"would store {products}:\nhyperpaint process {path} --out STORE.zarr{options}"
 
 
 def _folder(path: Path) -> Facts:
@@ -392,7 +397,7 @@ def _folder(path: Path) -> Facts:
     except CollectError as error:
         raise StoreError(
             f"{path} is a folder, but neither a Zarr store nor a field day ({error})",
-            expected=_EXPECTED,
+            expected=_KNOWN_FORMATS,
             code="format-unknown",
         ) from error
 
@@ -412,36 +417,36 @@ def _store(path: Path) -> Facts:
         state = store_state(location, groups)
         yield "NOT WHOLE", "\n".join(state.problems)
         yield "note", "\n".join(state.notes)
-    yield from ((f"/{name}", _joined(_group(path, name))) for name in groups)
+    yield from ((f"/{name}", _facts_text(_group(path, name))) for name in groups)
 
 
 def _group(path: Path, name: str) -> Facts:
     from hyperpaint.io.store import is_complete, open_group, open_unverified
 
-    # dask, pint and other imports of xarray for chunks, times and indexes are avoided
-    opened_by = {"chunks": None, "decode_times": False, "create_default_indexes": False}
+    # open without chunks, decoded times and indexes, for which xarray imports dask, pint and others
+    options = {"chunks": None, "decode_times": False, "create_default_indexes": False}
     try:
-        group = with_times(open_group(path, name, **opened_by))
-        written = f"written {group.attrs.get('created', 'at an unknown time')}"
+        group = with_times(open_group(path, name, **options))
+        origin = f"written {group.attrs.get('created', 'at an unknown time')}"
         if not is_complete(path, name):
-            written += "" if "hyperpaint_version" in group.attrs else " by another program"
-            yield "state", f"in no manifest: whether it is complete is unknown; {written}"
+            origin += "" if "hyperpaint_version" in group.attrs else " by another program"
+            yield "state", f"not in a manifest, so that completeness is unknown; {origin}"
         else:
-            yield "state", f"complete, {written}"
+            yield "state", f"complete, {origin}"
     except IncompleteStoreError as error:
-        group = with_times(open_unverified(path, name, **opened_by))
+        group = with_times(open_unverified(path, name, **options))
         yield "state", f"NOT COMPLETE: {error}"
     if ALONG_TRACK in group.dims:
         yield from facts_of_line(group)
-        shown = ("counts", "radiance", "reflectance", "irradiance", "exposure_time")
-        yield "also holds", ", ".join(sorted(str(key) for key in group.data_vars if key not in shown))
+        named_above = ("counts", "radiance", "reflectance", "irradiance", "exposure_time")
+        yield "also holds", ", ".join(sorted(str(key) for key in group.data_vars if key not in named_above))
     elif {"y", "x"} <= set(group.dims):
         yield from facts_of_map(group)
     elif "irradiance" in group:
         yield from facts_of_irradiance(group)
     else:
-        named = "signature" in group.coords and group["signature"].ndim == 1
-        yield "paints", _first_of(group["signature"].values.tolist()) if named else ""
+        has_names = "signature" in group.coords and group["signature"].ndim == 1
+        yield "paints", _first_names(group["signature"].values.tolist()) if has_names else ""
         yield from ((name, form_of(array)) for name, array in _sorted(group))
         yield from facts_of_bands(group)
 
@@ -450,7 +455,7 @@ def _sorted(group: xr.Dataset) -> list[tuple[str, xr.DataArray]]:
     return sorted(((str(name), array) for name, array in group.data_vars.items()), key=lambda item: item[0])
 
 
-def _joined(facts: Facts) -> str:
+def _facts_text(facts: Facts) -> str:
     return "\n".join(f"{name}: {text}" for name, text in facts if text)
 
 
@@ -458,35 +463,35 @@ def facts_of_field_folder(field: FieldFolder) -> Facts:
     """Yield the facts about the folder of a field day."""
     yield "is", f"folder of a field day: {counted(len(field.cubes), 'raw cube')}"
     for cube in field.cubes:
-        beside = {"frame index": cube.frame_index, "navigation": cube.navigation}
-        words = [name if place else f"no {name}" for name, place in beside.items()]
+        companions = {"frame index": cube.frame_index, "navigation": cube.navigation}
+        texts = [name if path else f"no {name}" for name, path in companions.items()]
         exposure = "exposure" if cube.has_exposure else "no exposure"
-        yield _within(field.folder, cube.header), ", ".join([*words, exposure])
-    yield "dark", ", ".join(_within(field.folder, one) for one in field.darks) or "none"
-    for name, place in (("calibration", field.calibration), ("lab sweep", field.sweep)):
-        yield name, "" if place is None else _within(field.folder, place)
-    yield "irradiance", ", ".join(_within(field.folder, place) for place, _ in field.irradiance) or "none"
+        yield _relative_to(field.folder, cube.header), ", ".join([*texts, exposure])
+    yield "dark", ", ".join(_relative_to(field.folder, dark) for dark in field.darks) or "none"
+    for name, path in (("calibration", field.calibration), ("lab sweep", field.sweep)):
+        yield name, "" if path is None else _relative_to(field.folder, path)
+    yield "irradiance", ", ".join(_relative_to(field.folder, path) for path, _ in field.irradiance) or "none"
     yield (
         "references",
         ", ".join(
-            f"{instrument} in {_within(field.folder, place)}" for instrument, place, _ in field.references
+            f"{instrument} in {_relative_to(field.folder, path)}" for instrument, path, _ in field.references
         ),
     )
     yield "not used", "\n".join(field.notes)
     if (field.folder / "collect.toml").exists():
         yield "process", f"hyperpaint run {field.folder}"
     else:
-        yield "process", f"hyperpaint init {field.folder} writes a collect.toml of it"
+        yield "process", f"hyperpaint init {field.folder} writes its collect.toml"
 
 
-def _within(folder: Path, path: Path) -> str:
+def _relative_to(folder: Path, path: Path) -> str:
     return str(path.relative_to(folder) if path.is_relative_to(folder) else path)
 
 
 def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
     """Yield the groups of a virtual store, and whether its raw files are unchanged.
 
-    ``allow``: as of `open_virtual`.
+    ``allow``: see `open_virtual`.
     """
     from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
 
@@ -512,7 +517,7 @@ Examples:
   hyperpaint info lot.zarr/flightlines/raw_0""",
 )
 @click.argument("path", type=EXISTING)
-@click.option("--json", "as_json", is_flag=True, help="The same as JSON, for programs.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")
 @click.option(
     "--allow",
     metavar="PREFIX",

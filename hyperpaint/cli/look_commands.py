@@ -21,7 +21,7 @@ Examples:
   hyperpaint view lot.zarr --library paints.zarr --port 8000 --no-browser
 
 \b
-Then, with what was drawn:
+Then, with the regions drawn:
   hyperpaint signatures lot.zarr --regions cars.geojson""",
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
@@ -41,9 +41,9 @@ def view(store: Path, browser: bool, **options: Any) -> None:
     nearest paints of a library. Show true colour, colour infrared, single bands or flags; draw, name, edit
     and save regions for `hyperpaint signatures --regions`.
 
-    The page is served to this machine only, at an address that is new with every call. It needs
-    `python -m pip install 'hyperpaint[interactive]'`. From another machine: --port 8000 --no-browser here,
-    and ssh -L 8000:localhost:8000 HOST there.
+    The page is served to this machine only, at a new address in every call. It needs `python -m pip install
+    'hyperpaint[interactive]'`. To see it from another machine: --port 8000 --no-browser here, and ssh -L
+    8000:localhost:8000 HOST there.
     """
     from hyperpaint.pictures.exploring import serve_explorer
 
@@ -92,28 +92,28 @@ def make_report(
 
     For every flight line: true colour, flags, irradiance over time, panels, histograms of reflectance, the
     steps from counts to reflectance, map, alignment, provenance, and a card for every paint. For the store:
-    paint signatures with uncertainty, agreement with references, and the calibration. Parts that cannot be
-    read are named on the page and on stderr, with exit status 1.
+    paint signatures with uncertainty, agreement with references, and the calibration. Unreadable parts are
+    listed on the page and on stderr, with exit status 1.
     """
     from hyperpaint.report.store_report import write_report
 
     out = out or beside(store, "report.html")
-    with progress_bar("drawing") as shown:
-        done = write_report(store, out, flightlines=flightlines or None, progress=shown, **options)
+    with progress_bar("drawing") as progress:
+        page = write_report(store, out, flightlines=flightlines or None, progress=progress, **options)
     click.echo(
-        f"{done.path}: {_listed(done.flightlines, done.maps)}, {done.path.stat().st_size / 1e6:.1f} MB"
+        f"{page.path}: {_listed(page.flightlines, page.maps)}, {page.path.stat().st_size / 1e6:.1f} MB"
     )
-    for problem in done.problems:
+    for problem in page.problems:
         click.echo(f"cannot be read: {problem}", err=True)
-    if done.problems:
+    if page.problems:
         ctx.exit(FAILED_CHECK)
 
 
 def _listed(groups: tuple[str, ...], maps: tuple[str, ...]) -> str:
     names = ", ".join(group.rpartition("/")[2] for group in groups)
     lines = f"{len(groups)} flight line{'' if len(groups) == 1 else 's'}" + (f" ({names})" if names else "")
-    shown = f"map {', '.join(maps)}" if maps else ""
-    return ", ".join(part for part in (lines if groups or not maps else "", shown) if part)
+    maps_text = f"map {', '.join(maps)}" if maps else ""
+    return ", ".join(text for text in (lines if groups or not maps else "", maps_text) if text)
 
 
 @command(
@@ -144,12 +144,12 @@ def site(ctx: click.Context, /, store: Path, out: Path, flightlines: tuple[str, 
     """
     from hyperpaint.report.static_site import write_site
 
-    done = write_site(store, out, flightlines=flightlines or None, progress=is_watched(), **options)
-    names = ", ".join(each.rpartition("/")[2] for each in (*done.flightlines, *done.maps)) or "paints"
-    size = sum(file.stat().st_size for file in done.path.rglob("*") if file.is_file())
-    click.echo(f"{done.path}: {names}, {size / 1e6:.1f} MB")
-    click.echo(f"look at it: python -m http.server --directory {done.path} 8000, then http://localhost:8000")
-    for problem in done.problems:
+    page = write_site(store, out, flightlines=flightlines or None, progress=is_watched(), **options)
+    names = ", ".join(group.rpartition("/")[2] for group in (*page.flightlines, *page.maps)) or "paints"
+    size = sum(file.stat().st_size for file in page.path.rglob("*") if file.is_file())
+    click.echo(f"{page.path}: {names}, {size / 1e6:.1f} MB")
+    click.echo(f"look at it: python -m http.server --directory {page.path} 8000, then http://localhost:8000")
+    for problem in page.problems:
         click.echo(f"cannot be shown: {problem}", err=True)
-    if done.problems:
+    if page.problems:
         ctx.exit(FAILED_CHECK)

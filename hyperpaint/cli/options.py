@@ -1,9 +1,9 @@
-"""Options of a command, made from the function that it calls.
+"""Options of a command, from the parameters of the function that the command calls.
 
-A function's source is parsed, not imported, so that ``--help`` stays quick. Annotations give the types:
+The source of the function is parsed, not imported, so that ``--help`` is fast. Annotations give the types:
 ``Literal`` a choice, ``bool`` a flag, ``tuple[float, float]`` two numbers, ``Collection[str]`` a repeatable
 option. Defaults are those of the signature; the help is the first sentence of the parameter in the numpydoc
-section, or in `hyperpaint.base.facts.PARAMETERS`. A command gives other spellings as keywords of `takes`.
+section, or in `hyperpaint.base.facts.PARAMETERS`. A command overrides them by keywords of `takes`.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ import click
 
 _PACKAGE = Path(__file__).parents[1]
 _NUMBERS = {"int": int, "float": float}
-#: Parameters that a command supplies.
+#: Parameters that are no options, because the command passes them.
 _HIDDEN = ("progress",)
 
-#: Names that the help of ``--set`` lists.
+#: Maximum number of names that the help of ``--set`` lists.
 MAX_LISTED = 20
 
-#: Spelling, placeholder and help on the command line, where they are not those of the function.
-ODD: dict[str, dict[str, Any]] = {
+#: Spelling, placeholder and help of options that differ from those of the function, by parameter.
+OVERRIDES: dict[str, dict[str, Any]] = {
     "accept": {"metavar": "FINDING", "help": "Continue despite this finding of check; repeatable."},
     "boresight": {"metavar": "R P H"},
     "overwrite": {"help": "Replace products of other inputs or parameters."},
@@ -54,28 +54,28 @@ class Parameter(NamedTuple):
 
     @property
     def default(self) -> Any:
-        """Default value: ``...`` without, None where it is computed."""
+        """Default value: ``...`` if required, None if it is computed."""
         return _value(self.value, self.module)
 
 
 @functools.cache
-def _tree(module: str) -> ast.Module:
+def _module_tree(module: str) -> ast.Module:
     path = _PACKAGE.joinpath(*module.split("."))
     path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
 @functools.cache
-def parameters_of(place: str) -> dict[str, Parameter]:
+def parameters_of(qualified_name: str) -> dict[str, Parameter]:
     """Return the parameters of a function or dataclass, such as ``"workflows.pipeline:process"``."""
-    module, _, name = place.partition(":")
-    node: Any = next(node for node in _tree(module).body if getattr(node, "name", None) == name)
-    described = _described(ast.get_docstring(node) or "")
-    shared = _shared(node)
+    module, _, name = qualified_name.partition(":")
+    node: Any = next(node for node in _module_tree(module).body if getattr(node, "name", None) == name)
+    described = _described_parameters(ast.get_docstring(node) or "")
+    shared = _shared_descriptions(node)
     parameters: dict[str, Parameter] = {}
     if isinstance(node, ast.ClassDef):
         for base in node.bases:
-            parameters |= parameters_of(":".join(_home(module, ast.unparse(base))))
+            parameters |= parameters_of(":".join(_defining_module(module, ast.unparse(base))))
         pairs = [
             (field.target.id, field.annotation, field.value)
             for field in node.body
@@ -84,7 +84,9 @@ def parameters_of(place: str) -> dict[str, Parameter]:
         for name, _, call in pairs:  # fields declared as fact(default, doc, ...)
             if isinstance(call, ast.Call) and ast.unparse(call.func) == "fact":
                 doc = ast.literal_eval(call.args[1])
-                units = [ast.literal_eval(each.value) for each in call.keywords if each.arg == "unit"]
+                units = [
+                    ast.literal_eval(keyword.value) for keyword in call.keywords if keyword.arg == "unit"
+                ]
                 described[name] = f"{doc[:1].upper()}{doc[1:]}{''.join(f' [{unit}]' for unit in units)}."
     else:
         spec = node.args
@@ -99,24 +101,25 @@ def parameters_of(place: str) -> dict[str, Parameter]:
     }
 
 
-def _home(module: str, name: str) -> tuple[str, str]:
-    for node in _tree(module).body:
-        for statement in node.body if isinstance(node, ast.If) else [node]:  # also where TYPE_CHECKING
+def _defining_module(module: str, name: str) -> tuple[str, str]:
+    for node in _module_tree(module).body:
+        # an if statement holds the imports under TYPE_CHECKING
+        for statement in node.body if isinstance(node, ast.If) else [node]:
             for alias in statement.names if isinstance(statement, ast.ImportFrom) else ():
                 if name == (alias.asname or alias.name):
                     assert isinstance(statement, ast.ImportFrom)
-                    above = module.split(".")[: -statement.level] if statement.level else []
-                    inner = (statement.module or "").removeprefix("hyperpaint.")
-                    return ".".join([*above, inner]), alias.name
+                    parents = module.split(".")[: -statement.level] if statement.level else []
+                    module_path = (statement.module or "").removeprefix("hyperpaint.")
+                    return ".".join([*parents, module_path]), alias.name
     return module, name
 
 
-def _assigned(module: str, name: str) -> tuple[ast.expr | None, str]:
-    # the expression of a module-level name of this package, and the module that has it
-    module, name = _home(module, name)
+def _assigned_value(module: str, name: str) -> tuple[ast.expr | None, str]:
+    # the expression assigned to a module-level name of this package, and the module of the assignment
+    module, name = _defining_module(module, name)
     if not (_PACKAGE / module.split(".")[0]).exists() and not (_PACKAGE / f"{module}.py").exists():
         return None, module
-    for node in _tree(module).body:
+    for node in _module_tree(module).body:
         targets = getattr(node, "targets", [getattr(node, "target", None)])
         if isinstance(node, ast.Assign | ast.AnnAssign) and name in map(ast.unparse, filter(None, targets)):
             return node.value, module
@@ -124,11 +127,11 @@ def _assigned(module: str, name: str) -> tuple[ast.expr | None, str]:
 
 
 def _value(node: ast.expr | None, module: str) -> Any:
-    # None where the default is computed
+    # the value of a default: ``...`` if there is none, None if it is computed
     if node is None:
         return ...
     if isinstance(node, ast.Name):
-        node = _assigned(module, node.id)[0]
+        node = _assigned_value(module, node.id)[0]
     try:
         return ast.literal_eval(node) if node is not None else None
     except ValueError:
@@ -137,12 +140,12 @@ def _value(node: ast.expr | None, module: str) -> Any:
 
 def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
     words = ast.unparse(node) if node is not None else "Any"
-    parts = [part.strip() for part in words.split(" | ") if part != "None"]
-    if "bool" in parts:
+    alternatives = [alternative.strip() for alternative in words.split(" | ") if alternative != "None"]
+    if "bool" in alternatives:
         return {"is_flag": True}
-    if any(part.endswith("Path") or "PathLike" in part for part in parts):
+    if any(alternative.endswith("Path") or "PathLike" in alternative for alternative in alternatives):
         return {"type": click.Path(path_type=Path)}
-    if isinstance(node, ast.BinOp):  # of a union, the first
+    if isinstance(node, ast.BinOp):  # the first type of a union
         return _kind(node.left, module)
     if isinstance(node, ast.Subscript):
         head, inner = ast.unparse(node.value), node.slice
@@ -156,13 +159,13 @@ def _kind(node: ast.expr | None, module: str) -> dict[str, Any]:
     if isinstance(node, ast.Name) and node.id in _NUMBERS:
         return {"type": _NUMBERS[node.id]}
     if isinstance(node, ast.Name):
-        alias, module = _assigned(module, node.id)
+        alias, module = _assigned_value(module, node.id)
         if alias is not None:
             return _kind(alias, module)
     return {}
 
 
-def _described(docstring: str) -> dict[str, str]:
+def _described_parameters(docstring: str) -> dict[str, str]:
     section = re.search(
         r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-{3}|\Z)", docstring, re.M | re.S
     )
@@ -174,25 +177,25 @@ def _described(docstring: str) -> dict[str, str]:
 
 
 def _help(text: str) -> str:
-    """Return the first sentence of a description, and that of its default."""
-    plain = re.sub(r"`?`([^`]+)``?", lambda code: code[1].removeprefix("hyperpaint."), " ".join(text.split()))
-    first, *others = re.split(r"(?<=[.])\s", plain)
-    default = next((sentence for sentence in others if sentence.startswith("By default")), "")
-    return f"{first} {default}".strip()
+    """Return the first sentence of a description, and the sentence about its default."""
+    words = re.sub(r"`?`([^`]+)``?", lambda code: code[1].removeprefix("hyperpaint."), " ".join(text.split()))
+    summary, *sentences = re.split(r"(?<=[.])\s", words)
+    default = next((sentence for sentence in sentences if sentence.startswith("By default")), "")
+    return f"{summary} {default}".strip()
 
 
-def _shared(function: ast.FunctionDef | ast.ClassDef) -> dict[str, str]:
-    """Return the descriptions that `hyperpaint.base.facts.documented` gives the parameters of a function."""
+def _shared_descriptions(function: ast.FunctionDef | ast.ClassDef) -> dict[str, str]:
+    """Return the descriptions that `hyperpaint.base.facts.documented` adds to a function's parameters."""
     calls = (node for node in function.decorator_list if isinstance(node, ast.Call))
     decorator = next((call for call in calls if ast.unparse(call.func) == "documented"), None)
     if decorator is None:
         return {}
     table: dict[str, str] = _value(ast.Name("PARAMETERS"), "base.facts")
-    own = {each.arg: ast.literal_eval(each.value) for each in decorator.keywords if each.arg}
-    return table | {name: table.get(text, text) for name, text in own.items()}
+    texts = {word.arg: ast.literal_eval(word.value) for word in decorator.keywords if word.arg}
+    return table | {name: table.get(text, text) for name, text in texts.items()}
 
 
-#: Options that are made when their command is called, since the source of a function is read for them.
+#: Options that are created when their command is called, because they need the source of a function.
 Deferred = Callable[[], list[click.Option]]
 
 
@@ -205,24 +208,29 @@ def _adds(options: Deferred) -> Callable[[Any], Any]:
 
 
 def takes(
-    place: str, *, only: Collection[str] = (), without: Collection[str] = (), **odd: Mapping[str, Any]
+    qualified_name: str,
+    *,
+    only: Collection[str] = (),
+    without: Collection[str] = (),
+    **overrides: Mapping[str, Any],
 ) -> Callable[[Any], Any]:
-    """Return a decorator that gives a command the options of a function.
+    """Return a decorator that adds the parameters of a function to a command as options.
 
-    Its first parameter is the argument of the command, and no option. ``only`` and ``without``: names of
-    parameters; ``odd``: by the name of a parameter, what differs from `ODD` and the function.
+    The first parameter of the function is the argument of the command, not an option. ``only`` and
+    ``without``: names of parameters; ``overrides``: differences from `OVERRIDES` and the function, by
+    parameter.
     """
 
     def options() -> list[click.Option]:
-        parameters = parameters_of(place)
+        parameters = parameters_of(qualified_name)
         names = only or [name for name in list(parameters)[1:] if name not in (*_HIDDEN, *without)]
-        return [_option(name, parameters[name], odd.get(name, {})) for name in names]
+        return [_option(name, parameters[name], overrides.get(name, {})) for name in names]
 
     return _adds(options)
 
 
-def _option(name: str, parameter: Parameter, odd: Mapping[str, Any]) -> click.Option:
-    keywords = {**parameter.kind, "help": parameter.help, **ODD.get(name, {}), **odd}
+def _option(name: str, parameter: Parameter, overrides: Mapping[str, Any]) -> click.Option:
+    keywords = {**parameter.kind, "help": parameter.help, **OVERRIDES.get(name, {}), **overrides}
     spelling = keywords.pop("spelling", f"--{name.replace('_', '-')}")
     if parameter.default is ...:
         keywords.setdefault("required", True)
@@ -234,7 +242,7 @@ def _option(name: str, parameter: Parameter, odd: Mapping[str, Any]) -> click.Op
 
 
 class Settings(click.Option):
-    """The option ``--set NAME=VALUE``: other arguments of a function, parsed as their annotations say."""
+    """The option ``--set NAME=VALUE``: further arguments of functions, parsed by their annotations."""
 
     def __init__(self, parameters: Mapping[str, Parameter]) -> None:
         self.helps = {name: parameter.help for name, parameter in parameters.items()}
@@ -252,7 +260,7 @@ class Settings(click.Option):
         )
 
     def parsed(self, ctx: click.Context, _: click.Parameter, values: tuple[str, ...]) -> dict[str, Any]:
-        """Return the values by name, each of the type of its parameter."""
+        """Return the values by name, converted to the types of their parameters."""
         settings: dict[str, Any] = {}
         for value in values:
             name, equals, text = value.partition("=")
@@ -263,8 +271,10 @@ class Settings(click.Option):
                 ctx.exit()
             name = name.replace("-", "_")
             if not equals or name not in self.types:
-                near = difflib.get_close_matches(name, self.types, 1)
-                mend = f"did you mean {near[0]}={text or 'VALUE'}?" if near else "--set ? lists the names"
+                matches = difflib.get_close_matches(name, self.types, 1)
+                mend = (
+                    f"did you mean {matches[0]}={text or 'VALUE'}?" if matches else "--set ? lists the names"
+                )
                 message = f"{value!r}, expected NAME=VALUE; {mend} [setting-unknown]"
                 raise click.BadParameter(message, ctx, self)
             kind = self.types[name]
@@ -276,14 +286,16 @@ class Settings(click.Option):
         return settings
 
 
-def settable(places: Mapping[str, Collection[str]], *, without: Collection[str] = ()) -> Callable[[Any], Any]:
-    """Return a decorator that adds ``--set`` for parameters of functions: those named, or all."""
+def settable(
+    names_by_function: Mapping[str, Collection[str]], *, without: Collection[str] = ()
+) -> Callable[[Any], Any]:
+    """Return a decorator that adds ``--set`` for parameters of functions: the named ones, or all."""
 
     def options() -> list[click.Option]:
         parameters = {
             name: parameter
-            for place, names in places.items()
-            for name, parameter in parameters_of(place).items()
+            for qualified_name, names in names_by_function.items()
+            for name, parameter in parameters_of(qualified_name).items()
             if (name in names if names else name not in (*_HIDDEN, *without))
         }
         return [Settings(parameters)]
@@ -292,7 +304,7 @@ def settable(places: Mapping[str, Collection[str]], *, without: Collection[str] 
 
 
 class Command(click.Command):
-    """A command that answers an old spelling of an option with the new one."""
+    """A command whose error on an old spelling of an option names the new spelling."""
 
     _params: list[Any]
 
@@ -302,9 +314,9 @@ class Command(click.Command):
 
     @property
     def params(self) -> list[click.Parameter]:
-        """Arguments and options; deferred ones are made here."""
-        parts = [[part] if isinstance(part, click.Parameter) else part() for part in self._params]
-        self._params = [parameter for part in parts for parameter in part]
+        """Arguments and options; deferred options are created here."""
+        groups = [[entry] if isinstance(entry, click.Parameter) else entry() for entry in self._params]
+        self._params = [parameter for group in groups for parameter in group]
         return self._params
 
     @params.setter
@@ -312,26 +324,28 @@ class Command(click.Command):
         self._params = params
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments; an error on an old spelling names the new one."""
+        """Parse the arguments; an error on an old spelling names the new spelling."""
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
             word = error.option_name.removeprefix("--").replace("-", "_")
             switch = word.removeprefix("no_")
             settings = next((option for option in self.params if isinstance(option, Settings)), None)
-            named = {} if settings is None else settings.types
+            kinds = {} if settings is None else settings.types
             matches = [
                 f"--set {name}={'no' if word != switch else ','.join(['VALUE'] * kind.nargs)}"
-                for name, kind in named.items()
+                for name, kind in kinds.items()
                 if switch in (name, name.rpartition("_")[0]) or name.endswith(f"_{switch}")
             ]
-            new = self.renamed.get(error.option_name) or next(iter(matches), "")
-            if not new:
+            new_spelling = self.renamed.get(error.option_name) or next(iter(matches), "")
+            if not new_spelling:
                 raise
-            raise click.UsageError(f"{error.option_name} is now {new} [option-renamed]", ctx) from error
+            raise click.UsageError(
+                f"{error.option_name} is now {new_spelling} [option-renamed]", ctx
+            ) from error
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the examples, and the options that every command takes."""
+        """Write the examples, and the options that all commands take."""
         super().format_epilog(ctx, formatter)
         with formatter.indentation():
             formatter.write("\n  Every command also takes --quiet and --memory-limit SIZE.\n")

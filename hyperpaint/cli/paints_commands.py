@@ -55,7 +55,7 @@ Examples:
     "--keep",
     multiple=True,
     metavar="FLAG",
-    help="Use pixels with this flag, such as shadow, which are otherwise left out; repeatable.",
+    help="Use pixels with this flag, such as shadow, which are excluded by default; repeatable.",
 )
 @click.option("--smooth", type=click.Choice(["savitzky-golay", "box"]), help="Smooth spectra.")
 @click.option("--window", type=int, default=11, help="Window of --smooth [bands], an odd number.")
@@ -101,12 +101,12 @@ def make_signatures(
     """Extract a library of paint signatures from regions of a processed store.
 
     STORE is the output of process or orthorectify. Regions are polygons in GeoJSON: x the column and y the
-    line of the cube, or map coordinates where the file names a crs; each has a property name (and flightline,
-    where the store has several). A paint has centre, spread, quantiles, pixels, uncertainty, flags and the
-    properties of its region. Pixels with saturation, glint, shadow or a neighbour's light are left out.
-    --ground, --dem and --set place the lines for regions in map coordinates.
+    line of the cube, or map coordinates if the file has a crs; a region needs the property name (and
+    flightline, if the store has several). A paint has centre, spread, quantiles, pixels, uncertainty, flags
+    and the properties of its region. Pixels with saturation, glint, shadow or light of neighbours are
+    excluded. --ground, --dem and --set locate the lines for regions in map coordinates.
     """
-    from hyperpaint.workflows.library_files import NOT_LOOKED_FOR, table_of, write_signatures
+    from hyperpaint.workflows.library_files import NOT_DETECTED, table_of, write_signatures
 
     smoothing = None if smooth is None else {"method": smooth, "window": window}
     limits: dict[str, Any] = {
@@ -115,10 +115,12 @@ def make_signatures(
     options |= {name: settings.pop(name) for name in ("coat_index",) if name in settings}
     location = without_none({name: options.pop(name) for name in ("ground", "dem")}) | settings
     if limits and not flags:
-        named = ", ".join(f"--set {name}" for name in limits)
-        raise click.UsageError(f"--no-flags excludes {named}; leave out one of them [option-conflict]")
+        spellings = ", ".join(f"--set {name}" for name in limits)
+        raise click.UsageError(
+            f"--no-flags and {spellings} cannot be combined; leave out one of them [option-conflict]"
+        )
     out = out or beside(store, "paints.zarr")
-    with progress_bar("flags and signatures" if flags else "extracting") as shown:
+    with progress_bar("flags and signatures" if flags else "extracting") as progress:
         library = write_signatures(
             store,
             regions,
@@ -126,13 +128,13 @@ def make_signatures(
             smooth=smoothing,
             flags=limits or flags,
             location=location,
-            progress=shown,
+            progress=progress,
             **options,
         )
-    if flags and library.attrs["flags"] == NOT_LOOKED_FOR:
+    if flags and library.attrs["flags"] == NOT_DETECTED:
         click.echo(
-            "glint, shadow and light of neighbours are not flagged on a map; signatures of the flight line's "
-            "own store leave them out",
+            "glint, shadow and light of neighbours are not flagged on a map; signatures from the store of "
+            "the flight line exclude them",
             err=True,
         )
     for text in library.attrs.get("left_out", ()):
@@ -142,11 +144,13 @@ def make_signatures(
     )
 
 
-_PART = re.compile(r"(?P<name>[^=]+)=(?P<first>[0-9]+(\.[0-9]*)?)-(?P<last>[0-9]+(\.[0-9]*)?)", re.ASCII)
+_PART_PATTERN = re.compile(
+    r"(?P<name>[^=]+)=(?P<first>[0-9]+(\.[0-9]*)?)-(?P<last>[0-9]+(\.[0-9]*)?)", re.ASCII
+)
 
 
 def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> dict[str, float] | None:
-    # each value is a number, or NAME=NUMBER
+    # limits by statistic, from NUMBER (for rmse) or NAME=NUMBER
     tolerances = {}
     for value in values:
         name, _, number = value.rpartition("=")
@@ -159,13 +163,13 @@ def _limits(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...
     return tolerances or None
 
 
-def _parts(
+def _spectral_parts(
     _ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> dict[str, tuple[float, float]] | None:
-    # each is NAME=FIRST-LAST [nm]
+    # first and last wavelength [nm] by name, from NAME=FIRST-LAST
     parts = {}
     for value in values:
-        match = _PART.fullmatch(value)
+        match = _PART_PATTERN.fullmatch(value)
         if match is None:
             raise click.BadParameter(f"{value!r}, expected a part such as red=620-700 [nm] [part-unreadable]")
         parts[match["name"]] = float(match["first"]), float(match["last"])
@@ -184,8 +188,8 @@ Examples:
   hyperpaint validate paints.zarr --reference other.zarr --part red=620-700
 
 \b
-A paint's reference is the one its region names (property reference), else the one of its own name, with or
-without folder and suffix; --pairs says otherwise. Nothing is paired by likeness.""",
+A paint is compared with the reference that its region names (property reference), else with the reference of
+the same name, with or without folder and suffix; --pairs replaces these rules.""",
 )
 @click.argument("library", metavar="LIBRARY", type=EXISTING)
 @click.option(
@@ -193,8 +197,8 @@ without folder and suffix; --pairs says otherwise. Nothing is paired by likeness
     "references",
     multiple=True,
     metavar="FILES",
-    help="File, glob or folder of .sig or .asd files, a paint library, or a store; may be repeated. "
-    " [default: the references of the store that the library was made from]",
+    help="File, glob or folder of .sig or .asd files, a paint library, or a store; repeatable. "
+    " [default: the references in the store of the library]",
 )
 @click.option("--pairs", metavar="PAIRS.csv", type=EXISTING_FILE, help="Table of paint and reference.")
 @click.option(
@@ -202,9 +206,9 @@ without folder and suffix; --pairs says otherwise. Nothing is paired by likeness
     multiple=True,
     metavar="LIMIT",
     callback=_limits,
-    help="Largest RMSE of reflectance, or NAME=LIMIT of relative (a share of the paint's level), floor "
-    "(added to it), bias, mae, spectral_angle [degree], scale or scale_free_error; may be given several "
-    "times.  [default: relative=0.05, floor=0.005]",
+    help="Maximum RMSE of reflectance, or NAME=LIMIT of relative (a share of the paint's level), floor "
+    "(added to it), bias, mae, spectral_angle [degree], scale or scale_free_error; "
+    "repeatable.  [default: relative=0.05, floor=0.005]",
 )
 @click.option(
     "--panel",
@@ -217,8 +221,8 @@ without folder and suffix; --pairs says otherwise. Nothing is paired by likeness
     "parts",
     multiple=True,
     metavar="NAME=FIRST-LAST",
-    callback=_parts,
-    help="Part of the spectrum [nm]; may be given several times.  [default: VIS=400-700, NIR=700-1000, all]",
+    callback=_spectral_parts,
+    help="Part of the spectrum [nm]; repeatable.  [default: VIS=400-700, NIR=700-1000, all]",
 )
 @takes(
     "validation.validating:validate",
@@ -226,9 +230,11 @@ without folder and suffix; --pairs says otherwise. Nothing is paired by likeness
     reference_fwhm={
         "type": click.FloatRange(min=0.0, min_open=True),
         "metavar": "NM",
-        "help": "Width of the references' channels.  [default: from the files, or usual for the instrument]",
+        "help": "FWHM of the references' channels.  [default: from the files, or typical for the instrument]",
     },
-    require_all={"help": "Fail where any paint has no reference, not only one whose region names it."},
+    require_all={
+        "help": "Fail if any paint has no reference, not only if a reference named by a region is missing."
+    },
 )
 @click.option("--out", metavar="TABLE", type=FILE, help="Write the statistics (csv or json).")
 @click.option("--picture", metavar="PICTURE", type=FILE, help="Draw spectra and differences (png, pdf ...).")
@@ -247,10 +253,9 @@ def validate(
     """Compare a paint library with field spectra of the same paints.
 
     Both are resampled to common bands with their spectral responses. Prints, for every paint and part of the
-    spectrum, bias, RMSE, MAE, spectral angle, scale and scale-free error, with uncertainties where they are
-    known, and pass or fail; references of several instruments against one another; and unpaired spectra.
-    Exit status 1 outside tolerance, where a reference that a region names is missing, or where a part has too
-    few bands to judge.
+    spectrum, bias, RMSE, MAE, spectral angle, scale and scale-free error, with known uncertainties, and pass
+    or fail; differences between references of several instruments; and unpaired spectra. Exit status 1
+    outside tolerance, if a reference named by a region is missing, or if a part has too few bands to judge.
     """
     from hyperpaint.workflows.library_files import check_table, validate_files, write_table
 
@@ -302,11 +307,11 @@ that a paint is too similar to others for this rate (most white, silver and grey
 @takes(
     "paints.detection.detecting:detect",
     only=["library", "others", "method", "false_alarm_rate", "background", "unknown_rate", "shrinkage"],
-    library={"type": EXISTING, "help": "Paints to look for: a store of signatures, or a file of spectra."},
+    library={"type": EXISTING, "help": "Paints to find: a store of signatures, or a file of spectra."},
     others={
         "metavar": "LIBRARY",
         "type": EXISTING,
-        "help": "Paints that may occur and are not looked for.  [default: the starter library]",
+        "help": "Other paints that may occur.  [default: the starter library]",
     },
     method={
         "type": click.Choice(["ace", "matched_filter", "spectral_angle"]),
@@ -316,7 +321,7 @@ that a paint is too similar to others for this rate (most white, silver and grey
     background={
         "metavar": "R.geojson",
         "type": EXISTING_FILE,
-        "help": "Outlines without any of the paints.  [default: all pixels that no paint explains]",
+        "help": "Outlines of areas without these paints.  [default: all pixels that no paint explains]",
     },
     unknown_rate={
         "type": _RATE,
@@ -325,8 +330,8 @@ that a paint is too similar to others for this rate (most white, silver and grey
     },
     shrinkage={"type": click.FloatRange(0.0, 1.0), "help": "Weight of the diagonal in the covariance."},
 )
-@click.option("--line", metavar="ID", help="The flight line, where the store has several.")
-@click.option("--flags", is_flag=True, help="Flag glint, shadow and mixed pixels first; they are left out.")
+@click.option("--line", metavar="ID", help="The flight line, if the store has several.")
+@click.option("--flags", is_flag=True, help="Flag and exclude glint, shadow and mixed pixels.")
 @click.option("--keep", multiple=True, metavar="FLAG", help="Search pixels with this flag, such as shadow.")
 @click.option("--regions", metavar="R.geojson", type=EXISTING_FILE, help="Cars to list, with their paints.")
 @click.option("--out", metavar="FOUND.zarr", type=PLACE, help="[default: detections.zarr beside STORE.zarr]")
@@ -353,8 +358,8 @@ def detect_paints(
     out = out or beside(store, "detections.zarr")
     refuse_in_store(store, out)
     exclude = EXCLUDED
-    for each in flags_named(options.pop("keep")):
-        exclude &= ~each
+    for flag_to_keep in flags_named(options.pop("keep")):
+        exclude &= ~flag_to_keep
     searched = reflectance(line_of_store(store, line))
     if options.pop("flags"):
         searched = flag(searched)
@@ -363,27 +368,31 @@ def detect_paints(
         open_library(library),
         exclude=exclude,
         others=None if others is None else open_library(others),
-        background=None if background is None else region_mask(_of_line(background, searched), searched) >= 0,
+        background=None
+        if background is None
+        else region_mask(_regions_of_line(background, searched), searched) >= 0,
         **options,
     )
     to_store(detections, out, overwrite=overwrite, progress=is_watched())
     detections = open_store(out, "")
     detected = detections["detected"]
     click.echo(f"{out}: {int(detected.sum())} of {detected.size} pixels\n{_detection_table(detections)}")
-    if regions is not None and (cars := _of_line(regions, searched)):
+    if regions is not None and (cars := _regions_of_line(regions, searched)):
         table = detected_regions(detections, cars).to_dataframe().reset_index()
         click.echo(table.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
 
 
-def _of_line(path: Path, line: xr.Dataset) -> Regions:
+def _regions_of_line(path: Path, line: xr.Dataset) -> Regions:
     from hyperpaint.regions import Regions, read_regions
 
     regions = read_regions(path)
     name = str(line.attrs.get("name", ""))
-    own = tuple(region for region in regions if not name or region.flightline in ("", name))
-    if len(own) < len(regions):
-        click.echo(f"{path}: {len(regions) - len(own)} of {len(regions)} regions are of other flight lines")
-    return Regions(own, regions.coordinates, regions.crs)
+    line_regions = tuple(region for region in regions if not name or region.flightline in ("", name))
+    if len(line_regions) < len(regions):
+        click.echo(
+            f"{path}: {len(regions) - len(line_regions)} of {len(regions)} regions are of other flight lines"
+        )
+    return Regions(line_regions, regions.coordinates, regions.crs)
 
 
 def _detection_table(detections: xr.Dataset) -> str:
@@ -400,27 +409,29 @@ def _detection_table(detections: xr.Dataset) -> str:
             strict=True,
         )
     ]
-    checked, half = detections["checked_rate"].item(), detections["checked_rate_u"].item()
-    rate = f"above thresholds from other parts of the line: {checked:.2g} +- {half:.1g} of the background"
+    checked, checked_u = detections["checked_rate"].item(), detections["checked_rate_u"].item()
+    rate = (
+        f"above thresholds from other parts of the line: {checked:.2g} +- {checked_u:.1g} of the background"
+    )
     share = detections["explained_share"].item()
-    explained = f"left out of the background, as a paint explains them: {share:.2g} of the pixels"
+    explained = f"excluded from the background, because a paint explains them: {share:.2g} of the pixels"
     return "\n".join([*(f"  {row}" for row in aligned(rows, names=4)), f"  {rate}", f"  {explained}"])
 
 
-_ABOUT = ("finish", "colour", "srgb", "make", "model", "year")
+_LISTED_PROPERTIES = ("finish", "colour", "srgb", "make", "model", "year")
 
 
 @command(
     "paints",
     epilog="""\b
 Examples:
-  hyperpaint paints                                        what is in the starter library?
+  hyperpaint paints                                        paints of the starter library
   hyperpaint paints --out starter.zarr                     save it, with 24 variants of each paint
-  hyperpaint paints --colour "dark red" --limit 5          what looks most like it in daylight
-  hyperpaint paints --colour '#27509e' --picture blue.png  the same of sRGB, with spectra
-  hyperpaint paints paints.zarr --name '*volvo*'           paints of a library of yours
+  hyperpaint paints --colour "dark red" --limit 5          the most similar colours in daylight
+  hyperpaint paints --colour '#27509e' --picture blue.png  the same for sRGB, with spectra
+  hyperpaint paints paints.zarr --name '*volvo*'           paints of your library
   hyperpaint paints paints.zarr --like svc/roof.sig --maximum-angle 0.1
-  hyperpaint paints --colour grey --limit 8 --out grey.sli for ENVI; .csv and .zarr go as well
+  hyperpaint paints --colour grey --limit 8 --out grey.sli for ENVI; also .csv and .zarr
 
 \b
 Then, to put them into a simulator:
@@ -445,12 +456,12 @@ mirrored by clear coat and flakes.""",
         "spelling": "--maximum-difference",
         "type": click.FloatRange(min=0.0),
         "metavar": "CIEDE2000",
-        "help": "Largest difference from --colour; 1 is just visible, 10 is another shade.",
+        "help": "Maximum difference from --colour; 1 is just visible, 10 is another shade.",
     },
     maximum_angle={
         "type": click.FloatRange(min=0.0),
         "metavar": "RAD",
-        "help": "Largest spectral angle to --like.",
+        "help": "Maximum spectral angle to --like.",
     },
     limit={"type": click.IntRange(min=1), "metavar": "N", "help": "Maximum number of paints."},
 )
@@ -472,7 +483,7 @@ mirrored by clear coat and flakes.""",
     type=FILE,
     help="Also draw their spectra and colours (png, pdf ...).",
 )
-@click.option("--overwrite", is_flag=True, help="Replace a library that is there.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing library.")
 def list_paints(
     library: Path | None,
     like: str | None,
@@ -493,7 +504,7 @@ def list_paints(
         raise click.UsageError("--maximum-angle needs --like [argument-missing]")
     if options["maximum_colour_difference"] is not None and options["colour"] is None:
         raise click.UsageError("--maximum-difference needs --colour [argument-missing]")
-    paints = _opened(library, members)
+    paints = _open_paints(library, members)
     matches = search_library(paints, like=_spectrum(like, paints), **options)
     count = matches.sizes["signature"]
     click.echo(f"{count} of {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
@@ -504,8 +515,8 @@ def list_paints(
     if out is not None:
         from hyperpaint.io.library import write_library
 
-        with progress_bar("writing") as shown:
-            path = write_library(matches, out, overwrite=overwrite, progress=shown)
+        with progress_bar("writing") as progress:
+            path = write_library(matches, out, overwrite=overwrite, progress=progress)
         click.echo(f"saved in {path}")
     if picture is not None:
         from hyperpaint.pictures.plot_spectra import library_overview
@@ -514,7 +525,7 @@ def list_paints(
         click.echo(f"look at them in {picture}")
 
 
-def _opened(library: Path | None, members: int | None) -> xr.Dataset:
+def _open_paints(library: Path | None, members: int | None) -> xr.Dataset:
     if library is None:
         from hyperpaint.paints.starter_paints import starter_library
 
@@ -527,7 +538,7 @@ def _opened(library: Path | None, members: int | None) -> xr.Dataset:
 
 
 def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
-    # a name of the library stays a name
+    # the name of a paint of the library, or an opened file
     if like is None or like in [str(name) for name in paints["signature"].values]:
         return like
     path = Path(like)
@@ -553,11 +564,13 @@ def _paint_table(matches: xr.Dataset) -> str:
 
     columns = [[str(name) for name in matches["signature"].values]]
     properties = [
-        name for name in _ABOUT if name in matches.variables and matches[name].dims == ("signature",)
+        name
+        for name in _LISTED_PROPERTIES
+        if name in matches.variables and matches[name].dims == ("signature",)
     ]
     columns += [[str(value) for value in matches[name].values] for name in properties]
     if "colour_difference" in matches.coords:
-        columns.append([f"looks {value:.1f} off" for value in matches["colour_difference"].values])
+        columns.append([f"colour difference {value:.1f}" for value in matches["colour_difference"].values])
     if "spectral_angle" in matches.coords:
         columns.append([f"angle {value:.4f} rad" for value in matches["spectral_angle"].values])
     return "\n".join(f"  {row}" for row in aligned(list(zip(*columns, strict=True)), names=len(columns)))
@@ -577,7 +590,7 @@ def check_library(ctx: click.Context, /, library: Path) -> None:
 
     Prints every departure: names, wavelengths, values, spread, uncertainty, and declarations that are
     missing: quantity, specular_component, measurement_geometry, finish, provenance, licence.
-    hp.io.declare_library adds them. Exit status 1 where something was found.
+    hp.io.declare_library adds them. Exit status 1 if there are departures.
     """
     from hyperpaint.io.library import check_library as compare
 
@@ -587,9 +600,9 @@ def check_library(ctx: click.Context, /, library: Path) -> None:
         ctx.exit(FAILED_CHECK)
 
 
-_LIBRARIES = ("envi", "csv", "parquet", "zarr")
-_OF_SCENES = {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves", "coat_brdf"}
-_NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
+_LIBRARY_FORMATS = ("envi", "csv", "parquet", "zarr")
+_SCENE_OPTIONS = {"scene", "wavelength_range", "extrapolate", "gaps", "max_curves", "coat_brdf"}
+_DEFAULT_NAMES = {"envi": "{}.sli", "csv": "{}.csv", "zarr": "{}_export.zarr"}
 
 
 @command(
@@ -607,7 +620,7 @@ Examples:
     "--format",
     "form",
     required=True,
-    type=click.Choice(["dirsig", *_LIBRARIES]),
+    type=click.Choice(["dirsig", *_LIBRARY_FORMATS]),
     help="DIRSIG materials, an ENVI .sli, a table in CSV or Parquet, or a Zarr store.",
 )
 @click.option(
@@ -663,14 +676,14 @@ Examples:
     scene_materials={
         "type": EXISTING_FILE,
         "metavar": "SCENE.mat",
-        "help": "DIRSIG: reuse no ID of this material list.",
+        "help": "DIRSIG: do not reuse IDs of this material list.",
     },
 )
 @click.option(
     "--scene",
     type=EXISTING_FILE,
     metavar="SCENE.toml",
-    help="DIRSIG: write the whole scene of a render, painted with LIBRARY.",
+    help="DIRSIG: write the complete scene of a render, painted with LIBRARY.",
 )
 @click.option("--coat-brdf", is_flag=True, help="DIRSIG: clear coats of a scene as the BRDF Shell Target.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export.")
@@ -683,23 +696,28 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
     """
     from hyperpaint.io.library import open_library, write_library
 
-    out = out or beside(library, _NAMES.get(form, form).format(library.stem))
-    given = {name: value for name, value in options.items() if value not in (None, False)}
-    curves = given.get("curves")
-    if set(given) - {"curves"} and form != "dirsig":
-        given.pop("curves", None)
-        names = ", ".join(f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in given)
+    out = out or beside(library, _DEFAULT_NAMES.get(form, form).format(library.stem))
+    options_set = {name: value for name, value in options.items() if value not in (None, False)}
+    curves = options_set.get("curves")
+    if set(options_set) - {"curves"} and form != "dirsig":
+        options_set.pop("curves", None)
+        names = ", ".join(f"--{name.replace('_', '-').replace('wavelength-', '')}" for name in options_set)
         raise click.UsageError(f"{names} only with --format dirsig [option-conflict]")
     paints = open_library(library)
-    with progress_bar("writing") as shown:
-        if "scene" in given:
+    with progress_bar("writing") as progress:
+        if "scene" in options_set:
             from hyperpaint.workflows.dirsig_export import export_dirsig_scene
 
-            if others := sorted(set(given) - _OF_SCENES):
-                names = ", ".join(f"--{name.replace('_', '-')}" for name in others)
+            if unused := sorted(set(options_set) - _SCENE_OPTIONS):
+                names = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
                 raise click.UsageError(f"{names} not with --scene (ClassicEmissivity) [option-conflict]")
             scene = export_dirsig_scene(
-                given.pop("scene"), out, library=paints, overwrite=overwrite, progress=shown, **given
+                options_set.pop("scene"),
+                out,
+                library=paints,
+                overwrite=overwrite,
+                progress=progress,
+                **options_set,
             )
             populations = int((scene["curves"] > 1).sum())
             click.echo(
@@ -709,31 +727,32 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
             click.echo(f"how to run it, and what was checked: {out / 'README.txt'}")
             return
         if form == "dirsig":
-            if given.pop("coat_brdf", False):
+            if options_set.pop("coat_brdf", False):
                 raise click.UsageError("--coat-brdf only with --scene [option-conflict]")
             from hyperpaint.io.dirsig import write_dirsig
 
-            share = given.get("specular", "library")
+            share = options_set.get("specular", "library")
             if share != "library":
                 try:
-                    given["specular"] = float(share)
+                    options_set["specular"] = float(share)
                 except ValueError:
                     message = f"--specular {share!r}, expected a number or 'library' [number-unreadable]"
                     raise click.UsageError(message) from None
-            materials = write_dirsig(paints, out, overwrite=overwrite, progress=shown, **given)
+            materials = write_dirsig(paints, out, overwrite=overwrite, progress=progress, **options_set)
             click.echo(
                 f"{out}: {materials.sizes['signature']} paints, {int(materials['curves'].sum())} curves"
             )
-            if filled := int(materials["interpolated"].sum()):
-                complete = int(materials["complete"].sum())
+            if filled_samples := int(materials["interpolated"].sum()):
+                complete_count = int(materials["complete"].sum())
                 click.echo(
-                    f"{complete} curves are complete; {filled} samples in gaps of the others filled in"
+                    f"{complete_count} curves are complete; {filled_samples} samples in gaps of others "
+                    f"interpolated"
                 )
             attrs = materials.attrs
             click.echo(f"mirrored light {attrs['mirror_reflection']}, {attrs['mirror_reflection_source']}")
             click.echo(f"how to add them: {out / 'README.txt'}")
             return
-        path = write_library(paints, out, format=form, curves=curves, overwrite=overwrite, progress=shown)
+        path = write_library(paints, out, format=form, curves=curves, overwrite=overwrite, progress=progress)
     click.echo(f"{path}: {paints.sizes['signature']} paints, {paints.sizes['band']} bands")
     if curves is None and form in ("envi", "csv", "parquet") and "member_reflectance" in paints.variables:
-        click.echo("one row a paint, its centre; --curves all writes members, quantiles and spread as well")
+        click.echo("one row a paint, its centre; --curves all also writes members, quantiles and spread")

@@ -88,32 +88,34 @@ class Program(click.Group):
             if cmd_name in commands:
                 name = "info_command" if cmd_name == "info" else f"{group.lower()}_commands"
                 values = vars(import_module(f".{name}", __package__)).values()
-                return next(each for each in values if isinstance(each, Command) and each.name == cmd_name)
+                return next(
+                    value for value in values if isinstance(value, Command) and value.name == cmd_name
+                )
         return None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Return the command that the arguments name; of an unknown name, suggest the nearest."""
+        """Return the command that the arguments name; for an unknown name, suggest the most similar."""
         if args and args[0] not in self.list_commands(ctx) and not args[0].startswith("-"):
-            near = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
-            mend = f"did you mean {near[0]}?" if near else "hyperpaint --help lists the commands"
+            matches = difflib.get_close_matches(args[0], self.list_commands(ctx), 1)
+            mend = f"did you mean {matches[0]}?" if matches else "hyperpaint --help lists the commands"
             ctx.fail(f"no such command {args[0]!r}; {mend}")
         return super().resolve_command(ctx, args)
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments, with the options of the whole program moved to the front."""
-        ahead: list[str] = []
-        rest = list(args)
-        end = rest.index("--") if "--" in rest else len(rest)
-        for place in reversed(range(end)):
-            word = rest[place]
+        """Parse the arguments, with the options of the program moved to the front."""
+        program_options: list[str] = []
+        command_arguments = list(args)
+        end = command_arguments.index("--") if "--" in command_arguments else len(command_arguments)
+        for index in reversed(range(end)):
+            word = command_arguments[index]
             if word == "--quiet" or word.startswith("--memory-limit="):
-                ahead.append(rest.pop(place))
+                program_options.append(command_arguments.pop(index))
             elif word == "--memory-limit":
-                ahead += rest[place : place + 2]
-                del rest[place : place + 2]
-        return super().parse_args(ctx, [*ahead, *rest])
+                program_options += command_arguments[index : index + 2]
+                del command_arguments[index : index + 2]
+        return super().parse_args(ctx, [*program_options, *command_arguments])
 
     def format_commands(self, _ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write one line for every command, group by group."""
@@ -128,12 +130,12 @@ class Program(click.Group):
             try:
                 return super().invoke(ctx)
             except KeyboardInterrupt as stop:
-                number = next((each for each in stop.args if isinstance(each, int)), signal.SIGINT)
+                number = next((value for value in stop.args if isinstance(value, int)), signal.SIGINT)
                 if is_watched():  # ends the progress bar
                     click.echo(err=True)
                 text = f"stopped by {signal.Signals(number).name}"
                 if ctx.invoked_subcommand in RESUMED:
-                    text += ": what is finished stays, and the same command goes on from there"
+                    text += ": finished products are kept, and the same command resumes"
                 click.echo(text, err=True)
                 ctx.exit(SIGNALLED + number)
             except (PaintError, OSError) as error:
@@ -148,40 +150,40 @@ class Program(click.Group):
 
 @contextlib.contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    # the first Ctrl-C or SIGTERM ends the command in order; a second one kills the process
-    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+    # the first Ctrl-C or SIGTERM ends the command in order; a second signal kills the process
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can handle signals
         yield
         return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def stop(number: int, _: Any) -> None:
-        for each in caught:
-            signal.signal(each, signal.SIG_DFL)
+        for caught_number in caught:
+            signal.signal(caught_number, signal.SIG_DFL)
         raise KeyboardInterrupt(number)
 
     # a signal that a shell or nohup ignores stays ignored
-    caught = [number for number, handler in before.items() if handler not in (signal.SIG_IGN, None)]
+    caught = [number for number, handler in handlers.items() if handler not in (signal.SIG_IGN, None)]
     try:
         for number in caught:
             signal.signal(number, stop)
         yield
     finally:
         for number in caught:
-            signal.signal(number, before[number])
+            signal.signal(number, handlers[number])
 
 
 @contextlib.contextmanager
 def _short_warnings() -> Iterator[None]:
-    # once each, without Python's file and line
-    seen: set[str] = set()
+    # show every warning once, without file and line
+    shown_messages: set[str] = set()
     with warnings.catch_warnings():
-        otherwise = warnings.showwarning
+        default_show = warnings.showwarning
 
-        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        def show(message: Warning | str, category: type[Warning], *location: Any, **options: Any) -> None:
             if not issubclass(category, PaintWarning):
-                otherwise(message, category, *where, **more)
-            elif str(message) not in seen:
-                seen.add(str(message))
+                default_show(message, category, *location, **options)
+            elif str(message) not in shown_messages:
+                shown_messages.add(str(message))
                 click.echo(f"warning: {message}", err=True)
 
         warnings.showwarning = show

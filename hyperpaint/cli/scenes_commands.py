@@ -60,8 +60,8 @@ def simulate(
     """Write a simulated collect with known truth, in the instruments' own formats.
 
     DIR receives a Headwall folder (flight), a dark cube, ASD and SVC files, calibration.zarr, truth.zarr,
-    regions.geojson (clean pixels of the paints, for signatures --regions) and collect.toml. --set changes
-    or switches off every effect of camera, light and instruments.
+    regions.geojson (pure, sunlit pixels of the paints, for signatures --regions) and collect.toml. --set
+    changes or switches off every effect of camera, light and instruments.
     """
     from hyperpaint.simulation import simulate_collect
     from hyperpaint.workflows.demonstration import refuse_foreign
@@ -69,20 +69,20 @@ def simulate(
     effects = {**without_none(options), **settings}
     if overwrite:
         refuse_foreign(folder, overwrite=True)
-    with progress_bar("simulating") as simulated:
+    with progress_bar("simulating") as progress:
         path = simulate_collect(
             folder,
             truth=truth,
             sweep={} if sweep else None,
             overwrite=overwrite,
-            progress=simulated,
+            progress=progress,
             **effects,
         )
     click.echo(f"{path}\nprocess it with: hyperpaint process {path} --out lot.zarr")
 
 
-def _print_example(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
-    if wanted and not ctx.resilient_parsing:
+def _print_example(ctx: click.Context, _: click.Parameter, is_set: bool) -> None:
+    if is_set and not ctx.resilient_parsing:
         from hyperpaint.workflows.scene_files import example_scene
 
         click.echo(example_scene(), nl=False)
@@ -93,7 +93,7 @@ def _print_example(ctx: click.Context, _: click.Parameter, wanted: bool) -> None
     renamed={"--paints": "--library"},
     epilog="""\b
 Examples:
-  hyperpaint render --example > scene.toml                       a car park to begin with
+  hyperpaint render --example > scene.toml                       a car park as a start
   hyperpaint render scene.toml
   hyperpaint render scene.toml --out quick.zarr --samples 8      a first look
   hyperpaint render scene.toml --out scene.zarr --atmosphere noon --picture noon.png
@@ -104,7 +104,7 @@ Then, in Python:
   import xarray as xr, hyperpaint
   line = xr.open_zarr("scene.zarr", group="renders/noon")
   line.paint.reflectance()                                as a flight would recover it
-  line.true_reflectance, line.surface_class, line.car_id  and what is true
+  line.true_reflectance, line.surface_class, line.car_id  the truth
   traced = xr.open_zarr("scene.zarr", group="transport")
   traced.paint.relight(paints={"car_003": "red"}, atmosphere="cloudy")    no tracing again""",
 )
@@ -122,8 +122,8 @@ Then, in Python:
     atmospheres={"spelling": "--atmosphere", "metavar": "NAME", "help": "Only this atmosphere; repeatable."},
     library={
         "type": PLACE,
-        "help": "Paint the cars with this library: a paint replaces the scene's paint of the same name, the "
-        "others go to the remaining cars.",
+        "help": "Paint the cars with this library: a paint replaces the scene's paint of the same name, "
+        "other paints go to the remaining cars.",
     },
     hold_edges={"help": "Extend spectra beyond their last band, and bridge gaps.  [default: as SCENE.toml]"},
     scheduler={"metavar": "ADDRESS", "help": "Compute on this dask.distributed cluster."},

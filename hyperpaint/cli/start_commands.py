@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -20,11 +20,7 @@ from .console import (
 )
 from .options import command, takes
 
-if TYPE_CHECKING:
-    pass
-
-
-AT_LEAST_8 = click.IntRange(min=8)
+MIN_SIZE = click.IntRange(min=8)
 
 
 @command(
@@ -39,11 +35,11 @@ Example:
         "spelling": "--out",
         "type": FOLDER,
         "default": "hyperpaint_demo",
-        "help": "Folder of everything that the demo writes.",
+        "help": "Folder of all files of the demo.",
     },
-    lines={"type": AT_LEAST_8},
-    bands={"type": AT_LEAST_8},
-    columns={"type": AT_LEAST_8},
+    lines={"type": MIN_SIZE},
+    bands={"type": MIN_SIZE},
+    columns={"type": MIN_SIZE},
     seed={"type": click.IntRange(min=0)},
     scene={"type": click.Choice(["rendered", "plan"])},
     samples={"metavar": "N"},
@@ -51,22 +47,22 @@ Example:
 )
 @click.pass_context
 def demo(ctx: click.Context, /, folder: Path, **shape: Any) -> None:
-    """Simulate a collect, process it as if it were real, and compare with the truth.
+    """Simulate a collect, process it like a real one, and compare the result with the truth.
 
     Writes raw files in the instruments' own formats, collect.toml, a store, truth.zarr and a picture into the
-    folder. Prints recovered against true reflectance of every material and, of a rendered scene, the
-    signature of every paint. Exit status 1 outside tolerance.
+    folder. Prints recovered and true reflectance of every material and, for a rendered scene, the signature
+    of every paint. Exit status 1 outside tolerance.
     """
     import time
 
     from hyperpaint.workflows.demonstration import PICTURE, STORE, run_demonstration
 
-    begin = time.perf_counter()
+    start = time.perf_counter()
     with progress_bar("simulating") as simulated:
         comparison = run_demonstration(
             folder, **shape, progress=is_watched(), simulated=simulated, say=click.echo
         )
-    click.echo(f"\n{time.perf_counter() - begin:.0f} s in all. Now try:")
+    click.echo(f"\n{time.perf_counter() - start:.0f} s in all. Now try:")
     click.echo(f"  hyperpaint info {folder / 'collect.toml'}")
     click.echo(f"  hyperpaint verify {folder / STORE}")
     if (folder / PICTURE).is_file():
@@ -100,29 +96,29 @@ Examples:
 )
 @click.option("--out", metavar="FILE", type=FILE, help="The file.  [default: collect.toml in FOLDER]")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-def init(folder: Path, out: Path | None, overwrite: bool, **elsewhere: Path | None) -> None:
+def init(folder: Path, out: Path | None, overwrite: bool, **folders: Path | None) -> None:
     """Write a commented collect.toml from the files in the folder of a flight.
 
     Finds raw cubes, their frame indices and navigation, darks, ASD and SVC files and the calibration. Values
-    that no file holds are marked "?"; process lists them until they are filled in.
+    that no file contains are marked "?"; process lists them until they are filled in.
     """
     from hyperpaint.workflows.collect_template import unknown_keys, write_collect_toml
     from hyperpaint.workflows.field_folder import find_field_files
 
-    found = find_field_files(folder, **elsewhere)
-    path = write_collect_toml(found, out, overwrite=overwrite)
-    cubes = len(found.cubes)
+    files = find_field_files(folder, **folders)
+    path = write_collect_toml(files, out, overwrite=overwrite)
+    cubes = len(files.cubes)
     click.echo(
-        f"{path}: {cubes} cube{'' if cubes == 1 else 's'}, {len(found.darks)} dark, "
-        f"{len(found.irradiance)} folder of irradiance, {len(found.references)} of references"
+        f"{path}: {cubes} cube{'' if cubes == 1 else 's'}, {len(files.darks)} dark, "
+        f"{len(files.irradiance)} folder of irradiance, {len(files.references)} of references"
     )
-    for note in found.notes:
+    for note in files.notes:
         click.echo(f"note: {note}", err=True)
     if unknown := unknown_keys(path):
         click.echo("fill in, then process:\n  " + "\n  ".join(unknown))
     else:
-        place = path.parent if path.name == "collect.toml" else path
-        click.echo(f"next: hyperpaint check {path}, then hyperpaint run {place}")
+        target = path.parent if path.name == "collect.toml" else path
+        click.echo(f"next: hyperpaint check {path}, then hyperpaint run {target}")
 
 
 @command(
@@ -150,7 +146,7 @@ Maps need the height of the ground [m above the ellipsoid] in collect.toml: [geo
 )
 @click.pass_context
 def run(ctx: click.Context, /, collect: Path, **options: Any) -> None:
-    """Process a whole field day, from the instruments' files to the report.
+    """Process a field day, from the files of the instruments to the report.
 
     Writes the store, paint signatures, their comparison with the references, maps, a mosaic, DIRSIG materials
     and a report. A step whose inputs have not changed is not repeated, so that an interrupted run resumes.

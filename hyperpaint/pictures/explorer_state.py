@@ -300,10 +300,10 @@ class Explored:
 
     def near_paints(self, spectrum: Spectrum, count: int = 5) -> list[NearPaint]:
         """Return the paints at the smallest spectral angles; none with fewer than five good bands."""
-        nm_axis = (BAND, spectrum.wavelength, {"units": "nm"})
-        like = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": nm_axis})
+        wavelength = (BAND, spectrum.wavelength, {"units": "nm"})
+        target = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": wavelength})
         try:
-            matches = None if self.library is None else search_library(self.library, like=like, limit=count)
+            matches = None if self.library is None else search_library(self.library, like=target, limit=count)
         except PaintError:
             matches = None
         if matches is None:
@@ -311,10 +311,10 @@ class Explored:
         # resample the spectrum to the bands of the library
         library_nm = np.asarray(matches["wavelength"].values, np.float64)
         order = np.argsort(spectrum.wavelength, kind="stable")
-        nm, values = (np.asarray(nm_axis, np.float64)[order] for nm_axis in spectrum[:2])
+        nm, values = (np.asarray(values, np.float64)[order] for values in spectrum[:2])
         is_finite = np.isfinite(nm) & np.isfinite(values)
         resampled = np.interp(library_nm, nm[is_finite], values[is_finite], left=np.nan, right=np.nan)
-        paints = []
+        near_paints = []
         for number, angle in enumerate(matches["spectral_angle"].values.tolist()):
             paint = matches["reflectance"].values[number].astype(np.float64)
             is_common = np.isfinite(resampled) & np.isfinite(paint)
@@ -322,8 +322,10 @@ class Explored:
             factor = float((resampled[is_common] @ paint[is_common]) / power)
             name = str(matches[schema.SIGNATURE].values[number])
             if np.isfinite(angle):
-                paints.append(NearPaint(name, float(np.degrees(angle)), factor, library_nm, factor * paint))
-        return paints
+                near_paints.append(
+                    NearPaint(name, float(np.degrees(angle)), factor, library_nm, factor * paint)
+                )
+        return near_paints
 
     # --- pictures ------------------------------------------------------------------------------------------
 

@@ -173,7 +173,9 @@ def write_site(
             tree = xr.DataTree.from_dict(site.groups)
             to_store(tree, build / "store.zarr", layout="web", progress=progress)
         site.write(build, folder.name, link or "store.zarr", origin)
-    lines_and_maps = [tuple(n for n in names if n not in unreadable) for names in (groups.lines, groups.maps)]
+    lines_and_maps = [
+        tuple(name for name in names if name not in unreadable) for names in (groups.lines, groups.maps)
+    ]
     return Written(folder, lines_and_maps[0], lines_and_maps[1], tuple(site.problems))
 
 

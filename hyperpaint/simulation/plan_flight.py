@@ -166,9 +166,9 @@ class PlanFlight(Flight):
         index = surface.astype(np.intp) * columns + np.arange(columns)
         radiance = self._reflected[0].take(index, axis=1, mode="clip")
         radiance *= direct
-        term = self._reflected[1].take(index, axis=1, mode="clip")
-        term *= diffuse
-        radiance += term
+        diffuse_radiance = self._reflected[1].take(index, axis=1, mode="clip")
+        diffuse_radiance *= diffuse
+        radiance += diffuse_radiance
         if self.settings.texture:
             normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
             radiance *= np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)

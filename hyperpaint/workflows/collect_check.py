@@ -1,4 +1,4 @@
-"""The inputs of a collect judged together, before they are processed."""
+"""Checks of the inputs of a collect before processing."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _LINES_A_READ = 4096
 
 
 def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
-    """Return implausible findings on the inputs of a collect; samples of its cubes are read.
+    """Return findings of implausible inputs of a collect, from samples of its cubes and all records.
 
-    Raises `CollectError`: the file, or a file it names, cannot be opened; all problems are listed.
+    Raises `CollectError` if the collect or one of its files cannot be opened; all problems are listed.
 
     Examples
     --------
@@ -42,21 +42,20 @@ def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 
     from .laboratory import opened_collect
 
-    lit = read_collect(path, need_irradiance=False).irradiance is not None
-    opened = opened_collect(path, need_irradiance=lit)
-    return tuple(itertools.chain(*_findings(opened, opened.members, lit=lit).values()))
+    needs_irradiance = read_collect(path, need_irradiance=False).irradiance is not None
+    opened = opened_collect(path, need_irradiance=needs_irradiance)
+    return tuple(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
 
 
 def refuse_findings(
     opened: OpenedCollect, lines: Iterable[str], accept: Collection[str], *, lit: bool
 ) -> dict[str, dict[str, Any]]:
-    """Check lines of an opened collect, by the names of their groups, for findings that are not accepted.
+    """Check flight lines of an opened collect, named by their groups; return the accepted findings.
 
-    ``lit``: whether reflectance is computed, so that the record of irradiance matters.
+    ``accept``: names of accepted findings. ``lit``: whether reflectance is computed, which needs irradiance.
 
-    Returns attributes by group for the store: the accepted findings of a line.
-
-    Raises `CollectError`: Findings that make results wrong; all are listed. Warns `PaintWarning`: The others.
+    Returns by group the attributes for the store: the accepted findings of a line. Raises `CollectError` for
+    findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
     """
     refused = []
     accepted: dict[str, dict[str, Any]] = {}
@@ -80,7 +79,7 @@ def refuse_findings(
 
 
 def check_accepted(accept: Collection[str], problems: Problems) -> None:
-    """Note names that no finding has."""
+    """Add names in ``accept`` that are no kinds of finding to ``problems``."""
     for name in [accept] if isinstance(accept, str) else accept:
         if name not in KINDS or isinstance(accept, str):
             expected = f"a list of some of {', '.join(KINDS)}"
@@ -88,8 +87,7 @@ def check_accepted(accept: Collection[str], problems: Problems) -> None:
 
 
 def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
-    # findings on a dark cube count for the first line with it
-
+    # findings on a dark cube are listed with the first line that uses it
     cubes = {str(entry.name): entry for entry in opened.settings.flightlines}
     findings: dict[str, list[Finding]] = {}
     darks: set[Path] = set()
@@ -105,7 +103,7 @@ def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict
 
 
 def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
-    """Warn of every flag that many pixels of a stored line have, with its share."""
+    """Warn of flags that more than `MANY_FLAGGED` of the pixels of a stored line have."""
     import zarr
 
     for name in lines:
@@ -114,12 +112,16 @@ def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
         quality = zarr.open_array(store / name / "quality", mode="r", zarr_format=3)
         counts: Counter[str] = Counter()
         for start in range(0, quality.shape[0], _LINES_A_READ):
-            part = np.asarray(quality[start : start + _LINES_A_READ])
-            counts.update({str(flag.name): share * part.size for flag, share in flag_shares(part).items()})
-        many = {flag: count / quality.size for flag, count in counts.items()}
+            values = np.asarray(quality[start : start + _LINES_A_READ])
+            counts.update(
+                {str(flag.name): share * values.size for flag, share in flag_shares(values).items()}
+            )
+        shares = {flag: count / quality.size for flag, count in counts.items()}
         texts = [
-            f"{100 * share:.0f} % {flag.lower()}" for flag, share in many.items() if share > MANY_FLAGGED
+            f"{100 * share:.0f} % {flag.lower()}" for flag, share in shares.items() if share > MANY_FLAGGED
         ]
         if texts:
-            message = f"{name}: many pixels are flagged: {', '.join(texts)}; look at them before their values"
+            message = (
+                f"{name}: many pixels are flagged: {', '.join(texts)}; check these flags before using values"
+            )
             warnings.warn(PaintWarning(message, code="pixels-flagged"), stacklevel=3)

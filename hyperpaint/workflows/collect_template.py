@@ -1,7 +1,7 @@
 """Writing of a commented ``collect.toml`` for the files in the folder of a field day.
 
-A value that no file states, and that reflectance depends on, is written as ``"?"``; `process` refuses it by
-name until it is filled in.
+Values that reflectance needs and that no file contains are written as ``"?"``; `process` refuses them by name
+until they are filled in.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def write_collect_toml(
         raise StoreError(
             f"{path} exists and is not a .toml file", mend="choose another path", code="file-foreign"
         )
-    publish_file(path, "\n".join(_text(files, path.parent)).encode(), overwrite=overwrite)
+    publish_file(path, "\n".join(_toml_lines(files, path.parent)).encode(), overwrite=overwrite)
     return path
 
 
@@ -64,12 +64,12 @@ def unknown_keys(path: Path) -> list[str]:
     return [line.partition("#")[0].strip() for line in lines if f'= "{UNKNOWN}"' in line.partition("#")[0]]
 
 
-def _text(files: FieldFolder, base: Path) -> Iterator[str]:
+def _toml_lines(files: FieldFolder, base: Path) -> Iterator[str]:
     def relative(path: Path) -> str:
         return Path(os.path.relpath(path, base)).as_posix()
 
     def key(name: str, value: Any = None, note: str = "") -> str:
-        # the table is the one that was begun last
+        # ``table`` is the table being written
         return key_line(SCHEMA[table], name, value, note)
 
     name = files.folder.resolve().name
@@ -88,17 +88,21 @@ def _text(files: FieldFolder, base: Path) -> Iterator[str]:
     table = "calibration"
     yield from ("", "[calibration]")
     if files.sweep is not None:
-        yield key("sweep", _checked(relative(files.sweep)))
+        yield key("sweep", _without_controls(relative(files.sweep)))
     else:
         calibration = files.calibration
-        yield key("path", UNKNOWN if calibration is None else _checked(relative(calibration)))
+        yield key("path", UNKNOWN if calibration is None else _without_controls(relative(calibration)))
 
     table = "dark"
-    yield from ("", "[dark]", key("cubes", [_checked(relative(path)) for path in files.darks] or UNKNOWN))
+    yield from (
+        "",
+        "[dark]",
+        key("cubes", [_without_controls(relative(path)) for path in files.darks] or UNKNOWN),
+    )
 
     table = "navigation"
     yield from ("", "[navigation]  # for maps only")
-    yield "# Makers differ in their conventions, and no file states them. These are assumed of a Headwall"
+    yield "# Conventions differ between makers, and no file states them. These are assumed for a Headwall"
     yield "# imu_gps.txt; hyperpaint.geometry.check_conventions compares them with the picture."
     for choice, fact in SCHEMA["navigation"].items():
         if fact.choices:
@@ -123,9 +127,9 @@ def _text(files: FieldFolder, base: Path) -> Iterator[str]:
     table = "irradiance"
     yield from ("", "[irradiance]")
     if not files.irradiance:
-        yield key("files", UNKNOWN, "files of the spectrometer that saw the sky (not needed for radiance)")
+        yield key("files", UNKNOWN, "files of the irradiance spectrometer (not needed for radiance)")
     else:
-        patterns = [_checked(f"{relative(folder)}/*{suffix}") for folder, suffix in files.irradiance]
+        patterns = [_without_controls(f"{relative(folder)}/*{suffix}") for folder, suffix in files.irradiance]
         yield key("files", patterns[0] if len(patterns) == 1 else patterns)
         yield key("quantity", "irradiance")
         if files.utc_offset_h is None:
@@ -145,7 +149,7 @@ def _text(files: FieldFolder, base: Path) -> Iterator[str]:
             yield f"id = {_quoted(folder_id if is_pattern else f'{folder_id}_{_stem(cube)}')}"
         yield f"cube = {_quoted(cubes)}"
         if is_pattern:
-            yield "# each with its own frame index; cubes of one recording become one line"
+            yield "# every cube has its own frame index; cubes of one recording become one line"
         elif cube.frame_index is not None:
             yield f"frame_index = {_quoted(relative(cube.frame_index))}"
         if cube.navigation is not None:
@@ -168,7 +172,7 @@ def _text(files: FieldFolder, base: Path) -> Iterator[str]:
 
 
 def _clock_offset(offsets: tuple[float, float] | None) -> tuple[float | str, str]:
-    # the offset stays 0 where the record then covers the flight
+    # the offset is 0 if the record covers the flight without one, else to be filled in
     if offsets is None or offsets[0] <= 0.0 <= offsets[1]:
         return 0.0, "added to the clock of the logging PC [s]: no file states it, 0 is assumed"
     if offsets[0] > offsets[1]:
@@ -178,29 +182,29 @@ def _clock_offset(offsets: tuple[float, float] | None) -> tuple[float | str, str
 
 
 def _tables(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> Iterator[tuple[FlightCube, str]]:
-    # one cube for each table, with the cube or the pattern of cubes that the table names
-    for folder, inside in itertools.groupby(cubes, key=lambda cube: cube.header.parent):
-        several = list(inside)
-        shared = {(cube.navigation, cube.frame_index is None) for cube in several}
-        matches = set(folder.glob(_RAW_CUBES)) == {cube.header for cube in several}
-        if len(several) > 1 and len(shared) == 1 and matches:
-            yield several[0], f"{relative(folder)}/{_RAW_CUBES}"
+    # the first cube of every table, and the cube or the pattern of cubes in the table
+    for folder, group in itertools.groupby(cubes, key=lambda cube: cube.header.parent):
+        folder_cubes = list(group)
+        companions = {(cube.navigation, cube.frame_index is None) for cube in folder_cubes}
+        pattern_fits = set(folder.glob(_RAW_CUBES)) == {cube.header for cube in folder_cubes}
+        if len(folder_cubes) > 1 and len(companions) == 1 and pattern_fits:
+            yield folder_cubes[0], f"{relative(folder)}/{_RAW_CUBES}"
         else:
-            yield from ((cube, relative(cube.header)) for cube in several)
+            yield from ((cube, relative(cube.header)) for cube in folder_cubes)
 
 
 def _folder_ids(cubes: Sequence[FlightCube], relative: Callable[[Path], str]) -> dict[Path, str]:
-    # empty where all cubes have different names
+    # ids of folders, which distinguish cubes of equal names; empty if all names differ
     stems = [_stem(cube).lower() for cube in cubes]
     if len(set(stems)) == len(stems):
         return {}
     ids: dict[Path, str] = {}
     for folder in dict.fromkeys(cube.header.parent for cube in cubes):
         stem = re.sub(r"[^A-Za-z0-9]+", "_", relative(folder)).strip("_")[:60] or "flight"
-        taken = {name.lower() for name in ids.values()}
-        # at least two letters, and different from the other folders
+        used_ids = {name.lower() for name in ids.values()}
+        # an id has at least two characters and differs from those of other folders
         candidates = (stem, *(f"{stem}_{number}" for number in range(2, len(cubes) + 2)))
-        ids[folder] = next(name for name in candidates if len(name) > 1 and name.lower() not in taken)
+        ids[folder] = next(name for name in candidates if len(name) > 1 and name.lower() not in used_ids)
     return ids
 
 
@@ -208,11 +212,13 @@ def _stem(cube: FlightCube) -> str:
     return cube.header.name.split(".")[0]
 
 
-def _checked(text: str) -> str:
+def _without_controls(text: str) -> str:
     if any(ord(letter) < 32 for letter in text):
-        raise FormatError(f"{text!r}: a name with control characters", mend="rename it", code="name-invalid")
+        raise FormatError(
+            f"{text!r}: a file name with control characters", mend="rename it", code="name-invalid"
+        )
     return text
 
 
 def _quoted(text: str) -> str:
-    return toml_text(_checked(text))
+    return toml_text(_without_controls(text))

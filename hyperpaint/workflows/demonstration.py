@@ -1,4 +1,4 @@
-"""A simulated collect, processed as if it were real, against its truth."""
+"""A simulated collect, processed like a real one, and compared with its truth."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ from .paint_closure import (
 from .pipeline import run
 
 STORE, PICTURE = "lot.zarr", "quicklook.png"
-_OURS = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
+_DEMONSTRATION_FILES = frozenset({*PARTS, STORE, PICTURE, f".partial-{STORE}"})
 
-#: Outside, the camera is too blind for a noisy count to say much.
+#: Compared wavelengths; outside, the responsivity is too low for accurate reflectance.
 BANDS_NM = (420.0, 980.0)
-#: Around the oxygen A band, where a wrong wavelength shows first.
+#: Window of the oxygen A band, where errors of wavelength are largest.
 OXYGEN_NM = (750.0, 780.0)
 
-#: Of any material's mean over its pixels and bands.
+#: Tolerance of the mean error over pixels and bands of a material [1].
 MAX_BIAS = 0.002
-#: Of all single samples, sensor noise included.
+#: Tolerance of the RMS error of all single samples, with sensor noise [1].
 MAX_RMSE = 0.005
-#: Of the scene's mean spectrum in the oxygen window, relative.
+#: Tolerance of the relative error of the scene's mean spectrum in the oxygen window [1].
 MAX_OXYGEN = 0.002
 
-#: Effects of a real collect in the demonstration, beside noise and a clock 37.25 s slow.
+#: Effects of a real collect in the demonstration, besides noise and a clock that is 37.25 s slow.
 EFFECTS: dict[str, Any] = {"smile_nm": 0.5, "dropped": 3, "glint": 0.002, "drift_per_minute": 0.02}
 
 
@@ -56,12 +56,12 @@ RMSE mean: of the mean spectrum, over bands. O2 window: its largest relative err
 
 @dataclass(frozen=True)
 class Agreement:
-    """Recovered against true reflectance of one material [1]."""
+    """Recovered and true reflectance of a material [1]."""
 
     material: str
-    pixels: int  #: Without a quality flag.
-    true: float  #: Mean over pixels and bands, as ``recovered``.
-    recovered: float
+    pixels: int  #: Number of pixels without a quality flag.
+    true: float  #: Mean over pixels and bands.
+    recovered: float  #: Mean over pixels and bands.
     rmse_of_mean: float  #: RMS over bands of the error of the mean spectrum.
     rmse: float  #: RMS error of single samples.
     oxygen: float  #: Largest relative error of the mean spectrum in the oxygen window, 750 to 780 nm.
@@ -88,20 +88,20 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Recovered against true reflectance of a collect."""
+    """Recovered and true reflectance of a collect."""
 
     materials: tuple[Agreement, ...]  #: In the simulator's order.
-    overall: Agreement  #: Of all pixels together.
-    flagged: float  #: Share of pixels left out because of a quality flag.
-    paints: tuple[PaintAgreement, ...] = ()  #: Of a rendered scene.
+    overall: Agreement  #: All pixels together.
+    flagged: float  #: Share of pixels with a quality flag, which are not compared.
+    paints: tuple[PaintAgreement, ...] = ()  #: Signatures of paints, for a rendered scene.
 
     @property
     def problems(self) -> tuple[str, ...]:
         """Values outside the tolerance, one line each."""
         problems = [
-            f"{one.material}: bias {one.bias:+.4f}, tolerance {MAX_BIAS}"
-            for one in (*self.materials, self.overall)
-            if not abs(one.bias) < MAX_BIAS
+            f"{agreement.material}: bias {agreement.bias:+.4f}, tolerance {MAX_BIAS}"
+            for agreement in (*self.materials, self.overall)
+            if not abs(agreement.bias) < MAX_BIAS
         ]
         if not self.overall.rmse < MAX_RMSE:
             problems.append(f"all pixels: RMSE {self.overall.rmse:.4f}, tolerance {MAX_RMSE}")
@@ -114,12 +114,12 @@ class Comparison:
 
     @property
     def ok(self) -> bool:
-        """True where everything is within tolerance."""
+        """Whether all values are within tolerance."""
         return not self.problems
 
     def __str__(self) -> str:
         head = ("material", "pixels", "true", "recovered", "bias", "RMSE mean", "RMSE", "O2 window")
-        lines = aligned([head, *(one.cells for one in (*self.materials, self.overall))])
+        lines = aligned([head, *(agreement.cells for agreement in (*self.materials, self.overall))])
         rule = "-" * len(lines[0])
         return "\n".join([lines[0], rule, *lines[1:-1], rule, lines[-1]])
 
@@ -127,12 +127,11 @@ class Comparison:
 def compare(store: Path, truth: Path) -> Comparison:
     """Compare the reflectance in a store with the truth (``truth.zarr``) of its simulated collect.
 
-    Over bands that are good and between 420 and 980 nm, and pixels without a quality flag; truth stays on
-    each column's own wavelengths, as reflectance does. Of a rendered scene, signatures of paints are compared
-    too, with what a field spectrometer saw (see `compare_paints`).
+    Compared are good bands between 420 and 980 nm and pixels without a quality flag, at the wavelengths of
+    every column. For a rendered scene, signatures of paints are compared too (see `compare_paints`).
 
-    Raises `StoreError`: the store holds no flight line; `FormatError`: files of the field spectrometer beside
-    the truth of a rendered scene cannot be read.
+    Raises `StoreError` if the store has no flight line; `FormatError` if files of the field spectrometer
+    beside the truth of a rendered scene cannot be read.
     """
     true_scene = xr.open_zarr(truth)
     names = str(true_scene["surface"].attrs["flag_meanings"]).split()
@@ -152,9 +151,9 @@ def compare(store: Path, truth: Path) -> Comparison:
 
 @dataclass
 class _Sums:
-    # running sums over pixels, (material, band), float64
+    # sums over pixels, (material, band), over the compared bands; is_used: (band,) of the flight line
     wavelength: Floats
-    used: npt.NDArray[np.bool_]
+    is_used: npt.NDArray[np.bool_]
     count: Floats
     true: Floats
     error: Floats
@@ -163,31 +162,35 @@ class _Sums:
 
     @classmethod
     def empty(cls, materials: int, wavelength: Floats, good: npt.NDArray[np.bool_]) -> _Sums:
-        used = good & (wavelength >= BANDS_NM[0]) & (wavelength <= BANDS_NM[1])
-        shape = (materials, int(used.sum()))
+        is_used = good & (wavelength >= BANDS_NM[0]) & (wavelength <= BANDS_NM[1])
+        shape = (materials, int(is_used.sum()))
         count, true, error, squared = (np.zeros(shape) for _ in range(4))
-        return cls(wavelength[used], used, count, true, error, squared)
+        return cls(wavelength[is_used], is_used, count, true, error, squared)
 
     def add(self, slab: xr.Dataset, truth: xr.Dataset) -> None:
         order = (ALONG_TRACK, CROSS_TRACK, BAND)
-        clean = slab["quality"].values == 0
-        self.pixels += clean.size
-        recovered = slab["reflectance"].transpose(*order).values[clean][:, self.used].astype(np.float64)
-        true = truth["reflectance"].transpose(*order).values[clean][:, self.used].astype(np.float64)
-        valid = np.isfinite(recovered)
-        error = np.where(valid, recovered - true, 0.0)
-        member = truth["surface"].values[clean] == np.arange(len(self.count))[:, None]
+        unflagged = slab["quality"].values == 0
+        self.pixels += unflagged.size
+        recovered = (
+            slab["reflectance"].transpose(*order).values[unflagged][:, self.is_used].astype(np.float64)
+        )
+        true_values = (
+            truth["reflectance"].transpose(*order).values[unflagged][:, self.is_used].astype(np.float64)
+        )
+        is_finite = np.isfinite(recovered)
+        error = np.where(is_finite, recovered - true_values, 0.0)
+        member = truth["surface"].values[unflagged] == np.arange(len(self.count))[:, None]
         member = member.astype(np.float64)
-        self.count += member @ valid
-        self.true += member @ np.where(valid, true, 0.0)
+        self.count += member @ is_finite
+        self.true += member @ np.where(is_finite, true_values, 0.0)
         self.error += member @ error
         self.squared += member @ error**2
 
     def comparison(self, names: list[str]) -> Comparison:
         counts = self.count.max(axis=1)
-        seen = [index for index in range(len(names)) if counts[index] > 0]
-        materials = tuple(self._agreement(names[index], [index]) for index in seen)
-        overall = self._agreement("all pixels", seen)
+        present = [index for index in range(len(names)) if counts[index] > 0]
+        materials = tuple(self._agreement(names[index], [index]) for index in present)
+        overall = self._agreement("all pixels", present)
         return Comparison(materials, overall, 1.0 - counts.sum() / max(self.pixels, 1))
 
     def _agreement(self, name: str, rows: list[int]) -> Agreement:
@@ -207,15 +210,15 @@ class _Sums:
 
 # --- the demonstration -------------------------------------------------------------------------------------
 
-#: Bytes at the begin of a file in which a simulation says that it wrote it.
+#: Bytes at the beginning of a file that are searched for the name of the simulator.
 _HEAD_BYTES = 2**16
 
 
 def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     """Refuse a folder whose content a simulated collect must not replace.
 
-    Raises `StoreError`: it is not empty and not an earlier demonstration; with ``overwrite``, it holds raw
-    data that no simulation wrote.
+    Raises `StoreError` for a folder that is not empty and not an earlier demonstration; with ``overwrite``,
+    for a folder with raw data that no simulation wrote.
     """
     if not folder.is_dir() or not any(folder.iterdir()):
         return
@@ -223,21 +226,21 @@ def refuse_foreign(folder: Path, *, overwrite: bool) -> None:
     simulated = head_of(toml, len(MARKER)) == MARKER.encode()
     patterns = ("flight/*.hdr", "dark/*.hdr", "svc/*.sig", "asd_reflectance/*.asd", "regions.geojson")
     raw_files = [path for pattern in patterns for path in folder.glob(pattern)]
-    others = sorted(entry.name for entry in folder.iterdir() if entry.name not in _OURS)
+    foreign = sorted(entry.name for entry in folder.iterdir() if entry.name not in _DEMONSTRATION_FILES)
     if any(CAMERA_SOFTWARE.encode() not in head_of(path, _HEAD_BYTES) for path in raw_files) or (
         toml.exists() and not simulated
     ):
         raise StoreError(
             f"{folder} holds raw files that no simulation wrote",
-            mend="name another folder",
+            mend="choose another folder",
             code="raw-data-present",
         )
-    if overwrite or (simulated and (folder / STORE).is_dir() and not others):
+    if overwrite or (simulated and (folder / STORE).is_dir() and not foreign):
         return
-    shown = ", ".join(others[:5] or sorted(entry.name for entry in folder.iterdir())[:5])
-    mend = "name another folder, or pass {} to write into it"
+    names = ", ".join(foreign[:5] or sorted(entry.name for entry in folder.iterdir())[:5])
+    mend = "choose another folder, or pass {} to write into it"
     raise StoreError(
-        f"{folder} is not empty ({shown})",
+        f"{folder} is not empty ({names})",
         mend=mend.format("overwrite=True"),
         option=mend.format("--overwrite"),
         code="folder-not-empty",
@@ -258,10 +261,10 @@ def run_demonstration(
     simulated: Callable[[int, int], None] | None = None,
     say: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    """Simulate a collect, process it as if it were real, and compare with its truth.
+    """Simulate a collect, process it like a real one, and compare the result with its truth.
 
-    Leaves the raw files, ``collect.toml``, ``truth.zarr``, ``regions.geojson``, the store ``lot.zarr`` and,
-    where matplotlib is installed, ``quicklook.png`` in the folder, and replaces those of an earlier
+    Writes the raw files, ``collect.toml``, ``truth.zarr``, ``regions.geojson``, the store ``lot.zarr`` and,
+    if matplotlib is installed, ``quicklook.png`` into the folder, and replaces those of an earlier
     demonstration.
 
     Parameters
@@ -281,18 +284,18 @@ def run_demonstration(
     samples
         Rays a pixel of a rendered scene; by default 16.
     overwrite
-        Write into a folder that holds other files, which stay.
+        Write into a folder that holds other files, which are kept.
     progress
         Show the processing on stderr.
     simulated
-        Called with lines done and to do while the collect is simulated.
+        Called with the numbers of lines done and in total while the collect is simulated.
     say
-        Called with every text.
+        Called with every text to show.
 
     Raises
     ------
     StoreError
-        The folder holds files that must stay, or cannot be written.
+        The folder holds other files, or cannot be written.
     SchemaError
         A size or the scene is out of range; all problems are listed.
     """
@@ -300,7 +303,7 @@ def run_demonstration(
 
     refuse_foreign(folder, overwrite=overwrite)
     effects = EFFECTS if samples is None else {**EFFECTS, "samples": samples}
-    begin = time.perf_counter()
+    start = time.perf_counter()
     collect = simulate_collect(
         folder,
         lines=lines,
@@ -312,10 +315,13 @@ def run_demonstration(
         progress=simulated,
         **effects,
     )
-    middle = time.perf_counter()
-    say(f"simulated {lines} lines x {bands} bands x {columns} columns in {middle - begin:.1f} s: {collect}")
+    simulated_at = time.perf_counter()
+    say(
+        f"simulated {lines} lines x {bands} bands x {columns} columns in "
+        f"{simulated_at - start:.1f} s: {collect}"
+    )
     outcome = run(collect, folder / STORE, overwrite=True, progress=progress)
-    say(f"processed as if it were real in {time.perf_counter() - middle:.1f} s: {outcome.path}")
+    say(f"processed as if it were real in {time.perf_counter() - simulated_at:.1f} s: {outcome.path}")
     comparison = compare(outcome.path, folder / "truth.zarr")
     say(f"\n{comparison}\n\n{_LEGEND.format(*BANDS_NM, *OXYGEN_NM, 100 * comparison.flagged)}")
     if comparison.paints:

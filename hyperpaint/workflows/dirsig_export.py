@@ -15,9 +15,9 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.mirrored_light import EXCLUDED
 
 if TYPE_CHECKING:
-    from .scene_parts import Parts
+    from .scene_parts import RenderParts
 
-_GRID_NM = np.arange(380.0, 1051.0, 2.0)  # of spectra that are formulas
+_GRID_NM = np.arange(380.0, 1051.0, 2.0)  # wavelengths on which built-in spectra are written
 
 
 def export_dirsig_scene(
@@ -34,19 +34,20 @@ def export_dirsig_scene(
     Parameters
     ----------
     scene_file
-        As `hyperpaint.render_scene` takes it; its ``[paints]`` repaint.
+        A scene file of `hyperpaint.render_scene`; its ``[paints]`` repaint materials and cars.
     folder
-        New or empty.
+        A folder, new or empty.
     library
-        Measured paints, which go before the file's ``[spectra]`` and before the built-in spectra of the same
-        name. Those that have no name of the scene are dealt in turn to the cars that nothing else paints.
+        Measured paints, which take precedence over the file's ``[spectra]`` and over built-in spectra of the
+        same name. Paints that are not named in the scene are assigned in turn to the cars without another
+        repaint.
     overwrite, progress, **options
         As for `hyperpaint.io.dirsig.write_dirsig_scene`.
 
     Returns
     -------
     Dataset
-        What was written, as `hyperpaint.io.dirsig.write_dirsig_scene` says it.
+        The written materials, as returned by `hyperpaint.io.dirsig.write_dirsig_scene`.
 
     Raises
     ------
@@ -56,11 +57,11 @@ def export_dirsig_scene(
     Examples
     --------
     >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as place:
-    ...     path = Path(place, "lawn.toml")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "lawn.toml")
     ...     text = '[scene]\nkind = "plane"\nspectrum = "grass"\n[platform]\nlines = 2\ncolumns = 2\n'
     ...     _ = path.write_text(text + "ground_sample_m = 0.1\naltitude_m = 15.0\n")
-    ...     export_dirsig_scene(path, Path(place, "out")).material_id.values.tolist()
+    ...     export_dirsig_scene(path, Path(folder, "out")).material_id.values.tolist()
     ['grass']
     """
     from hyperpaint.io.dirsig import write_dirsig_scene
@@ -74,8 +75,8 @@ def export_dirsig_scene(
     repaint = dict(file.paints)
     libraries = [] if library is None else [library]
     if library is not None:
-        repaint = dealt_paints(parts.scene, list(map(str, library["signature"].values)), repaint)
-    libraries += [*named_libraries(parts.spectra), _formulas(parts, repaint)]
+        repaint = assigned_paints(parts.scene, list(map(str, library["signature"].values)), repaint)
+    libraries += [*named_libraries(parts.spectra), _spectra_library(parts, repaint)]
     return write_dirsig_scene(
         parts.scene,
         folder,
@@ -88,31 +89,34 @@ def export_dirsig_scene(
     )
 
 
-def dealt_paints(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -> dict[str, str]:
-    """Return the paints of things: those that are said, and the rest of ``names`` in turn on the other cars.
+def assigned_paints(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -> dict[str, str]:
+    """Return new paints by instance: ``repaint``, and other ``names`` in turn for cars without a repaint.
 
     Examples
     --------
     >>> from hyperpaint.simulation.rendering.car_parks import car_park
     >>> scene = car_park(length=5.0, width=16.0, neighbours=(), seed=1)
-    >>> [one.paint for one in scene.instances if one.kind == "car"]
+    >>> [instance.paint for instance in scene.instances if instance.kind == "car"]
     ['light_blue', 'dark_red', 'yellow', 'white']
-    >>> dealt_paints(scene, ["yellow", "roof 7", "roof 8"], {"car_000": "roof 8"})
+    >>> assigned_paints(scene, ["yellow", "roof 7", "roof 8"], {"car_000": "roof 8"})
     {'car_000': 'roof 8', 'car_001': 'roof 7', 'car_003': 'roof 7'}
     """
-    known = {each.name for each in (*scene.materials, *scene.instances)}
-    known |= {each.spectrum for each in scene.materials} | set(repaint.values())
-    rest = [name for name in names if name not in known]
+    scene_names = {item.name for item in (*scene.materials, *scene.instances)}
+    scene_names |= {item.spectrum for item in scene.materials} | set(repaint.values())
+    new_paints = [name for name in names if name not in scene_names]
     cars = [
-        each.name
-        for each in scene.instances
-        if each.kind == "car" and each.name not in repaint and not {each.paint} & {*names, *repaint}
+        item.name
+        for item in scene.instances
+        if item.kind == "car" and item.name not in repaint and not {item.paint} & {*names, *repaint}
     ]
-    return {**repaint, **{car: rest[number % len(rest)] for number, car in enumerate(cars) if rest}}
+    return {
+        **repaint,
+        **{car: new_paints[number % len(new_paints)] for number, car in enumerate(cars) if new_paints},
+    }
 
 
 def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
-    """Return the paint libraries among a file's spectra; paints are "<key>/<name>", or "<key>" if alone."""
+    """Return the paint libraries among spectra; paints are "<key>/<name>", a single paint also "<key>"."""
     libraries = []
     for key, value in spectra.items():
         if hasattr(value, "data_vars"):
@@ -123,28 +127,31 @@ def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
     return libraries
 
 
-def _formulas(parts: Parts, repaint: Mapping[str, str]) -> xr.Dataset:
-    # spectra of the file and built-in ones; the reflectance of a paint with flakes is the sum of pigment and
-    # flakes, since DIRSIG has no flakes
-
+def _spectra_library(parts: RenderParts, repaint: Mapping[str, str]) -> xr.Dataset:
+    # spectra of the file and built-in spectra as a library; DIRSIG has no flakes, so that the reflectance of
+    # a paint with flakes is the sum of pigment and flakes
     from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
-    flakes = {each.spectrum: each.flakes for each in parts.scene.materials if each.flakes is not None}
-    names = [each.spectrum for each in parts.scene.materials] + list(repaint.values())
+    flakes = {
+        material.spectrum: material.flakes
+        for material in parts.scene.materials
+        if material.flakes is not None
+    }
+    names = [material.spectrum for material in parts.scene.materials] + list(repaint.values())
     spectra: dict[str, Floats] = {}
     for name in dict.fromkeys(names):
-        given: Any = parts.spectra.get(name)
-        if given is not None and not hasattr(given, "data_vars"):
-            wavelength, values = given
+        file_spectrum: Any = parts.spectra.get(name)
+        if file_spectrum is not None and not hasattr(file_spectrum, "data_vars"):
+            wavelength, values = file_spectrum
             spectra[name] = np.interp(_GRID_NM, wavelength, values, left=np.nan, right=np.nan)
             continue
         try:
             body = spectrum_of(name)(_GRID_NM)
         except SchemaError:
-            continue  # of the library, or unknown, of which the writer says more
-        mixed = flakes.get(name)
-        if mixed is not None:
-            body = (1.0 - mixed.share) * body + mixed.share * spectrum_of(mixed.spectrum)(_GRID_NM)
+            continue  # a paint of the library; the writer reports unknown names
+        flake = flakes.get(name)
+        if flake is not None:
+            body = (1.0 - flake.share) * body + flake.share * spectrum_of(flake.spectrum)(_GRID_NM)
         spectra[name] = body
     reflectance = np.array(list(spectra.values()), np.float32).reshape(-1, len(_GRID_NM))
     return xr.Dataset(

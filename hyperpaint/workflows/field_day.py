@@ -1,7 +1,6 @@
-"""A whole field day in one call: from a ``collect.toml`` to store, library, validation, maps and report.
+"""A field day in one call: from a ``collect.toml`` to store, library, validation, maps and report.
 
-Every step is a workflow of its own; here they are put in order, and left alone where what they are made from
-has not changed.
+Steps are separate workflows. They are run in order; a step whose inputs have not changed is skipped.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from typing import Any
 
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaError, StoreError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.io.collect.collect_toml import Collect, read_collect
@@ -24,11 +24,11 @@ from hyperpaint.regions import Regions, read_regions
 
 from .maps import map_of_store, mosaic_of_store, write_map
 
-#: Steps of a field day, in this order; all but the first may be skipped.
+#: Steps of a field day in their order; all except the first may be skipped.
 STEPS = ("process", "signatures", "validate", "map", "mosaic", "dirsig", "report")
 
-#: File with the inputs and outputs of every step: a step with equal inputs is not repeated, and files that
-#: another program wrote are replaced on request only.
+#: File with checksums of inputs and products of every step: a step with equal inputs is not repeated, and
+#: products that another program wrote are replaced only on request.
 RECORD = "steps.json"
 
 _PRODUCTS = {
@@ -44,18 +44,18 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class StepOutcome:
-    """Outcome of one step.
+    """Outcome of a step.
 
     Attributes
     ----------
     step
         One of `STEPS`.
     state
-        ``"done"``, ``"unchanged"`` (complete, from the same inputs), ``"left out"`` or ``"failed"``.
+        ``"done"``, ``"unchanged"`` (products of the same inputs exist), ``"left out"`` or ``"failed"``.
     text
-        Products written, or the reason for none.
+        Products, or the reason why there are none.
     paths
-        Files to look at.
+        Files of the products.
     """
 
     step: str
@@ -66,9 +66,9 @@ class StepOutcome:
 
 @dataclass(frozen=True)
 class FieldDay:
-    """Outcomes of all steps, and whether the validation passed; None where nothing was compared.
+    """Outcomes of all steps.
 
-    ``errors``: of the steps that failed.
+    ``passed``: whether the validation passed, None if nothing was compared; ``errors``: of the failed steps.
     """
 
     out: Path
@@ -78,7 +78,9 @@ class FieldDay:
 
     def __str__(self) -> str:
         width = max(map(len, STEPS))
-        return "\n".join([f"{one.step:<{width}}  {one.state:<9}  {one.text}" for one in self.outcomes])
+        return "\n".join(
+            [f"{outcome.step:<{width}}  {outcome.state:<9}  {outcome.text}" for outcome in self.outcomes]
+        )
 
 
 def run_field_day(
@@ -94,11 +96,11 @@ def run_field_day(
     progress: Callable[[str], Progress | None] | None = None,
     say: Callable[[StepOutcome], None] = lambda _: None,
 ) -> FieldDay:
-    """Do all that a field day asks for: process, signatures, validation, maps, DIRSIG materials, report.
+    """Run all steps of a field day: process, signatures, validation, maps, DIRSIG materials, report.
 
-    A step whose inputs are those of an earlier run is left as it is, so that an interrupted run goes on where
-    it ended. A step that the collect has nothing for (no references, no height of the ground) is left out,
-    and says so. Where processing is done, a step that fails says why, and the others are done.
+    A step with the inputs of an earlier run is not repeated, so that the same call resumes an interrupted
+    run. A step without inputs in the collect (no references, no height of the ground) is left out. After
+    processing, a failing step does not stop the steps after it. Outcomes give the reasons.
 
     Parameters
     ----------
@@ -107,31 +109,31 @@ def run_field_day(
     out
         Folder of the products; by default ``products`` beside the ``collect.toml``.
     regions
-        Regions of paint; by default ``regions.geojson`` beside the ``collect.toml``, else roofs of cars that
-        are proposed by rule.
+        Regions of paint; by default ``regions.geojson`` beside the ``collect.toml``, else proposed roofs of
+        cars, see `hyperpaint.regions.propose_regions`.
     skip
-        Names of `STEPS` that are left out; not ``"process"``.
+        Names of `STEPS` to leave out, except ``"process"``.
     specular_sky
-        Subtract the sky that clear coats mirror from the signatures, see `hyperpaint.extract_signatures`:
-        what a field spectrometer with a contact probe, or a sphere, does not see.
+        Subtract the sky that clear coats mirror from the signatures, see `hyperpaint.extract_signatures`. Use
+        it for comparison with a contact probe or an integrating sphere, which do not measure mirrored sky.
     alignment, accept
-        See `hyperpaint.process`: what is corrected between camera and record, findings to go on with.
+        Correction of wavelengths between camera and record, and accepted findings; see `hyperpaint.process`.
     overwrite
-        Replace a store of other inputs, and products that were not written by a run.
+        Replace a store of other inputs, and products that another program wrote or changed.
     progress
-        Called with the name of a step; returns what is called with work done and to do.
+        Called with the name of a step; returns a function that is called with the work done and the total.
     say
-        Called with each outcome as soon as it is known.
+        Called with the outcome of every step when the step ends.
 
     Returns
     -------
     FieldDay
-        ``str`` of it is a table.
+        Outcomes of all steps; ``str`` of it is a table.
 
     Raises
     ------
     SchemaError
-        ``skip`` names no step, or there is no such file of regions.
+        ``skip`` holds an unknown step, or the file of regions does not exist.
     CollectError, FormatError, StoreError, UnitsError, MissingExtraError
         As `hyperpaint.process`.
 
@@ -144,13 +146,11 @@ def run_field_day(
         if name == "process":
             problems.add(
                 "skip='process', which all other steps need",
-                mend="call the functions of those steps",
+                mend="call the functions of the other steps",
                 code="step-required",
             )
-        elif name not in STEPS:
-            problems.add(
-                f"skip={name!r}", expected=f"one of {', '.join(map(repr, STEPS[1:]))}", code="choice-unknown"
-            )
+        else:
+            one_of(name, STEPS[1:], "skip", problems=problems)
     problems.raise_if_any()
     path = Path(collect)
     if path.is_dir():
@@ -165,10 +165,10 @@ def run_field_day(
     folder = store_of(path).parent if out is None else Path(out)
     if regions is None and (path.parent / "regions.geojson").is_file():
         regions = path.parent / "regions.geojson"
-    # before hours of processing, not after them
+    # check this before hours of processing
     if regions is not None and not Path(regions).exists():
-        raise SchemaError(f"no file of regions {regions}", mend="check the path", code="file-not-found")
-    day = _Day(
+        raise SchemaError(f"regions {regions}: no such file", mend="check the path", code="file-not-found")
+    day = _FieldDayRun(
         settings=settings,
         out=folder,
         regions=None if regions is None else read_regions(regions),
@@ -178,22 +178,22 @@ def run_field_day(
         accept=tuple(accept),
         overwrite=overwrite,
         progress=progress or (lambda _: None),
-        is_watched=progress is not None,
+        shows_progress=progress is not None,
         say=say,
     )
     folder.mkdir(parents=True, exist_ok=True)
     for step in STEPS:
-        day.do(step)
+        day.run_step(step)
     return FieldDay(folder, tuple(day.outcomes), day.passed, tuple(day.errors))
 
 
 def store_of(collect: Path) -> Path:
-    """Return where the store of a collect is written, where nobody says otherwise."""
+    """Return the default path of the store of a collect."""
     return collect.parent / "products" / "lot.zarr"
 
 
 @dataclass
-class _Day:
+class _FieldDayRun:
     settings: Collect
     out: Path
     regions: Regions | None
@@ -203,7 +203,7 @@ class _Day:
     accept: tuple[str, ...]
     overwrite: bool
     progress: Callable[[str], Progress | None]
-    is_watched: bool
+    shows_progress: bool
     say: Callable[[StepOutcome], None]
     outcomes: list[StepOutcome] = field(default_factory=list)
     passed: bool | None = None
@@ -217,14 +217,14 @@ class _Day:
     def library(self) -> Path:
         return self.out / "paints.zarr"
 
-    def do(self, step: str) -> None:
+    def run_step(self, step: str) -> None:
         if step in self.skip:
             self._note(StepOutcome(step, "left out", "as asked"))
             return
         if step == "process":
             self._note(self._process())
             return
-        missing = self._lacks(step)
+        missing = self._missing_input(step)
         if missing:
             self._note(StepOutcome(step, "left out", missing))
             return
@@ -237,8 +237,8 @@ class _Day:
             return
         try:
             self._refuse_foreign(entry, products)
-            # whatever is there from now on is of this run, should it be interrupted
-            self._write_record({step: _UNKNOWN})
+            # if this run is interrupted, its products are not taken for those of another program
+            self._write_record({step: _UNFINISHED})
             text = {
                 "signatures": self._signatures,
                 "validate": self._validate,
@@ -248,7 +248,7 @@ class _Day:
                 "report": self._report,
             }[step]()
         except PaintError as error:
-            # the steps after it do not depend on it, but for the library, which they look for
+            # later steps do not depend on this one, except on the library, which they check
             self.errors.append(error)
             self._note(StepOutcome(step, "failed", str(error)))
             return
@@ -259,7 +259,7 @@ class _Day:
         self._note(StepOutcome(step, "done", text, products))
 
     def _refuse_foreign(self, entry: Any, products: Collection[Path]) -> None:
-        if self.overwrite or entry == _UNKNOWN:
+        if self.overwrite or entry == _UNFINISHED:
             return
         states = entry["products"] if entry else {}
         foreign = [
@@ -267,15 +267,15 @@ class _Day:
         ]
         if foreign:
             raise StoreError(
-                f"{_listed(foreign)}: not written by a run, or changed since",
-                mend="move it away, or pass overwrite=True",
-                option="move it away, or use --overwrite",
+                f"{_listed(foreign)}: written or changed by another program",
+                mend="move them away, or pass overwrite=True",
+                option="move them away, or use --overwrite",
                 code="product-foreign",
             )
 
     @property
     def _library_failed(self) -> bool:
-        return any(each.step == "signatures" and each.state == "failed" for each in self.outcomes)
+        return any(outcome.step == "signatures" and outcome.state == "failed" for outcome in self.outcomes)
 
     def _note(self, outcome: StepOutcome) -> None:
         self.outcomes.append(outcome)
@@ -283,41 +283,41 @@ class _Day:
 
     # --- inputs of a step ---
 
-    def _lacks(self, step: str) -> str:
-        # empty where the inputs of the step exist
+    def _missing_input(self, step: str) -> str:
+        # the missing input of a step in words; empty if all exist
         needs_library = step in ("validate", "dirsig")
         if needs_library and self._library_failed:
-            return "the signatures failed; a library that is there is of an earlier run"
+            return "the step signatures failed, and an existing library is from an earlier run"
         if needs_library and not self.library.exists():
             return "there is no library of signatures"
         if step == "validate" and not self.settings.references:
             return "the collect names no [[references]]"
         if step == "validate" and self.regions is None:
             return (
-                "paints that are proposed by rule have names of their own; draw regions that are named as "
-                "the references are, or compare with hyperpaint validate --pairs"
+                "proposed regions do not have the names of the references; draw regions with these names, or "
+                "compare with hyperpaint validate --pairs"
             )
         if step in ("map", "mosaic"):
             if not {"ground", "dem"} & set(self.settings.geometry):
-                return "the height of the ground is not known: [geometry] ground, above the ellipsoid, or dem"
-            if not self._mapped():
+                return "the height of the ground is missing: [geometry] ground, above the ellipsoid, or dem"
+            if not self._located_lines():
                 return "no flight line has navigation"
-        if step == "mosaic" and len(self._mapped()) < 2:
-            return "one flight line makes no mosaic"
+        if step == "mosaic" and len(self._located_lines()) < 2:
+            return "a mosaic needs at least two flight lines with navigation"
         return ""
 
     def _products(self, step: str) -> tuple[Path, ...]:
         if step == "map":
-            return tuple(self.out / f"{name}.tif" for name in self._mapped())
+            return tuple(self.out / f"{name}.tif" for name in self._located_lines())
         return (self.out / _PRODUCTS[step],)
 
-    def _mapped(self) -> tuple[str, ...]:
+    def _located_lines(self) -> tuple[str, ...]:
         lines = [name for name in list_groups(self.store) if name.startswith("flightlines/")]
         located = [name for name in lines if "latitude" in open_store(self.store, name).variables]
         return tuple(name.removeprefix("flightlines/") for name in located)
 
     def _digest(self, step: str) -> str:
-        # of groups of the store, regions, settings, version
+        # digest of the inputs of a step: groups of the store, regions, settings, version
         from hyperpaint.io.store.groups import version_of_program
         from hyperpaint.io.store.manifest import INPUTS
 
@@ -349,9 +349,9 @@ class _Day:
         except ValueError:
             record = None
         entries = record if isinstance(record, dict) else dict.fromkeys(STEPS)
-        # entries that a damaged record has lost may belong to a run
+        # products whose entry is damaged may be those of a run, and may be replaced
         return {
-            step: _UNKNOWN if step in STEPS and not _is_entry(entry) else entry
+            step: _UNFINISHED if step in STEPS and not _is_entry(entry) else entry
             for step, entry in entries.items()
         }
 
@@ -366,22 +366,22 @@ class _Day:
     def _process(self) -> StepOutcome:
         from .pipeline import run
 
-        done = run(
+        outcome = run(
             self.settings.path,
             self.store,
             alignment=self.alignment,
             accept=self.accept,
             overwrite=self.overwrite,
-            progress=self.is_watched,
+            progress=self.shows_progress,
         )
-        state = "done" if done.written else "unchanged"
-        corrected = [f"{name}: {text}" for name, text in done.corrected.items()]
+        state = "done" if outcome.written else "unchanged"
+        corrected = [f"{name}: {text}" for name, text in outcome.corrected.items()]
         return StepOutcome("process", state, "\n".join([str(self.store), *corrected]), (self.store,))
 
     def _signatures(self) -> str:
         from .library_files import write_signatures
 
-        # lines carry all of [geometry] but a height model, which only regions of a map need
+        # lines have all of [geometry] except a height model, which only regions in map coordinates need
         is_map = self.regions is not None and self.regions.coordinates == "map"
         library = write_signatures(
             self.store,
@@ -409,7 +409,7 @@ class _Day:
     def _map(self) -> str:
         from hyperpaint.geometry.orthorectification.mapping import describe_swath
 
-        lines, texts = self._mapped(), []
+        lines, texts = self._located_lines(), []
         for number, line in enumerate(lines):
             share = part_of(self.progress("map"), number, len(lines))
             orthomap = map_of_store(
@@ -422,8 +422,8 @@ class _Day:
 
     def _mosaic(self) -> str:
         path = self.out / _PRODUCTS["mosaic"]
-        # lines without navigation have no place; the step map lists them
-        lines = self._mapped()
+        # lines without navigation cannot be mapped
+        lines = self._located_lines()
         mosaic = mosaic_of_store(self.store, lines, progress=self.progress("mosaic"), **self._heights)
         write_map(mosaic, path, overwrite=True)
         return f"{path}: lines {', '.join(mosaic.attrs['flightlines'])}, the steepest view on top"
@@ -451,45 +451,47 @@ class _Day:
         from hyperpaint.report.store_report import write_report
 
         library = self.library if self.library.exists() and not self._library_failed else None
-        done = write_report(
+        page = write_report(
             self.store,
             self.out / "report.html",
             library=library,
             overwrite=True,
             progress=self.progress("report"),
         )
-        problems = f"; cannot be read: {'; '.join(done.problems)}" if done.problems else ""
-        return f"{done.path}{problems}"
+        problems = f"; cannot be read: {'; '.join(page.problems)}" if page.problems else ""
+        return f"{page.path}{problems}"
 
 
-#: Entry of a step that is under way, or of which nothing is known: any product may be its own.
-_UNKNOWN: dict[str, Any] = {"inputs": None, "products": None}
+#: Entry of a step that was started and not finished: its products may be those of a run.
+_UNFINISHED: dict[str, Any] = {"inputs": None, "products": None}
 
 
 _HASH = "blake2b"
 
 
 def _is_entry(entry: Any) -> bool:
-    # checksums by name, as version 0.3 writes them
-    products = entry["products"] if isinstance(entry, dict) and set(entry) == set(_UNKNOWN) else None
+    # whether an entry has checksums of products in the form that `_states` returns
+    products = entry["products"] if isinstance(entry, dict) and set(entry) == set(_UNFINISHED) else None
     return isinstance(products, dict) and all(
         not state or str(state).startswith(f"{_HASH}:") for state in products.values()
     )
 
 
 def _states(paths: Iterable[Path]) -> dict[str, str]:
-    # a file by its content, a folder by all its files, a store by its metadata
+    # checksums by name: of a file's content, of all files of a folder, of the metadata of a store
     states: dict[str, str] = {}
     for path in paths:
         files = [path] if path.is_file() else []
         if path.is_dir():
-            # metadata hold checksums of the chunks
+            # metadata of a store contain checksums of its chunks
             pattern = "zarr.json" if (path / "zarr.json").is_file() else "*"
-            files = sorted(each for each in path.rglob(pattern) if each.is_file())
+            files = sorted(file_path for file_path in path.rglob(pattern) if file_path.is_file())
         sums = []
-        for each in files:
-            with open(each, "rb") as file:
-                sums.append((each.relative_to(path).as_posix(), hashlib.file_digest(file, _HASH).hexdigest()))
+        for file_path in files:
+            with open(file_path, "rb") as file:
+                sums.append(
+                    (file_path.relative_to(path).as_posix(), hashlib.file_digest(file, _HASH).hexdigest())
+                )
         states[path.name] = f"{_HASH}:{hashlib.sha256(json.dumps(sums).encode()).hexdigest()}" if sums else ""
     return states
 

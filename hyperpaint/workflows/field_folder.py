@@ -30,16 +30,17 @@ from hyperpaint.io.flightline.headwall import (
 from hyperpaint.io.spectrometers.asd import Spectrum, read_spectra
 
 _MAX_SURVEY_BYTES = 1 << 20
+#: Maximum depth of subfolders that are searched.
 MAX_DEPTH = 6
-#: Folders below the one that is looked at, and files and folders in it, beyond which it is no field day.
+#: Maximum number of files and folders in the folder of a field day.
 MAX_ENTRIES = 50_000
 
 _STORES = (".zarr", ".nc")
 _SURVEY = re.compile(r"survey|gcp|control.?point", re.IGNORECASE)
 _HEIGHT = re.compile(r"(?:(?:ellipsoid(?:al)?|ell|wgs84|hae)[ _-]?(?:height|elevation|h)|hae)", re.IGNORECASE)
 
-#: Between the lowest and the highest point, up to which one height stands for the ground; 1 m seen from 50 m
-#: moves the outer columns of a 20 degree swath by 0.18 m.
+#: Maximum range of surveyed heights for which their median is taken as the height of the ground: from 50 m, 1
+#: m moves the outer columns of a 20 degree swath by 0.18 m.
 MAX_SURVEY_SPREAD_M = 1.0
 
 
@@ -54,8 +55,8 @@ class Lens:
     @property
     def field_of_view(self) -> float:
         """Angle between the outer edges of the columns [degree]."""
-        half = self.columns / 2 * self.pixel_pitch_um * 1e-3 / self.focal_length_mm
-        return 2.0 * math.degrees(math.atan(half))
+        half_width_mm = self.columns / 2 * self.pixel_pitch_um * 1e-3 / self.focal_length_mm
+        return 2.0 * math.degrees(math.atan(half_width_mm))
 
 
 @dataclass(frozen=True)
@@ -64,19 +65,19 @@ class Survey:
 
     path: Path
     height: float  # Median [m]
-    spread: float  # Of all points [m]
-    points: int
+    spread: float  # Maximum minus minimum [m]
+    points: int  # Number of points
 
 
 @dataclass(frozen=True)
 class FlightCube:
-    """One raw cube of a flight, and its companion files."""
+    """A raw cube of a flight, and its companion files."""
 
     header: Path
     frame_index: Path | None  # None: line times must come from elsewhere
     navigation: Path | None
-    has_exposure: bool  # whether settings.txt or the header states it
-    lens: Lens | None = None  # None: the header says none, or pixels are binned
+    has_exposure: bool  # whether settings.txt or the header contains the exposure
+    lens: Lens | None = None  # None: missing in the header, or pixels are binned
 
 
 @dataclass(frozen=True)
@@ -88,16 +89,16 @@ class FieldFolder:
     darks: tuple[Path, ...]
     calibration: Path | None
     sweep: Path | None
-    #: Folders of spectra: of downwelling irradiance, and (instrument, folder, suffix) of reflectance.
+    #: Spectra of downwelling irradiance (folder, suffix), and of reflectance (instrument, folder, suffix).
     irradiance: tuple[tuple[Path, str], ...]
     references: tuple[tuple[str, Path, str], ...]
-    #: Hours of the irradiance's clock ahead of UTC, None where no file says them.
+    #: Clock of the irradiance record minus UTC [h]; None if no file contains it.
     utc_offset_h: float | None
-    #: Least and largest seconds to be added to that clock with which the record covers the flight; None
-    #: where its times, or those of the flight, are not known.
+    #: Minimum and maximum correction of that clock [s] with which the record covers the flight; None if times
+    #: of record or flight are missing.
     clock_offsets_s: tuple[float, float] | None
     survey: Survey | None = None
-    #: What was seen and not used, with the reason.
+    #: Files that are not used, with reasons.
     notes: tuple[str, ...] = field(default=())
 
 
@@ -108,16 +109,16 @@ def find_field_files(
     dark: str | os.PathLike[str] | None = None,
     calibration: str | os.PathLike[str] | None = None,
 ) -> FieldFolder:
-    """Find the files of a field day in a folder; headers and small files are read, no cube.
+    """Find the files of a field day in a folder, by reading headers and small files, but no cubes.
 
     Parameters
     ----------
     folder
         Folder to search, with its subfolders to a depth of six.
     asd
-        Folder of ASD files, where they lie elsewhere.
+        Folder of ASD files, if it is outside ``folder``.
     dark
-        Folder of dark cubes, where they lie elsewhere.
+        Folder of dark cubes, if it is outside ``folder``.
     calibration
         Calibration or lab sweep of the camera; by default the one in the folder.
 
@@ -128,26 +129,26 @@ def find_field_files(
 
     Notes
     -----
-    An integer ENVI cube is raw; one with ``dark`` in its name, or in the name of a folder between, is a dark.
-    ASD files of a folder are irradiance or reflectance by their content, and all of one kind.
+    ENVI cubes of integers are raw; they are darks if their name, or a subfolder's name, contains ``dark``.
+    ASD files of a folder are irradiance or reflectance by the content of the first.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise CollectError(
             f"{folder} is not a folder", expected="the folder of the flight's cubes", code="folder-not-found"
         )
-    seen = _Seen(folder)
+    search = _FileSearch(folder)
     for path in _walk(folder):
-        seen.add(path)
+        search.add(path)
     for extra, kind in ((dark, "dark"), (asd, "spectra")):
         if extra is not None:
-            seen.add_folder(Path(extra), kind)
+            search.add_folder(Path(extra), kind)
     if calibration is not None:
-        seen.calibrations = [Path(calibration)]
-    return seen.result()
+        search.calibrations = [Path(calibration)]
+    return search.result()
 
 
-class _Seen:
+class _FileSearch:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.raw: list[Path] = []
@@ -158,20 +159,21 @@ class _Seen:
         self.notes: list[str] = []
 
     def add(self, path: Path) -> None:
-        # a cube by its header, other files by their names
+        # classify cubes by their header, other files by their names
         suffix = path.suffix.lower()
         if suffix == ".hdr":
             inner = path.relative_to(self.folder) if path.is_relative_to(self.folder) else path
             self._add_cube(path, is_dark=any("dark" in part.lower() for part in inner.parts))
         elif suffix in (".asd", ".sig"):
             self.spectra.setdefault((path.parent, suffix), []).append(path)
-        elif suffix in _STORES and not (path / "flightlines").is_dir():  # a processed collect holds its own
+        # a store with flight lines is a processed collect, not a calibration
+        elif suffix in _STORES and not (path / "flightlines").is_dir():
             self.calibrations.append(path)
         elif suffix == ".csv" and _SURVEY.search(path.stem):
             self.surveys.append(path)
 
     def add_folder(self, folder: Path, kind: str) -> None:
-        # a dark outside of the field folder needs no ``dark`` in its name
+        # a dark outside the field folder needs no ``dark`` in its name
         if not folder.is_dir():
             raise CollectError(
                 f"{folder} is not a folder", expected=f"a folder of {kind} files", code="folder-not-found"
@@ -192,22 +194,22 @@ class _Seen:
         if header.is_spectral_library:
             return
         if header.dtype.kind not in "ui":
-            self.notes.append(f"{self._shown(path)} is not used: {header.dtype}, raw counts are integers")
+            self.notes.append(f"{self._relative(path)} is not used: {header.dtype}, raw counts are integers")
             return
         (self.darks if is_dark else self.raw).append(path)
 
-    def _shown(self, path: Path) -> str:
+    def _relative(self, path: Path) -> str:
         return os.path.relpath(path, self.folder)
 
     def result(self) -> FieldFolder:
         if not self.raw:
-            seen = f"; {'; '.join(self.notes)}" if self.notes else ""
+            reasons = f"; {'; '.join(self.notes)}" if self.notes else ""
             raise CollectError(
-                f"no raw cube in {self.folder}{seen}",
+                f"no raw cube in {self.folder}{reasons}",
                 expected=f"ENVI headers (raw_0.hdr) beside cubes, at most {MAX_DEPTH} folders deep",
                 code="cube-missing",
             )
-        stored, sweep = self._calibration()
+        calibration, sweep = self._calibration()
         irradiance, references = self._instruments()
         cubes = tuple(self._flight_cubes())
         record = _record_times([path for folder, _ in irradiance for path in self.spectra[folder, ".asd"]])
@@ -215,7 +217,7 @@ class _Seen:
             folder=self.folder,
             cubes=cubes,
             darks=tuple(sorted(self.darks)),
-            calibration=stored,
+            calibration=calibration,
             sweep=sweep,
             irradiance=tuple(irradiance),
             references=tuple(references),
@@ -230,37 +232,41 @@ class _Seen:
             has_exposure, lens = False, None
             with contextlib.suppress(PaintError), warnings.catch_warnings():
                 warnings.simplefilter("ignore", PaintWarning)
-                opened = open_envi(header)
-                has_exposure = find_exposure(None, header, header.name, opened, required=False)[0] is not None
+                dataset = open_envi(header)
+                has_exposure = (
+                    find_exposure(None, header, header.name, dataset, required=False)[0] is not None
+                )
                 lengths = lens_lengths(read_header(header).comments)
-                lens = None if lengths is None else Lens(*lengths, opened.sizes[CROSS_TRACK])
-            beside = frame_index_beside(header), navigation_beside(header)
-            yield FlightCube(header, *beside, has_exposure, lens)
+                lens = None if lengths is None else Lens(*lengths, dataset.sizes[CROSS_TRACK])
+            companions = frame_index_beside(header), navigation_beside(header)
+            yield FlightCube(header, *companions, has_exposure, lens)
 
     def _survey(self) -> Survey | None:
-        # only of one such file, and where its heights agree
+        # the surveyed height of the ground, from a single file with similar heights
         if len(self.surveys) != 1:
             if self.surveys:
-                names = ", ".join(map(self._shown, self.surveys))
-                self.notes.append(f"several surveys ({names}): none is chosen for the height of the ground")
+                names = ", ".join(map(self._relative, self.surveys))
+                self.notes.append(
+                    f"several surveys ({names}): the height of the ground is not taken from them"
+                )
             return None
         (path,) = self.surveys
         try:
             heights = _surveyed_heights(path)
         except FormatError as error:
-            self.notes.append(f"{self._shown(path)} is not used: {error}")
+            self.notes.append(f"{self._relative(path)} is not used: {error}")
             return None
         spread = float(np.ptp(heights))
         if spread > MAX_SURVEY_SPREAD_M:
             self.notes.append(
-                f"{self._shown(path)} is not used: its points lie {spread:.2f} m apart in height, and one "
-                f"height is meant for up to {MAX_SURVEY_SPREAD_M:g} m; name a dem"
+                f"{self._relative(path)} is not used: its heights differ by {spread:.2f} m, and a single "
+                f"height is used for up to {MAX_SURVEY_SPREAD_M:g} m; use a dem instead"
             )
             return None
         return Survey(path, float(np.median(heights)), spread, heights.size)
 
     def _calibration(self) -> tuple[Path | None, Path | None]:
-        # the one calibration, else the one lab sweep
+        # the single calibration, else the single lab sweep
         from hyperpaint.io.flightline.calibration_store import open_calibration, open_sweep
 
         calibrations, sweeps, reasons = [], [], []
@@ -273,15 +279,15 @@ class _Seen:
                     open_sweep(path)
                     sweeps.append(path)
                 except PaintError:
-                    reasons.append(f"{self._shown(path)} is not used: {error}")
-        several = calibrations or sweeps
-        if not several:
+                    reasons.append(f"{self._relative(path)} is not used: {error}")
+        candidates = calibrations or sweeps
+        if not candidates:
             self.notes += reasons
-        if len(several) > 1:
-            names = ", ".join(map(self._shown, several))
-            self.notes.append(f"several calibrations ({names}): none is chosen; name one with --calibration")
+        if len(candidates) > 1:
+            names = ", ".join(map(self._relative, candidates))
+            self.notes.append(f"several calibrations ({names}) are not used; choose one with --calibration")
             return None, None
-        return (several[0], None) if calibrations else (None, several[0] if sweeps else None)
+        return (candidates[0], None) if calibrations else (None, candidates[0] if sweeps else None)
 
     def _instruments(self) -> tuple[list[tuple[Path, str]], list[tuple[str, Path, str]]]:
         # folders of irradiance, and folders of reflectance with their instruments
@@ -294,14 +300,14 @@ class _Seen:
             try:
                 quantity = _read_quietly(sorted(files)[:1])[1]
             except PaintError as error:
-                self.notes.append(f"{self._shown(folder)}/*.asd is not used: {error}")
+                self.notes.append(f"{self._relative(folder)}/*.asd is not used: {error}")
                 continue
             if quantity == "irradiance":
                 irradiance.append((folder, suffix))
             elif quantity == "reflectance":
                 references.append(("asd", folder, suffix))
             else:
-                self.notes.append(f"{self._shown(folder)}/*.asd is not used: it holds {quantity}")
+                self.notes.append(f"{self._relative(folder)}/*.asd is not used: it contains {quantity}")
         return irradiance, references
 
 
@@ -323,7 +329,7 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     if len(columns) != 1 or len(rows) < 2:
         raise FormatError(
             f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows",
-            expected="one such as ellipsoidal_height_m (heights above the sea differ by tens of metres)",
+            expected="one column such as ellipsoidal_height_m (above sea level differs by tens of metres)",
             code="height-column-missing",
         )
     try:
@@ -339,8 +345,7 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
 
 
 def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
-    # a later reading repeats the warnings
-
+    # warnings are given when the files are opened for processing
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PaintWarning)
         return read_spectra(files, None)
@@ -348,24 +353,24 @@ def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
 
 @dataclass(frozen=True)
 class _Record:
-    # times of the irradiance record, by the clock of its PC
+    # first and last time of the irradiance record, by the clock of its PC
     first: np.datetime64 | None = None
     last: np.datetime64 | None = None
     utc_offset_h: float | None = None
 
     def offsets_for(self, cubes: Iterable[FlightCube]) -> tuple[float, float] | None:
-        # clock offsets [s] with which the record covers all cubes
-        spans = [span for cube in cubes if (span := _flown(cube)) is not None]
+        # minimum and maximum clock offset [s] with which the record covers all cubes
+        spans = [span for cube in cubes if (span := _flight_times(cube)) is not None]
         if self.first is None or self.last is None or self.utc_offset_h is None or not spans:
             return None
         zone = np.timedelta64(round(self.utc_offset_h * 3600), "s")
-        first = max(last for _, last in spans) - (self.last - zone)
-        last = min(first for first, _ in spans) - (self.first - zone)
-        return first / np.timedelta64(1, "s"), last / np.timedelta64(1, "s")
+        least = max(most for _, most in spans) - (self.last - zone)
+        most = min(least for least, _ in spans) - (self.first - zone)
+        return least / np.timedelta64(1, "s"), most / np.timedelta64(1, "s")
 
 
 def _record_times(files: list[Path]) -> _Record:
-    # the first and the last file by name
+    # times of the first and the last file by name
     if not files:
         return _Record()
     ordered = sorted(files)
@@ -381,8 +386,8 @@ def _record_times(files: list[Path]) -> _Record:
     return _Record(min(stamps), max(stamps), zone) if stamps else _Record(utc_offset_h=zone)
 
 
-def _flown(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
-    # times of the first and the last line of the frame index [UTC]
+def _flight_times(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
+    # UTC times of the first and the last line
     from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     if cube.frame_index is None or cube.navigation is None:
@@ -398,18 +403,18 @@ def _flown(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
 
 def _walk(folder: Path) -> Iterator[Path]:
     entries = 0
-    for place, folders, names in os.walk(folder):
+    for parent, folders, names in os.walk(folder):
         entries += len(folders) + len(names)
         if entries > MAX_ENTRIES:
             raise CollectError(
                 f"{folder} holds more than {MAX_ENTRIES} files",
-                mend="name the folder of one flight",
+                mend="pass the folder of a single flight",
                 code="folder-too-large",
             )
         stores = [name for name in folders if Path(name).suffix.lower() in _STORES]
-        yield from (Path(place, name) for name in sorted(stores))
-        depth = len(Path(place).relative_to(folder).parts)
+        yield from (Path(parent, name) for name in sorted(stores))
+        depth = len(Path(parent).relative_to(folder).parts)
         folders[:] = sorted(
             name for name in folders if name not in stores and not name.startswith(".") and depth < MAX_DEPTH
         )
-        yield from (Path(place, name) for name in sorted(names) if not name.startswith("."))
+        yield from (Path(parent, name) for name in sorted(names) if not name.startswith("."))

@@ -1,4 +1,4 @@
-"""Collects and lab sweeps in files: the one place where readers meet calibration and geometry."""
+"""Opening of collects and calibration of lab sweeps: readers combined with calibration and geometry."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import CollectError, FormatError, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import CROSS_TRACK, label
 from hyperpaint.io.files.reading import decoded_text, numbers, read_limited_text
 
@@ -28,8 +28,8 @@ def calibrate_sweep(
 ) -> xr.Dataset:
     """Return the calibration of a stored lab sweep (see `open_sweep`); ``options`` are those of `calibrate`.
 
-    Raises `FormatError`, `SchemaError`: the sweep cannot be read, or cannot be calibrated; all problems are
-    listed. Warns as `calibrate`.
+    Raises `FormatError` or `SchemaError` if the sweep cannot be read or calibrated; all problems are listed.
+    Warns as `calibrate`.
     """
     from hyperpaint.calibration import calibrate
     from hyperpaint.io.flightline.calibration_store import open_sweep
@@ -53,12 +53,12 @@ def write_calibration(
 ) -> xr.Dataset:
     """Write the calibration of a stored lab sweep into a store, and return it; see `calibrate_sweep`.
 
-    ``overwrite`` replaces another calibration; one of the same content is left alone. ``picture``: file to
-    draw it into, see `hyperpaint.pictures.calibration_report`.
+    ``overwrite`` replaces a calibration of other content; an equal calibration is not written again.
+    ``picture``: file for the figure of `hyperpaint.pictures.calibration_report`.
 
-    Raises `FormatError`, `SchemaError`: as `calibrate_sweep`, or the picture cannot be written;
-    `MissingExtraError`: the picture needs matplotlib; `StoreError`: the store cannot be written, or holds
-    something else.
+    Raises `FormatError` or `SchemaError` as `calibrate_sweep`, or if the picture cannot be written;
+    `MissingExtraError` if the picture needs matplotlib; `StoreError` if the store cannot be written, or holds
+    other data.
     """
     from hyperpaint.io.store import to_store
 
@@ -86,15 +86,15 @@ def write_calibration(
 def open_collect(
     path: str | os.PathLike[str], *, need_irradiance: bool = True, chunks: Any = "auto"
 ) -> xr.DataTree:
-    """Open everything a ``collect.toml`` names, without reading a cube.
+    """Open all files of a ``collect.toml``, without reading cubes.
 
-    A lab sweep that it names (``[calibration] sweep``) is calibrated on the way.
+    A lab sweep (``[calibration] sweep``) is calibrated.
 
     Parameters
     ----------
     path
     need_irradiance
-        False where only radiance is wanted: a collect without irradiance is then whole.
+        False to accept a collect without irradiance, for radiance.
     chunks
         dask chunks of the cubes, as for `open_flightline`.
 
@@ -107,7 +107,7 @@ def open_collect(
     Raises
     ------
     CollectError
-        The file, or anything it names, cannot be used; all problems of all files are listed.
+        The ``collect.toml`` or one of its files cannot be used; all problems of all files are listed.
 
     Warns
     -----
@@ -138,7 +138,7 @@ def opened_collect(
         need_irradiance=need_irradiance,
         chunks=chunks,
         calibrate=calibrate_sweep,
-        mount=_mounted,
+        mount=_with_geometry,
         level=level_irradiance,
     )
     _declare_panels(opened)
@@ -149,27 +149,22 @@ def _declare_panels(opened: OpenedCollect) -> None:
     from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 
     lines: Mapping[str, xr.DataTree] = opened.tree["flightlines"].children
-    declared: dict[str, list[dict[str, Any]]] = {}
+    panels_by_line: dict[str, list[dict[str, Any]]] = {}
     for panel in opened.settings.panels:
-        if panel.line not in lines:
-            raise CollectError(
-                f"[[panels]] line = {panel.line!r}",
-                expected=f"one of {', '.join(map(str, lines))}",
-                code="choice-unknown",
-            )
-        known: Any = panel.reflectance
-        if isinstance(known, Path):
-            certificate = read_certificate(known)
-            known = np.stack([certificate["wavelength"].values, certificate.values], axis=-1).tolist()
-        row = {**vars(panel), "reflectance": known}
-        declared.setdefault(panel.line, []).append(row)
-    for name, rows in declared.items():
+        one_of(panel.line, list(lines), "[[panels]] line", error=CollectError)
+        reflectance: Any = panel.reflectance
+        if isinstance(reflectance, Path):
+            certificate = read_certificate(reflectance)
+            reflectance = np.stack([certificate["wavelength"].values, certificate.values], axis=-1).tolist()
+        row = {**vars(panel), "reflectance": reflectance}
+        panels_by_line.setdefault(panel.line, []).append(row)
+    for name, rows in panels_by_line.items():
         lines[name].dataset = lines[name].to_dataset().assign_attrs(panels=json.dumps(rows))
 
 
-def _mounted(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
-    # ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` are defaults of `locate`; the field
-    # of view, or the file ``look_angle``, becomes the angle of every column, which a crop of the line keeps
+def _with_geometry(line: xr.Dataset, geometry: Mapping[str, Any]) -> xr.Dataset:
+    # Store [geometry] in a line: ``ground`` [m above the ellipsoid], ``boresight`` and ``lever_arm`` as
+    # attributes for `locate`; the field of view, or the file ``look_angle``, as the angle of every column.
     names = {"ground": "ground", "boresight_deg": "boresight", "lever_arm_m": "lever_arm"}
     attrs = {
         names[key]: list(value) if isinstance(value, tuple) else float(value)
@@ -190,28 +185,30 @@ _MAX_ANGLE_FILE_BYTES = 2**20
 
 
 def _column_angles(path: Path, columns: int) -> Floats:
-    # one number a column, positive to the right [degree]
-    expected = "a text file with the angle of every column, positive to the right [degree]"
-    text = decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, expected))
+    # angle of every column, positive to the right [degree]
+    content = "a text file with the angle of every column, positive to the right [degree]"
+    text = decoded_text(read_limited_text(path, _MAX_ANGLE_FILE_BYTES, content))
     angles = numbers(text.replace(",", " ").split())
     if angles is None or len(angles) != columns:
         found = "words" if angles is None else f"{len(angles)} numbers"
         raise FormatError(
-            f"{path}: {found}", expected=f"{columns} angles, one a column [degree]", code="length-mismatch"
+            f"{path}: {found}",
+            expected=f"{columns} angles [degree], one for every column",
+            code="length-mismatch",
         )
     return np.asarray(angles, np.float64)
 
 
 def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
-    # the field of view lies between outer edges of the columns [degree]
+    # angles of columns from a field of view between the outer edges of the columns [degree]
     from hyperpaint.geometry.georeference.cameras import PinholeCamera
 
-    declared = Convention.from_attrs(line.attrs)
-    if declared is None or declared.column_order is None:
+    convention = Convention.from_attrs(line.attrs)
+    if convention is None or convention.column_order is None:
         raise SchemaError(
-            "[geometry] fov_deg without the direction of the columns",
+            "[geometry] fov_deg without the order of columns",
             mend='declare [navigation] column_order = "left_to_right" or "right_to_left"',
             code="column-order-missing",
         )
     camera = PinholeCamera(line.sizes[CROSS_TRACK], field_of_view=fov_deg, edges="outer")
-    return camera.look_across(declared.column_order)
+    return camera.look_across(convention.column_order)

@@ -1,6 +1,6 @@
-"""Paint libraries in files: from a store and its regions to one, and from one to its validation.
+"""Paint libraries in files: signatures of the regions of a store, and validation of a library.
 
-The one place where readers meet signatures and validation.
+This module combines readers with signatures and validation.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from .maps import location_of
 
 MAX_LISTED_REJECTIONS = 10
 MAX_STORED_REJECTIONS = 200
-#: Attribute ``flags`` of a library whose lines have no flags of glint, shadow and neighbours.
-NOT_LOOKED_FOR = "not looked for"
-#: Options of flags that proposals take as well.
-_SHARED = ("glint", "shadow", "adjacency", "sun_zenith")
+#: Attribute ``flags`` of a library from lines without flags of glint, shadow and neighbours.
+NOT_DETECTED = "not looked for"
+#: Options of `hyperpaint.surroundings.flag` that proposals of regions take too.
+_SHARED_OPTIONS = ("glint", "shadow", "adjacency", "sun_zenith")
 
 
 def write_signatures(
@@ -57,45 +57,47 @@ def write_signatures(
 ) -> xr.Dataset:
     """Write the signatures of regions on the flight lines of a store, or on a map, and return them.
 
-    Lines without flags are surveyed and flagged first. Reflectance is computed from the stored counts where
-    they are, with its uncertainties where the noise of the camera is known; else it is what is stored.
+    Lines without flags are surveyed and flagged first. Reflectance is computed from stored counts if they
+    exist, with its uncertainty if the noise of the camera is known; else the stored reflectance is used.
 
     Parameters
     ----------
     store
-        A store with groups ``flightlines/<id>``, as `hyperpaint.process` writes it; or one of a single line
-        or map, as `hyperpaint.workflows.maps.write_map` does. A map is not searched for flags.
+        A store with groups ``flightlines/<id>``, as from `hyperpaint.process`; or a store of a single line or
+        map, as from `hyperpaint.workflows.maps.write_map`. Flags are not detected on a map.
     regions
-        See `hyperpaint.regions.regions_from`; None has `hyperpaint.regions.propose_regions` propose some on
-        every line, with the survey that flags were made with.
+        See `hyperpaint.regions.regions_from`; None takes the regions that
+        `hyperpaint.regions.propose_regions` proposes on every line, with the survey of the flags.
     keep
-        Names of flags whose pixels are used, though they are left out otherwise; not with ``exclude``.
+        Names of flags whose pixels are used, although they are excluded by default; not with ``exclude``.
     flags
-        False flags nothing; or thresholds of `hyperpaint.surroundings.flag` and options of its survey.
+        False detects no flags; a mapping holds thresholds of `hyperpaint.surroundings.flag` and options of
+        its survey.
     sun_zenith
-        For flags, proposals and the mirrored sky [degree]; by default from time and position of each line.
+        Zenith angle of the sun for flags, proposals and the mirrored sky [degree]; by default from time and
+        position of each line.
     location
-        Options of `hyperpaint.workflows.maps.location_of`, by which lines are placed for regions of a map; by
-        default as the lines say.
+        Options of `hyperpaint.workflows.maps.location_of`, which locate lines for regions in map coordinates;
+        by default the attributes of the lines.
     progress
-        Called with work done and to do: surveys, then extraction.
+        Called with the work done and the total: surveys, then extraction.
     **options
         As `hyperpaint.extract_signatures`.
 
     Raises
     ------
     FormatError, MissingExtraError, SchemaError, UnitsError
-        As `hyperpaint.extract_signatures` and `hyperpaint.surroundings.flag`; or ``keep`` names an unknown
-        flag, or comes with ``exclude``.
+        As `hyperpaint.extract_signatures` and `hyperpaint.surroundings.flag`; or ``keep`` holds an unknown
+        flag, or is combined with ``exclude``.
     StoreError
-        The store has no finished flight line of the regions; or the library cannot be written, or its store
-        holds something else, and ``overwrite`` is False.
+        The store lacks a flight line of the regions; or the library cannot be written, or ``out`` holds other
+        data and ``overwrite`` is False.
     """
     from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
     from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
 
-    inside, around = Path(out).resolve(), Path(store).resolve()
-    if inside == around or around in inside.parents:
+    library_path, store_path = Path(out).resolve(), Path(store).resolve()
+    if library_path == store_path or store_path in library_path.parents:
         raise SchemaError(
             f"{out} is in the store itself",
             mend="choose another path for the library",
@@ -104,54 +106,54 @@ def write_signatures(
     if keep:
         if options.get("exclude") is not None:
             raise SchemaError(
-                "keep= and exclude= exclude each other", mend="pass one of them", code="option-conflict"
+                "keep= and exclude= cannot be combined", mend="pass one of them", code="option-conflict"
             )
         options["exclude"] = EXCLUDED & ~functools.reduce(operator.or_, flags_named(keep))
-    given = None if regions is None else regions_from(regions)
-    lines, looked_at = _lines(store, () if given is None else given.flightlines)
+    outlines = None if regions is None else regions_from(regions)
+    lines, flagged_lines = _open_lines(store, () if outlines is None else outlines.flightlines)
     maps = {name for name, line in lines.items() if ALONG_TRACK not in line.dims}
-    if location or (maps and given is None):
-        lines = _placed(lines, given, location or {}, maps)
-    wanted = [name for name in lines if flags is not False and name not in looked_at | maps]
-    surveys = {} if flags is True or flags is False else dict(flags)
-    surveys.setdefault("sun_zenith", sun_zenith)
-    flagged = {}
-    for number, name in enumerate(wanted):
-        share = part_of(progress, number, len(wanted) + 1)
+    if location or (maps and outlines is None):
+        lines = _located(lines, outlines, location or {}, maps)
+    unflagged = [name for name in lines if flags is not False and name not in flagged_lines | maps]
+    survey_options = {} if flags is True or flags is False else dict(flags)
+    survey_options.setdefault("sun_zenith", sun_zenith)
+    new_flags = {}
+    for number, name in enumerate(unflagged):
+        step_progress = part_of(progress, number, len(unflagged) + 1)
         with survey_planned(lines[name], f"the survey of {name or store}"):
             try:
-                flagged[name] = flag_line(lines[name], **{**surveys, "progress": share})
+                new_flags[name] = flag_line(lines[name], **{**survey_options, "progress": step_progress})
             except PaintError as error:
                 error.note(
-                    f"flight line {name!r} has no flags of glint or shadow yet",
-                    mend="flags=False does without",
-                    option="--no-flags does without",
+                    f"flight line {name!r} has no flags of glint or shadow",
+                    mend="flags=False extracts without them",
+                    option="--no-flags extracts without them",
                 )
                 raise
-    origin = _origin(lines, flagged, looked_at)
-    targets, refused = _proposed(lines, flagged, surveys) if given is None else (given, [])
-    lines |= {name: done.line for name, done in flagged.items()}
+    origin = _origin_of_flags(lines, new_flags, flagged_lines)
+    targets, refused = _propose(lines, new_flags, survey_options) if outlines is None else (outlines, [])
+    lines |= {name: flagged.line for name, flagged in new_flags.items()}
     if options.get("specular_sky"):
         options["sun_zenith"] = sun_zenith
-        word = surveys.get("diffuse")
-        # a shadow is looked for in the image by flags alone
-        options.setdefault("diffuse", None if isinstance(word, str) and word == "shadow" else word)
-    share = part_of(progress, len(wanted), len(wanted) + 1)
+        diffuse = survey_options.get("diffuse")
+        # diffuse="shadow" is an option of flags only
+        options.setdefault("diffuse", None if isinstance(diffuse, str) and diffuse == "shadow" else diffuse)
+    step_progress = part_of(progress, len(unflagged), len(unflagged) + 1)
     with contextlib.ExitStack() as stack:
         for name, line in lines.items():
             if name not in maps:
                 load, besides = budget.Load.of(line), budget.LOADED + MAX_GATHERED_BYTES
                 subject = f"extracting from {name or store}"
                 stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
-        library = extract_signatures(lines, targets, progress=share, **options)
-    library.attrs |= {"store": around.name, "flags": origin}
+        library = extract_signatures(lines, targets, progress=step_progress, **options)
+    library.attrs |= {"store": store_path.name, "flags": origin}
     if refused:
         library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
     to_store(library, Path(out), overwrite=overwrite)
     return library
 
 
-def _placed(
+def _located(
     lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
 ) -> dict[str, xr.Dataset]:
     from hyperpaint.geometry import locate
@@ -160,47 +162,45 @@ def _placed(
     if maps and regions is None:
         problems.add(
             "regions are proposed on flight lines, not on a map",
-            mend="draw and name some",
+            mend="draw regions on the map",
             code="regions-missing",
         )
     if location and maps:
-        problems.add(
-            "a map is located already", mend=f"leave out {', '.join(location)}", code="location-on-map"
-        )
+        problems.add("a map has a location", mend=f"leave out {', '.join(location)}", code="location-on-map")
     elif location and (regions is None or regions.coordinates != "map"):
         problems.add(
-            f"{', '.join(location)} apply to regions in map coordinates, and these are in sensor coordinates",
+            f"{', '.join(location)} need regions in map coordinates; these regions are in sensor coordinates",
             code="location-unused",
         )
     problems.raise_if_any()
     return {name: locate(line, **location_of(line, **location)) for name, line in lines.items()}
 
 
-def _lines(
-    store: str | os.PathLike[str], wanted: tuple[str, ...]
+def _open_lines(
+    store: str | os.PathLike[str], requested: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
-    # second, the names of lines that have flags
+    # opened lines by name, and the names of lines that have flags
     from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
     listed = list_groups(store)
     groups = [group for group in listed if group.startswith("flightlines/")]
     names = [group.removeprefix("flightlines/") for group in groups]
-    opened = {}
+    datasets = {}
     if listed == [""]:
-        only = open_store(store)
-        if {ALONG_TRACK, CROSS_TRACK} <= set(only.dims) or {"y", "x"} <= set(only.dims):
-            opened[str(only.attrs.get("name", ""))] = only
-    for name in names if not wanted or not set(wanted) <= set(names) else wanted:
-        opened[name] = open_store(store, f"flightlines/{name}")
-    if not opened:
+        dataset = open_store(store)
+        if {ALONG_TRACK, CROSS_TRACK} <= set(dataset.dims) or {"y", "x"} <= set(dataset.dims):
+            datasets[str(dataset.attrs.get("name", ""))] = dataset
+    for name in names if not requested or not set(requested) <= set(names) else requested:
+        datasets[name] = open_store(store, f"flightlines/{name}")
+    if not datasets:
         raise StoreError(
             f"{store} holds no flight line",
             expected="groups flightlines/<id>, as hyperpaint process writes, or a map (y, x)",
             code="flightline-missing",
         )
     lines, flagged = {}, set()
-    for name, line in opened.items():
-        # as it is stored: computed from counts, all of them would be read for it
+    for name, line in datasets.items():
+        # check the stored flags: computed flags would need all counts
         if is_flagged(line):
             flagged.add(name)
         if "counts" in line.variables:
@@ -209,8 +209,8 @@ def _lines(
     return lines, frozenset(flagged)
 
 
-def _origin(
-    lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], looked_at: frozenset[str]
+def _origin_of_flags(
+    lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], flagged_lines: frozenset[str]
 ) -> str:
     origins = []
     for name, line in lines.items():
@@ -218,57 +218,60 @@ def _origin(
             origins.append(str(flagged[name].line["quality"].attrs["flags_from"]))
         else:
             text = str(line["quality"].attrs.get("flags_from", "not said from what"))
-            origins.append(f"those of the store, {text}" if name in looked_at else NOT_LOOKED_FOR)
+            origins.append(f"those of the store, {text}" if name in flagged_lines else NOT_DETECTED)
     return "; ".join(dict.fromkeys(origins))
 
 
-def _proposed(
+def _propose(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
 ) -> tuple[Regions, list[str]]:
-    # accepted regions, and rejected ones with place and reasons, cars first
+    # accepted regions, and texts with place and reasons of rejected regions
     from hyperpaint.regions.proposals import propose_regions
 
-    # with several lines, names of paints begin with the name of the line
-    by_line = {}
+    # with several lines, names of paints start with the name of the line
+    proposals_by_line = {}
     for name, line in lines.items():
         paint = "paint" if len(lines) == 1 else f"{name}_paint"
-        done = flagged.get(name)
-        seen, model = (line, None) if done is None else (done.surveyed, done.model)
-        # beside a model, the survey's other options were used already
-        taken = _SHARED if done else set(options) - {"edge"}
-        shared = {key: options[key] for key in taken if key in options}
-        by_line[name] = propose_regions(seen, model, flightline=name, name=paint, **shared)
-    regions = Regions(tuple(region for proposals in by_line.values() for region in proposals))
+        survey = flagged.get(name)
+        surveyed, model = (line, None) if survey is None else (survey.surveyed, survey.model)
+        # with the model of a survey, only the shared options remain
+        names = _SHARED_OPTIONS if survey else set(options) - {"edge"}
+        line_options = {key: options[key] for key in names if key in options}
+        proposals_by_line[name] = propose_regions(
+            surveyed, model, flightline=name, name=paint, **line_options
+        )
+    regions = Regions(tuple(region for proposals in proposals_by_line.values() for region in proposals))
     refused = [
         f"{name}, line {along:.0f}, column {across:.0f}: {'; '.join(region.properties['refused'])}"
-        for name, proposals in by_line.items()
+        for name, proposals in proposals_by_line.items()
         for region in proposals.refused
         for across, along in [region.polygon.mean(axis=0)]
     ]
     if not len(regions):
-        shown = "".join(f"\n  {text}" for text in refused[:MAX_LISTED_REJECTIONS])
+        listed = "".join(f"\n  {text}" for text in refused[:MAX_LISTED_REJECTIONS])
         raise SchemaError(
-            f"no region can be proposed, {len(refused)} were rejected{shown}",
-            mend="draw and name some",
+            f"no region can be proposed, {len(refused)} were rejected{listed}",
+            mend="draw regions",
             code="proposals-empty",
         )
     return regions, refused
 
 
 def table_of(library: xr.Dataset) -> str:
-    """Return a line of text for every paint of a library."""
+    """Return a table of the paints of a library, one line each."""
     names = [str(name) for name in library["signature"].values]
     width = max(map(len, names))
     rows = zip(names, *(library[name].values for name in ("n", "n_eff", "n_excluded")), strict=True)
     return "\n".join(
-        f"  {name:<{width}}  {n} pixels, {n_eff:.0f} independent" + (f", {left} left out" if left else "")
-        for name, n, n_eff, left in rows
+        f"  {name:<{width}}  {n} pixels, {n_eff:.0f} independent"
+        + (f", {excluded} left out" if excluded else "")
+        for name, n, n_eff, excluded in rows
     )
 
 
 _TABLES = (".csv", ".json")
-_PAIR = ("signature", "reference", "instrument", "overlap", "overlap_matched", "mirror_reflection")
-_DEPTHS = ("oxygen_residual", "reference_oxygen_residual")
+_PAIR_COLUMNS = ("signature", "reference", "instrument", "overlap", "overlap_matched", "mirror_reflection")
+_OXYGEN = ("oxygen_residual", "reference_oxygen_residual")
 
 
 def validate_files(
@@ -281,10 +284,10 @@ def validate_files(
 ) -> Validation:
     """Compare a stored paint library with references in files; see `hyperpaint.validate` for the options.
 
-    ``references`` are as of `open_references`, by default those of the store that the library was made from,
-    where it is beside the library; ``pairs`` as of `read_pairs`, ``panel`` as of `read_certificate`.
+    ``references``: as in `open_references`; by default those of the library's store, if it is beside the
+    library; ``pairs``: as in `read_pairs`; ``panel``: as in `read_certificate`.
 
-    Raises `FormatError`, `SchemaError`, `StoreError`, `UnitsError`: something cannot be read, or as
+    Raises `FormatError`, `SchemaError`, `StoreError` or `UnitsError` if a file cannot be read, or as
     `validate`.
     """
     from hyperpaint.io.library import open_library
@@ -292,44 +295,43 @@ def validate_files(
     from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 
     signatures = open_library(library)
-    named = None if pairs is None else read_pairs(pairs)
-    certified = None if panel is None else read_certificate(panel)
-    opened = open_references(references or [_store_of(signatures, Path(library))])
-    return validate(signatures, opened, named, panel=certified, **options)
+    name_pairs = None if pairs is None else read_pairs(pairs)
+    certificate = None if panel is None else read_certificate(panel)
+    spectra = open_references(references or [_store_beside(signatures, Path(library))])
+    return validate(signatures, spectra, name_pairs, panel=certificate, **options)
 
 
-def _store_of(signatures: xr.Dataset, library: Path) -> Path:
+def _store_beside(signatures: xr.Dataset, library: Path) -> Path:
     name = signatures.attrs.get("store")
-    place = library.absolute().parent / str(name)
-    # only a name: no path from inside a file leads out of the folder
-    plain = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
-    if not plain or not (place / "references").is_dir():
+    path = library.absolute().parent / str(name)
+    # a plain name only: a path stored in a file must not lead out of the folder
+    is_name = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
+    if not is_name or not (path / "references").is_dir():
         raise SchemaError(
             f"no references: the store of {library} has none, or is not beside it",
             mend="pass references=",
-            option="name files with --reference",
+            option="pass files with --reference",
             code="references-missing",
         )
-    return place
+    return path
 
 
 # --- tables ------------------------------------------------------------------------------------------------
 
 
 def check_table(path: Path, *, overwrite: bool = False) -> None:
-    """Refuse a place for a table before anything is read (`StoreError`, which lists all reasons)."""
+    """Check the path of a table before anything is read; `StoreError` lists all problems."""
     check_place(path, "the table", example="agreement.csv", kinds=_TABLES, overwrite=overwrite)
 
 
 def write_table(validation: Validation, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write the statistics of a validation: ``.csv``, a line for every part of every pair, or ``.json``.
+    """Write the statistics of a validation: ``.csv``, with a row for every part of every pair, or ``.json``.
 
-    Numbers have all their digits; what is not known is empty, or null. Raises `StoreError`: see
-    `check_table`.
+    Numbers have all digits; missing values are empty, or null. Raises `StoreError` as `check_table`.
     """
     path = Path(path)
     check_table(path, overwrite=overwrite)
-    text = _as_csv(validation) if path.suffix.lower() == ".csv" else _as_json(validation)
+    text = _csv_text(validation) if path.suffix.lower() == ".csv" else _json_text(validation)
     publish_file(path, text.encode(), overwrite=overwrite)
 
 
@@ -337,45 +339,45 @@ def _names_by_part(table: xr.Dataset) -> list[str]:
     return [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
 
 
-def _as_csv(validation: Validation) -> str:
-    names = [*_PAIR, "part", *_names_by_part(validation.statistics), *_DEPTHS]
-    written = io.StringIO()
-    rows = csv.writer(written, lineterminator="\n")
-    rows.writerow(names)
-    between = [] if validation.between is None else [validation.between.statistics]
-    for table in (validation.statistics, *between):
-        for row, column in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
-            one = table.isel(pair=row, part=column)
-            cells = [_plain(one[name].values.item()) for name in names]
+def _csv_text(validation: Validation) -> str:
+    names = [*_PAIR_COLUMNS, "part", *_names_by_part(validation.statistics), *_OXYGEN]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    tables = [] if validation.between is None else [validation.between.statistics]
+    for table in (validation.statistics, *tables):
+        for pair, part in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
+            row_statistics = table.isel(pair=pair, part=part)
+            cells = [_json_value(row_statistics[name].values.item()) for name in names]
             safe = (safe_cell(cell) if isinstance(cell, str) else cell for cell in cells)
-            rows.writerow(["" if cell is None else cell for cell in safe])
-    return written.getvalue()
+            writer.writerow(["" if cell is None else cell for cell in safe])
+    return text.getvalue()
 
 
-def _pairs_of(validation: Validation) -> list[dict[str, Any]]:
+def _pair_entries(validation: Validation) -> list[dict[str, Any]]:
     table = validation.statistics
     pairs = []
     for row in range(table.sizes["pair"]):
         pair = table.isel(pair=row)
-        entry = {name: _plain(pair[name].values.item()) for name in (*_PAIR, *_DEPTHS)}
+        entry = {name: _json_value(pair[name].values.item()) for name in (*_PAIR_COLUMNS, *_OXYGEN)}
         entry["notes"] = list(validation.notes[row])
         entry["parts"] = {
-            str(part): {name: _plain(pair[name].values[column].item()) for name in _names_by_part(table)}
+            str(part): {name: _json_value(pair[name].values[column].item()) for name in _names_by_part(table)}
             for column, part in enumerate(table["part"].values)
         }
         pairs.append(entry)
     return pairs
 
 
-def _as_json(validation: Validation) -> str:
+def _json_text(validation: Validation) -> str:
     table = validation.statistics
-    by_part = _names_by_part(table)
+    names = _names_by_part(table)
     document = {
         "passed": validation.passed,
         "tolerance": dict(validation.tolerance),
-        "units": {name: table[name].attrs["units"] for name in by_part if "units" in table[name].attrs},
+        "units": {name: table[name].attrs["units"] for name in names if "units" in table[name].attrs},
         "parts": {
-            str(part): [_plain(float(edge)) for edge in edges]
+            str(part): [_json_value(float(edge)) for edge in edges]
             for part, *edges in zip(
                 table["part"].values,
                 table["first_wavelength"].values,
@@ -383,8 +385,10 @@ def _as_json(validation: Validation) -> str:
                 strict=True,
             )
         },
-        "pairs": _pairs_of(validation),
-        "references_against_one_another": [] if validation.between is None else _pairs_of(validation.between),
+        "pairs": _pair_entries(validation),
+        "references_against_one_another": []
+        if validation.between is None
+        else _pair_entries(validation.between),
         "unpaired_signatures": list(validation.unpaired_signatures),
         "unpaired_references": list(validation.unpaired_references),
         "missing": list(validation.missing),
@@ -392,7 +396,7 @@ def _as_json(validation: Validation) -> str:
     return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

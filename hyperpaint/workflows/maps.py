@@ -1,4 +1,4 @@
-"""Maps of the flight lines of a store, and their files."""
+"""Maps and mosaics of the flight lines of a store, and their files."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def map_of_store(store: Path, line: str | None, **options: Any) -> xr.Dataset:
 
     ``options`` are those of `location_of`, and of `hyperpaint.geometry.orthorectify`.
 
-    Raises `SchemaError`: the store has no such line, or several and none is named; options are given for a
-    line that is located; or as `location_of`.
+    Raises `SchemaError` if the store lacks the line, or has several and ``line`` is None; if options are
+    passed for a line that is located; or as `location_of`.
     """
     flightline = line_of_store(store, line)
     names = LOCATION & set(options)
@@ -50,7 +50,7 @@ def location_of(
     clock_offset: float | None = None,
     crs: str | None = None,
 ) -> dict[str, Any]:
-    """Return arguments of `hyperpaint.geometry.locate` from plain numbers and paths, as commands take them.
+    """Return arguments of `hyperpaint.geometry.locate` from numbers and paths of the command line.
 
     Parameters
     ----------
@@ -67,15 +67,15 @@ def location_of(
     field_of_view
         Angle between the outer edges of the columns [degree].
     focal_length_mm
-        Focal length, with ``pixel_pitch_um`` instead of ``field_of_view`` [mm].
+        Focal length [mm]; with ``pixel_pitch_um`` instead of ``field_of_view``.
     pixel_pitch_um
         Distance of the columns on the detector [um].
     column_order
-        Direction of the columns, seen in flight direction.
+        Order of the columns, looking along the flight.
     boresight
         Roll, pitch and heading of the camera in the body [degree].
     lever_arm
-        Camera from the antenna: forward, right, down [m].
+        Position of the camera from the antenna: forward, right, down [m].
     clock_offset
         Time added to the line times [s].
     crs
@@ -119,22 +119,22 @@ LOCATION = frozenset(inspect.signature(location_of).parameters) - {"flightline"}
 
 
 def mosaic_of_store(store: Path, names: Sequence[str], **options: Any) -> xr.Dataset:
-    """Return the mosaic of flight lines of a store, of all without names; options as of `mosaic`.
+    """Return the mosaic of flight lines of a store, by default of all; options as of `mosaic`.
 
-    Raises `SchemaError`: the store has no named flight lines, or not these.
+    Raises `SchemaError` if the store has no named flight lines, or lacks one of ``names``.
     """
     prefix = "flightlines/"
-    held = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
-    missing = [name for name in names if name not in held]
-    if missing or not held:
-        present, absent = ", ".join(held) or "none", ", ".join(missing) or "named line"
+    stored = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
+    absent = [name for name in names if name not in stored]
+    if absent or not stored:
+        expected, lacking = ", ".join(stored) or "none", ", ".join(absent) or "named line"
         raise SchemaError(
-            f"{store} has no {absent}", expected=f"flight lines {present}", code="flightline-unknown"
+            f"{store} has no {lacking}", expected=f"flight lines {expected}", code="flightline-unknown"
         )
-    lines = {name: open_store(store, f"{prefix}{name}") for name in names or held}
-    given = {name: options.pop(name) for name in LOCATION & set(options)}
-    # one camera flew them all
-    return mosaic(lines, **options, **location_of(next(iter(lines.values())), **given))
+    lines = {name: open_store(store, f"{prefix}{name}") for name in names or stored}
+    location = {name: options.pop(name) for name in LOCATION & set(options)}
+    # all lines were flown with the same camera
+    return mosaic(lines, **options, **location_of(next(iter(lines.values())), **location))
 
 
 def write_map(
@@ -147,7 +147,7 @@ def write_map(
     overwrite: bool = False,
     progress: bool = False,
 ) -> str:
-    """Write a map as GeoTIFF with overviews, or all of it as a Zarr store, by the end of its name.
+    """Write a map as GeoTIFF with overviews, or with all its variables as a Zarr store, by the suffix.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def write_map(
 
     Returns
     -------
-    Text on the files beside the map.
+    Text about overviews and the files beside the map.
 
     Raises
     ------
@@ -195,10 +195,13 @@ def write_map(
             to_store(orthomap, path, overwrite=overwrite, progress=progress)
         return ""
     notes = []
-    foreign = None if is_tiff else _no_map
+    foreign = None if is_tiff else _foreign_store
     with (
         plan,
-        published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (*beside, target),
+        published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (
+            *companion_paths,
+            target,
+        ),
     ):
         texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
         if is_tiff:
@@ -213,31 +216,31 @@ def write_map(
         if stac:
             texts.insert(0, json.dumps(stac_item(orthomap, path), indent=1, allow_nan=False))
             notes.append(f"STAC item {item}")
-        for place, text in zip(beside, texts, strict=True):
-            place.write_text(text, encoding="utf-8")
+        for companion_path, text in zip(companion_paths, texts, strict=True):
+            companion_path.write_text(text, encoding="utf-8")
     return ", ".join(notes)
 
 
 def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[None]:
     """Return a context in which the tiles of a map are computed within the memory limit.
 
-    A thread holds the spectra of a tile, rotated and encoded; all threads share the lines of a row of tiles:
-    of a flight straight north or east the lines of the row, of an oblique one also as many as it has columns.
+    A thread holds the spectra of a tile, rotated and encoded. All threads share the flight lines' lines below
+    a row of tiles: for a flight to the north or east those of the row, for an oblique flight up to as many as
+    the map has columns.
 
-    Entering it raises `StoreError` where not even one thread fits.
+    Entering the context raises `StoreError` if memory does not suffice for one thread.
     """
     cubes = [array for array in orthomap.data_vars.values() if array.chunks and "band" in array.dims]
     tile = max((math.prod(map(max, cube.chunks or ())) * cube.dtype.itemsize for cube in cubes), default=0)
     rows, cols = orthomap.sizes["y"], orthomap.sizes["x"]
-    aslant = min(rows, cols) / max(rows, cols, 1)
-    # lines of about a cell each, of twice the bytes: slabs are computed from others
-    held = int(tile * (1.0 + aslant * min(rows, cols) / 256.0) * 2)
-    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + held)
+    obliqueness = min(rows, cols) / max(rows, cols, 1)
+    # a line is about a cell wide; computing its slab from counts takes twice the bytes
+    shared = int(tile * (1.0 + obliqueness * min(rows, cols) / 256.0) * 2)
+    return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + shared)
 
 
-def _no_map(folder: Path) -> str:
-    # empty for a store of one map
-
+def _foreign_store(folder: Path) -> str:
+    # empty for a store of one map, which may be replaced
     return "" if list_groups(folder) == [""] else "something other than a map"
 
 
@@ -247,19 +250,19 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     lines = [group.removeprefix(prefix) for group in list_groups(store) if group.startswith(prefix)]
     if not lines and line is not None:
         raise SchemaError(
-            f"{store} has no flight line {line!r}, and no named ones",
+            f"{store} has no flight line {line!r}, and no named flight lines",
             mend="pass line=None",
             option="leave out --line",
             code="flightline-unknown",
         )
     name = lines[0] if line is None and len(lines) == 1 else line
     if lines and name not in lines:
-        found = "several flight lines" if line is None else f"no flight line {line!r}"
+        problem = "several flight lines" if line is None else f"no flight line {line!r}"
         raise SchemaError(
-            f"{store} has {found}",
+            f"{store} has {problem}",
             expected=f"one of {', '.join(map(repr, lines))}",
             mend="pass line=",
-            option="give --line",
+            option="pass --line",
             code="flightline-unknown",
         )
     flightline: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store, "")
@@ -285,7 +288,7 @@ def _heights(
         raise SchemaError(
             f"the height reference of {path} is unknown (most DEMs are above the geoid)",
             mend="pass dem_heights='ellipsoid', or dem_heights='geoid' with geoid=, its height there [m]",
-            option="give --set dem_heights=ellipsoid, or --set dem_heights=geoid with --set geoid=METRES",
+            option="pass --set dem_heights=ellipsoid, or --set dem_heights=geoid with --set geoid=METRES",
             code="height-reference-missing",
         )
     return heights

@@ -1,4 +1,4 @@
-"""A whole collect, from the instruments' files to one finished store."""
+"""Processing of a collect: from the files of the instruments to a store."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hyperpaint.base.errors import (
     StoreError,
     needs_extra,
 )
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
 from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
 from hyperpaint.io.store.layout import Codec, Layout, with_layout
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_toml import Collect
     from hyperpaint.io.store.budget import Demand
 
-#: How long a cluster without workers is waited for [s].
+#: Time to wait for the first worker of a cluster [s].
 WORKERS_WAIT = 60
 
-#: A URL of fsspec, also one that has been made a `Path`; no drive's letter.
+#: A URL of fsspec, also one that was converted to a `Path`; not the letter of a drive.
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 
 
@@ -53,8 +53,8 @@ class Outcome:
 
     path: Path  #: The store.
     written: tuple[str, ...]  #: Groups that were written.
-    unchanged: tuple[str, ...]  #: Groups that were there already, made from the same inputs and parameters.
-    #: What was corrected between camera and irradiance record, by the group of the flight line.
+    unchanged: tuple[str, ...]  #: Groups that were complete, from the same inputs and parameters.
+    #: Corrections between camera and irradiance record, by the group of the flight line.
     corrected: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -64,7 +64,7 @@ def local_folder(out: str | Path, command: str) -> Path:
         raise StoreError(
             f"{command} writes to a folder, not to {os.fspath(out)!r}",
             mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
-            "which takes URLs (guide, 'Object stores')",
+            "which accepts URLs (guide, 'Object stores')",
             code="output-is-url",
         )
     return Path(out)
@@ -78,12 +78,12 @@ def kept_groups(
     command: str,
     only: tuple[str, str] | None = None,
 ) -> list[str]:
-    """Return the complete groups of a store; refuse a store of other content.
+    """Return the complete groups of a store; refuse a store with other groups.
 
-    ``groups``: the planned groups, each with its `INPUTS`; ``command``: name for messages. ``only``: a prefix
-    and its subject; another group of the prefix is refused, since it belongs to another subject.
+    ``groups``: the planned groups, with their attribute `INPUTS`; ``command``: its name for messages.
+    ``only``: a prefix, and what its groups belong to: unplanned groups with this prefix are refused.
 
-    Raises `StoreError`: groups of other inputs stand in the place of ours, or beside them; all are listed.
+    Raises `StoreError` if planned groups exist from other inputs, or unplanned groups exist; all are listed.
     """
     from hyperpaint.io.store import is_complete
     from hyperpaint.io.store.groups import check_above, groups_above
@@ -94,35 +94,35 @@ def kept_groups(
         return []
     location = Location.of(out)
     problems = Problems(f"cannot write {out}", StoreError)
-    above = dict.fromkeys(each for name in groups for each in groups_above(name))
-    check_above(above, location, problems, overwrite=overwrite)
+    parents = dict.fromkeys(parent for name in groups for parent in groups_above(name))
+    check_above(parents, location, problems, overwrite=overwrite)
     problems.raise_if_any()
     complete = []
     contents = run_contents(groups)
     manifest = Manifest.read(location, ignore_damage=overwrite)
     for name in location.groups():
         content = content_of(location, name, manifest)
-        of_run = len(content.split(" ", 2)) == 3  # a run names path, inputs and settings
+        is_from_run = len(content.split(" ", 2)) == 3  # a run records group, inputs and settings
         if name not in groups:
-            if only is not None and name.startswith(only[0]) and of_run:
+            if only is not None and name.startswith(only[0]) and is_from_run:
                 problems.add(
-                    f"it holds /{name}, which is not of {only[1]}",
+                    f"it holds /{name}, which does not belong to {only[1]}",
                     mend="choose another path",
                     code="group-foreign",
                 )
         elif content == contents[name]:
-            # where a chunk is missing, the group is written again
+            # a group with a missing chunk is written again
             if is_complete(out, name):
                 complete.append(name)
         elif not overwrite:
             numerics = numerics_of(content)
-            state = "with other inputs or parameters"
-            if not of_run:
-                state = f"not by {command}, or by hyperpaint 0.2 or older"
+            state = "from other inputs or parameters"
+            if not is_from_run:
+                state = f"not written by {command}, or written by hyperpaint 0.2 or older"
             elif numerics not in (None, NUMERICS_VERSION):
-                state = f"made by numerics {numerics}, this is {NUMERICS_VERSION}"
+                state = f"from version {numerics} of the numerics, present is {NUMERICS_VERSION}"
             problems.add(
-                f"/{name} is there already, {state}",
+                f"/{name} exists, {state}",
                 mend="pass overwrite=True to replace it",
                 option="pass --overwrite to replace it",
                 code="store-exists",
@@ -136,10 +136,10 @@ def kept_groups(
 
 @contextlib.contextmanager
 def computing_on(address: str | None) -> Iterator[Client | None]:
-    """Compute with dask on a cluster; without an address, on the caller's own cluster or on threads.
+    """Compute with dask on a cluster; without an address, on the caller's active client, else on threads.
 
-    Raises `MissingExtraError`: distributed is not installed; `CollectError`: no scheduler answers there;
-    `StoreError`: the cluster has no worker.
+    Raises `MissingExtraError` if distributed is not installed; `CollectError` if no scheduler answers at the
+    address; `StoreError` if the cluster has no worker.
     """
     import dask
 
@@ -147,15 +147,16 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
         client = client_in_force()
         if client is not None:
             _wait_for_workers(client)
-        # dask need not look for a client again
-        chosen = client is not None or dask.config.get("scheduler", None)
-        with dask.config.set({} if chosen else {"scheduler": scheduler_in_force()}):
+        # set the scheduler here, so that dask does not search for a client again
+        has_scheduler = client is not None or dask.config.get("scheduler", None)
+        with dask.config.set({} if has_scheduler else {"scheduler": scheduler_in_force()}):
             yield client
         return
     with needs_extra("distributed", "distributed", "processing on a cluster"):
         from distributed import Client
     try:
-        # as default client, one that finds no scheduler would stay the default, and every later compute waits
+        # not the default client: if no scheduler answers, it would remain the default, and later computations
+        # wait
         client = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise CollectError(
@@ -169,13 +170,13 @@ def computing_on(address: str | None) -> Iterator[Client | None]:
 
 
 def _wait_for_workers(client: Client) -> None:
-    # memory of the first worker sizes the tasks
+    # the size of tasks depends on the memory of the first worker
     try:
         client.wait_for_workers(1, timeout=WORKERS_WAIT)
     except TimeoutError as error:
         raise StoreError(
             f"no worker joined the scheduler at {client.scheduler_info()['address']} within {WORKERS_WAIT} s",
-            mend="start some (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
+            mend="start workers (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
             code="worker-missing",
         ) from error
 
@@ -185,7 +186,7 @@ def token_of(dataset: xr.Dataset) -> str:
     return str(dataset.attrs[INPUTS])
 
 
-#: Lines in one task on a cluster, where a task costs more than on threads.
+#: Lines in a task on a cluster, where the overhead of a task is larger than on threads.
 CLUSTER_LINES = 256
 
 Product = Literal["radiance", "reflectance"]
@@ -210,44 +211,45 @@ def process(
 ) -> Path:
     """Process a collect into one Zarr store.
 
-    Each flight line becomes a group ``flightlines/<id>``: counts, everything that calibrates them,
-    ``quality``, ``irradiance_age``, ``reflectance`` with 12 mantissa bits kept, how its light divides
-    (``diffuse_fraction``, ``diffuse_fraction_u``, ``sky_state``, see `hyperpaint.light.diffuse_from_record`),
-    a small true-colour ``overview`` and means of blocks, ``coarse_reflectance``. Before, camera and
-    irradiance record are compared, and put right where they differ (`hyperpaint.alignment.align`, whose
-    attributes the group keeps). Panels that the collect names (``[[panels]]``) scale their line, and what
-    they measure stands beside it (``panel_factor`` and so on, see `hyperpaint.radiometry.panel_closure`). The
-    whole irradiance record, the calibration and the spectra of field spectrometers are archived beside them.
+    Each flight line becomes a group ``flightlines/<id>`` with: counts and all variables that calibrate them,
+    ``quality``, ``irradiance_age``, ``reflectance`` rounded to 12 mantissa bits, the split into direct and
+    diffuse light (``diffuse_fraction``, ``diffuse_fraction_u``, ``sky_state``, see
+    `hyperpaint.light.diffuse_from_record`), a small true-colour ``overview``, and means of blocks
+    (``coarse_reflectance``). First, wavelengths of camera and irradiance record are compared and corrected
+    (`hyperpaint.alignment.align`; the group has its attributes). Panels of the collect (``[[panels]]``) scale
+    their line, and their factors are stored (``panel_factor`` and others, see
+    `hyperpaint.radiometry.panel_closure`). The store also archives the complete irradiance record, the
+    calibration and the spectra of field spectrometers.
 
-    Everything is opened, and one slab of every line computed, before anything is written. A rerun writes only
-    the groups that are missing, and nothing where all are there.
+    All files are opened, and the first slab of every line is computed, before anything is written. A rerun
+    writes only missing groups.
 
     Parameters
     ----------
     collect
         A ``collect.toml``; see `open_collect`.
     out
-        The store, a folder. To write to a URL, give `open_collect` and `to_store` the single groups.
+        The store, a folder. To write to a URL, write the groups of `open_collect` with `to_store`.
     to
-        ``"radiance"`` needs no irradiance, and stores ``radiance``, unrounded, in place of ``reflectance``.
+        ``"radiance"`` needs no irradiance, and stores unrounded ``radiance`` instead of ``reflectance``.
     reflectance
-        ``"none"`` leaves the computed cube out; ``.paint.reflectance()`` makes it from the stored counts,
-        with the scale of the panels.
+        ``"none"`` does not store the computed cube; ``.paint.reflectance()`` computes it from the stored
+        counts, with the scale of the panels.
     alignment
-        What separates camera and irradiance record in wavelength and width is corrected where it is
-        significant (``"auto"``), ``"never"``, or whenever it can be found (``"always"``); by default as
-        ``[alignment] apply`` of the collect says, else ``"auto"``.
+        Differences between camera and irradiance record in wavelength and band width are corrected if
+        significant (``"auto"``), ``"never"``, or whenever they can be measured (``"always"``); by default
+        ``[alignment] apply`` of the collect, else ``"auto"``.
     scheduler
     memory_limit
-        Most memory of this process, or of each worker: bytes, or text such as ``"2 GiB"``. By default 80 % of
-        what is available. The peak is computed before the run; where it would be larger, fewer lines a task
-        and fewer threads are taken.
+        Maximum memory of this process, or of each worker: bytes, or text such as ``"2 GiB"``; by default 80 %
+        of the available memory. The peak is estimated before the run; if it exceeds the limit, tasks have
+        fewer lines and fewer threads run.
     accept
-        Names of findings of `hyperpaint check` to go on with; inputs that cannot be true are refused.
+        Names of findings of `hyperpaint check` to accept; implausible inputs are refused otherwise.
     overwrite
     progress
     codec, layout
-        See `to_store`. Groups that are there stay, whatever theirs are.
+        See `to_store`. Complete groups are kept with their codec and layout.
 
     Returns
     -------
@@ -256,17 +258,16 @@ def process(
     Raises
     ------
     CollectError
-        The collect, or anything it names, cannot be used; all problems of all files are listed.
+        The collect, or one of its files, cannot be used; all problems of all files are listed.
     SchemaError
-        ``to``, ``reflectance``, ``alignment``, ``accept`` or ``codec`` is none of the words that there are,
-        or ``memory_limit`` is no size.
+        ``to``, ``reflectance``, ``alignment``, ``accept`` or ``codec`` is not one of the accepted words, or
+        ``memory_limit`` is no size.
     StoreError
-        ``out`` is a URL; the store holds something else, is being written, or cannot be written; or memory
-        or disk would not suffice, of which the message names the needed figure before anything is written; or
-        workers, or the scheduler, were lost, or a block failed again and again: the message names it, and the
-        same call finishes the run.
+        ``out`` is a URL; the store holds other data, is being written by another process, or cannot be
+        written; memory or disk does not suffice, which is checked before anything is written; or workers or
+        the scheduler are lost, or a block fails repeatedly: the same call then finishes the run.
     MissingExtraError
-        ``scheduler`` is given, and distributed is not installed.
+        ``scheduler`` is used, and distributed is not installed.
 
     Warns
     -----
@@ -322,8 +323,7 @@ def run(
         ("alignment", alignment or "auto", ALIGNMENTS),
         ("layout", layout, get_args(Layout)),
     ):
-        if value not in allowed:
-            problems.add(f"{word}={value!r}", expected=" or ".join(map(repr, allowed)), code="choice-unknown")
+        one_of(value, allowed, word, problems=problems)
     check_accepted(accept, problems)
     problems.raise_if_any()
     check_codec(codec)
@@ -354,7 +354,7 @@ def run(
             for name in pending
         }
         check_room(products, out, {name: token_of(dataset) for name, dataset in products.items()}, codec)
-        _rehearse(products, collect, client)
+        _compute_first_slabs(products, collect, client)
         lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
         again = {
             "--to": None if to == "reflectance" else to,
@@ -397,25 +397,25 @@ def run(
 def opened_groups(
     collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
-    """Open a collect, ``lines`` lines a task; return it, and its groups with their inputs."""
+    """Open a collect with ``lines`` lines per task; return it, and its groups with their digests."""
     from .laboratory import opened_collect
 
     opened = opened_collect(
         collect, need_irradiance=parameters["to"] == "reflectance", chunks={ALONG_TRACK: lines}
     )
     tree, cubes = opened.tree, opened.cubes
-    own = dict(parameters)
-    if own["to"] == "radiance":
-        del own["alignment"]
-    elif own["alignment"] is None:
-        own["alignment"] = opened.settings.alignment
+    line_parameters = dict(parameters)
+    if line_parameters["to"] == "radiance":
+        del line_parameters["alignment"]
+    elif line_parameters["alignment"] is None:
+        line_parameters["alignment"] = opened.settings.alignment
     groups = {}
     references = (f"references/{name}" for name in tree.children.get("references", {}))
     for name in (*cubes, "irradiance", "calibration", *references):
         if f"/{name}" not in tree.groups:
             continue
         dataset = tree[name].to_dataset()
-        settings = settings_of(own if name in cubes else {})
+        settings = settings_of(line_parameters if name in cubes else {})
         digest = inputs_digest(dataset, cubes.get(name, ()), settings)
         groups[name] = dataset.assign_attrs({INPUTS: digest, SETTINGS: settings})
     return opened, groups
@@ -452,10 +452,11 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
     return product.drop_vars("reflectance") if storage == "none" else product
 
 
-def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None) -> None:
-    # the first slab of every line finds impossible values before writing; on a cluster this also compiles the
-    # kernels once, where the workers share a cache
-
+def _compute_first_slabs(
+    groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None
+) -> None:
+    # The first slab of every line shows impossible values before anything is written. On a cluster whose
+    # workers share a cache this also compiles the kernels once.
     options = {} if client is None else {"retries": RETRIES}
     problems = Problems(f"{collect} cannot be processed", CollectError)
     for name, dataset in groups.items():
@@ -463,7 +464,7 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Cli
             try:
                 with errors_of_the_cluster(f"cannot compute the first lines of /{name}"):
                     dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute(**options)
-            except StoreError:  # of the cluster, not of the data
+            except StoreError:  # a fault of the cluster, not of the data
                 raise
             except (PaintError, OSError) as error:
                 problems.add_error(f"/{name}", error)
@@ -474,7 +475,7 @@ def _rehearse(groups: Mapping[str, xr.Dataset], collect: str | Path, client: Cli
 
 
 def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None) -> Demand:
-    # lines a task and threads that keep this process, or each worker, within its memory
+    # lines per task and threads with which this process, or each worker, stays within its memory
     from hyperpaint.io.store import budget
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}
@@ -492,5 +493,7 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
     limits = [worker["memory_limit"] for worker in workers if worker["memory_limit"]]
     if limit is None and limits:
         limit = int(budget.USABLE * min(limits))
-    each = max((worker["nthreads"] for worker in workers), default=1)
-    return budget.fit(loads, lines=lines, threads=each, fixed=budget.WORKER, limit=limit, least_threads=each)
+    threads = max((worker["nthreads"] for worker in workers), default=1)
+    return budget.fit(
+        loads, lines=lines, threads=threads, fixed=budget.WORKER, limit=limit, least_threads=threads
+    )

@@ -1,4 +1,4 @@
-"""Spectra for renders out of files: one spectrum of two columns, or a paint library of any kind we write."""
+"""Spectra for renders from files: a spectrum of two columns, or a paint library of any format."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hyperpaint.base.errors import FormatError, Problems
 from hyperpaint.base.input_files import input_path, read_limited
 from hyperpaint.io.spectrometers.spectrum_csv import read_spectrum_csv
 
-_PLAIN = (".csv", ".txt", ".tsv", ".asc", "")
+_TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", "")
 MAX_EXPORT_BYTES = 64 << 20
 _DIRSIG_MARKER, _MATERIALS = "paints.json", "materials.mat"
 
 
 def read_spectra(path: Path) -> Any:
-    """Return the spectra of a file of ``[spectra]``, as `hyperpaint.simulation.relight` takes them.
+    """Return the spectra of a file of ``[spectra]``, in the form that `hyperpaint.simulation.relight` takes.
 
-    A file of two columns is (wavelength [nm], reflectance) in double precision; other files are libraries.
+    A file of two columns gives (wavelength [nm], reflectance) in double precision; other files are libraries.
     Raises `FormatError` or `StoreError` as `read_paints`.
     """
-    if input_path(path, "spectra").is_file() and path.suffix.lower() in _PLAIN:
+    if input_path(path, "spectra").is_file() and path.suffix.lower() in _TABLE_SUFFIXES:
         try:
             return read_spectrum_csv(path)
         except FormatError as plain:
@@ -38,18 +38,17 @@ def read_spectra(path: Path) -> Any:
 
 
 def read_paints(path: Path) -> dict[str, xr.Dataset] | xr.Dataset:
-    """Return the paints of a file or folder: one library, or libraries of one paint by name.
+    """Return the paints of a file or folder: a library, or libraries of one paint by name.
 
-    Taken as they are: all that `hyperpaint.open_library` opens, so each format of `hyperpaint.write_library`;
-    and exports of `hyperpaint.write_dirsig`, by their folder, their material list (``.mat``), or one of
-    their ``.ems`` and ``.txt``.
+    Accepted are all files that `hyperpaint.open_library` opens, and exports of `hyperpaint.write_dirsig`:
+    their folder, their material list (``.mat``), or one of their ``.ems`` and ``.txt`` files.
 
     Raises
     ------
     FormatError
-        It is none of these; the list names a file that is not there.
+        The file has another format, or a file of the material list is missing.
     StoreError
-        A Zarr store was never finished, or is none.
+        A Zarr store is unfinished or invalid.
     """
     from hyperpaint.io.library import open_library
 
@@ -64,7 +63,7 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
     from hyperpaint.io.dirsig.material_list import read_materials
     from hyperpaint.io.library import open_library
 
-    records = _records_of_export(path.parent)
+    records = _export_records(path.parent)
     problems = Problems(f"{path} cannot be rendered", FormatError)
     paints: dict[str, xr.Dataset] = {}
     for material in read_materials(path):
@@ -81,7 +80,7 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
         else:
             paint, record = open_library(path.parent / file), records.get(str(material.id), {})
             centre = path.parent / str(record.get("reflectance_file", file))
-            if centre.is_file():  # a list of curves has no centre of its own
+            if centre.is_file():  # an emissivity file of many curves lacks the centre of the paint
                 paint = _with_centre(paint, open_library(centre))
             paints[str(record.get("paint", material.name))] = paint
     problems.raise_if_any()
@@ -89,15 +88,15 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
 
 
 def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
-    # reflectance of another file on the same wavelengths
-    own, other = paint["wavelength"].values, centre["wavelength"].values
-    if own.shape != other.shape or not np.allclose(own, other, rtol=0.0, atol=1e-3):
+    # take the reflectance of another file, if it is on the same wavelengths
+    nm, centre_nm = paint["wavelength"].values, centre["wavelength"].values
+    if nm.shape != centre_nm.shape or not np.allclose(nm, centre_nm, rtol=0.0, atol=1e-3):
         return paint
     return paint.assign(reflectance=(paint["reflectance"].dims, centre["reflectance"].values, {"units": "1"}))
 
 
-def _records_of_export(folder: Path) -> dict[str, dict[str, Any]]:
-    # empty for material lists of other programs
+def _export_records(folder: Path) -> dict[str, dict[str, Any]]:
+    # records of paints by material id; empty for material lists of other programs
     try:
         document = json.loads(read_limited(folder / _DIRSIG_MARKER, MAX_EXPORT_BYTES, "an export"))
         return {str(record["id"]): dict(record) for record in document["paints"]}
@@ -106,20 +105,20 @@ def _records_of_export(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def spectra_digest(spectra: Mapping[str, Any]) -> str:
-    """Return a digest of all values of spectra, by which a render knows whether it was made from them."""
+    """Return a digest of all values of spectra, which shows whether a render was made from them."""
     digest = hashlib.sha256()
     for name, value in spectra.items():
         digest.update(f"{name} ".encode())
         if isinstance(value, Mapping) and not hasattr(value, "data_vars"):
             digest.update(spectra_digest(value).encode())
         elif hasattr(value, "data_vars"):
-            names = ("signature", "wavelength", "good", "reflectance", "member_reflectance")
-            for part in (part for part in names if part in value.variables):
-                values = np.asarray(value[part].values)
+            stored_names = ("signature", "wavelength", "good", "reflectance", "member_reflectance")
+            for variable in (variable for variable in stored_names if variable in value.variables):
+                values = np.asarray(value[variable].values)
                 digest.update(
                     str(values.tolist()).encode() if values.dtype.kind in "OUT" else values.tobytes()
                 )
         else:
-            for part in value:
-                digest.update(np.asarray(part).tobytes())
+            for array in value:
+                digest.update(np.asarray(array).tobytes())
     return digest.hexdigest()

@@ -22,31 +22,32 @@ if TYPE_CHECKING:
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platform_geometry import Platform
 
-_INTERVAL = 2  # s from one sample of the spectrometer to the next
-_MARGIN = 6  # s of the record before and after the flight
-_DARK_FRAMES = 64  # that a dark reference is the mean of
-# keys of the random streams, apart from those of other simulators
+_INTERVAL_S = 2  # time between samples of the spectrometer
+_MARGIN_S = 6  # record before and after the flight
+_DARK_FRAMES = 64  # number of frames averaged for a dark
+# keys of the random streams, different from those of other simulators
 _NOISE, _DARK = 20, 21
 
 
 @dataclass(frozen=True)
 class Render:
-    """Light, camera and paints, which make a flight line of a traced scene."""
+    """Light, camera and paints, with which a traced scene becomes a flight line."""
 
     atmosphere: Atmosphere
     camera: Camera
     platform: Platform
-    spectra: Mapping[str, Any]  #: The user's by name: (wavelength [nm], reflectance), or a paint library.
+    #: Spectra of the user by name: (wavelength [nm], reflectance), or a paint library.
+    spectra: Mapping[str, Any]
     paints: Mapping[str, str]  #: New spectrum by the name of a spectrum, material or instance.
-    hold_edges: bool = False  #: As of `hyperpaint.simulation.relight`.
+    hold_edges: bool = False  #: See `hyperpaint.simulation.relight`.
 
     def of(
         self, traced: xr.Dataset, *, product: str, true_reflectance: bool, seed: int, noise: bool
     ) -> xr.Dataset:
         """Return the flight line of a traced scene, lazily; see `hyperpaint.render_scene`.
 
-        ``product`` is "radiance" or "counts"; ``true_reflectance`` stays in it where wanted; ``seed`` and
-        ``noise`` are those of the camera. Raises `SchemaError` as `relight`.
+        ``product`` is "radiance" or "counts"; ``true_reflectance``: whether to include it; ``seed`` and
+        ``noise`` apply to the camera. Raises `SchemaError` as `relight`.
         """
         from hyperpaint.pictures.plot import overview
         from hyperpaint.simulation.rendering.relighting import relight
@@ -81,8 +82,8 @@ class Render:
         return line
 
     def _bands(self, product: str) -> BandSet:
-        # weighted by the detector for counts, line shapes alone for radiance; readers of radiance know no
-        # responsivity, and match the irradiance without one too
+        # Bands of counts are weighted by the responsivity of the detector. Bands of radiance are not: readers
+        # of radiance do not know the responsivity, and resample the irradiance without it.
         from hyperpaint.simulation.rendering.camera_bands import BandSet
 
         bands = BandSet.of(self.camera.imager)
@@ -90,8 +91,7 @@ class Render:
 
 
 def _rounded(cube: xr.DataArray) -> xr.DataArray:
-    # mantissa bits of a stored reflectance, to nearest-even
-
+    # round to the mantissa bits of a stored reflectance, half to even
     rounded: xr.DataArray = xr.apply_ufunc(
         round_bits, cube, KEPT_BITS, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
     )
@@ -100,14 +100,13 @@ def _rounded(cube: xr.DataArray) -> xr.DataArray:
 
 
 def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
-    """Return a render with the irradiance that a spectrometer logs all through the flight, every 2 s.
+    """Return a render with the irradiance that a spectrometer logs during the flight, every 2 s.
 
-    ``relit`` is in steady light and has the spectrum; the record covers the flight with some seconds to
-    spare.
+    ``relit`` has the spectrum of its steady light; the record starts before and ends after the flight.
     """
     first, last = (moment.astype("datetime64[s]") for moment in platform.utc[[0, -1]])
-    count = int((last - first).astype(np.int64) + 2 * _MARGIN) // _INTERVAL + 2
-    seconds = _INTERVAL * np.arange(count) - _MARGIN
+    count = int((last - first).astype(np.int64) + 2 * _MARGIN_S) // _INTERVAL_S + 2
+    seconds = _INTERVAL_S * np.arange(count) - _MARGIN_S
     time = (first + seconds.astype("timedelta64[s]")).astype("datetime64[ns]")
     spectrum = np.asarray(relit["irradiance"][0].values)
     wavelength = relit[IRRADIANCE_WAVELENGTH].variable
@@ -115,21 +114,21 @@ def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
         relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
         .assign(
             irradiance=_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
-            irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL),
+            irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL_S),
         )
         .assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
     )
 
 
 def pose_of(platform: Platform) -> dict[str, xr.Variable]:
-    """Return the pose of the camera at mid exposure of every line, as a flight line has it."""
+    """Return the pose of the camera at mid-exposure of every line, as variables of a flight line."""
     roll, pitch, heading = platform.attitude.T
     pose = {"altitude": platform.position[:, 2], "roll": roll, "pitch": pitch, "heading": heading}
     return {name: _variable(name, values) for name, values in pose.items()}
 
 
 def _look_angle(platform: Platform) -> xr.Variable:
-    # column centres, from the camera's axis to the right
+    # angles of column centres from the camera's axis, positive to the right
     edges = platform.column_edges
     return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
@@ -137,19 +136,19 @@ def _look_angle(platform: Platform) -> xr.Variable:
 def counts_of(
     radiance: xr.DataArray, camera: Camera, exposure_time: float, seed: int, name: str, *, noise: bool = True
 ) -> xr.Dataset:
-    """Return the counts of a camera that sees this radiance, with everything that calibrates them.
+    """Return the counts of a camera under this radiance, with all variables that calibrate them.
 
-    Lazy. Noise is drawn line by line from a generator keyed by the seed, the render's name and the line's
-    number, so that no count depends on how lines are grouped, or where they are computed; without ``noise``
-    counts are rounded all the same. The camera's optics blur the scene before it is counted. ``radiance``
-    holds means over the camera's responses (along_track, band, cross_track) [W m-2 sr-1 nm-1],
-    ``exposure_time`` is in [s].
+    Lazy. The noise of a line is drawn from a generator keyed by seed, name of the render and number of the
+    line, so that counts do not depend on chunks or workers; without ``noise`` counts are still rounded. The
+    optics of the camera blur the radiance. ``radiance``: mean over the camera's responses (along_track, band,
+    cross_track) [W m-2 sr-1 nm-1]; ``exposure_time``: [s].
     """
     import dask.array as da
 
-    # a mean radiance of one gives t A INT R counts; elements that see no light give none
+    # a mean radiance of 1 gives (exposure time) x (etendue) x (integral of the response) counts; dead
+    # elements 0
     scale, factor = exposure_time * camera.etendue * camera.response_area, np.where(camera.bad, 0.0, 1.0)
-    if camera.optics is not None:  # which do not know the elements
+    if camera.optics is not None:  # optics act before the response of single elements
         scale, factor = scale / camera.imager.element_factor, factor * camera.imager.element_factor
     detector = camera.detector(exposure_time)
     key = (seed, _NOISE, zlib.crc32(name.encode()))
@@ -161,14 +160,14 @@ def counts_of(
     )
     blocks = []
     for start, stop in zip([0, *stops], stops, strict=False):
-        # lines around a block that blur into it
-        first, last = max(start - reach, 0), min(stop + reach, number)
-        seen = cube[first:last].rechunk(-1)
-        chunks = ((stop - start,), *seen.chunks[1:])
+        # include the lines around a block that blur into it
+        window_start, window_end = max(start - reach, 0), min(stop + reach, number)
+        window = cube[window_start:window_end].rechunk(-1)
+        chunks = ((stop - start,), *window.chunks[1:])
         block = da.map_blocks(
             exposure.counts,
-            seen,
-            first=first,
+            window,
+            first=window_start,
             lines=range(start, stop),
             dtype=np.uint16,
             chunks=chunks,
@@ -191,22 +190,23 @@ def counts_of(
 class _Exposure:
     detector: Detector
     optics: Optics | None
-    scale: Floats  # Counts of a mean radiance of one, shape (band, cross_track)
-    factor: Floats  # The elements' own share of that, 0 where they see no light, shape (band, cross_track)
+    scale: Floats  # Counts at a mean radiance of 1, (band, cross_track)
+    factor: Floats  # Relative response of the elements, 0 for dead elements, (band, cross_track)
     pedestal: float
     key: tuple[int, ...] | None  # Of the noise; None for none
-    number: int  # Lines of the scene
+    number: int  # Number of lines of the scene
 
     def counts(self, cube: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
-        # the cube begins at line ``first``; lines follow one another, as afterglow does
-        cube = np.nan_to_num(cube, nan=0.0)  # from beyond the scene there comes no light
+        # counts of ``lines`` in their order, because afterglow of a line adds to the next; the cube starts at
+        # ``first``
+        cube = np.nan_to_num(cube, nan=0.0)  # beyond the scene there is no light
         counts = np.empty((len(lines), *cube.shape[1:]), dtype=np.uint16)
         for line, row in zip(lines, counts, strict=True):
             rng = None if self.key is None else np.random.default_rng([*self.key, line])
-            read = self.detector.read(self._signal(cube, first, line), rng)
+            electrons = self.detector.read(self._signal(cube, first, line), rng)
             if self.pedestal:
-                read += self.pedestal
-            row[...] = self.detector.convert(read[None])[0]
+                electrons += self.pedestal
+            row[...] = self.detector.convert(electrons[None])[0]
         return counts
 
     def _signal(self, cube: Floats32, first: int, line: int) -> Floats:
@@ -217,10 +217,10 @@ class _Exposure:
 
 
 def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
-    # the mean of frames keeps a residue of noise and rounding
+    # the mean of frames has residual noise and rounding errors
     rng = np.random.default_rng([key[0], _DARK])
-    spread = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
-    return np.asarray(detector.dark + spread * rng.standard_normal(detector.dark.shape))
+    sd = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
+    return np.asarray(detector.dark + sd * rng.standard_normal(detector.dark.shape))
 
 
 def _variable(name: str, values: Any) -> xr.Variable:

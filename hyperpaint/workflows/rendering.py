@@ -20,8 +20,8 @@ The tables of the file, each key with its unit in its name; `EXAMPLE` shows them
 ``[sampling]``
     ``samples``, ``depth``, ``slots``, ``seed``, ``sun_radius_deg``.
 ``[spectra]``, ``[paints]``
-    Name to a file with a spectrum, or to a paint library, whose paints are "name/paint"; name of a spectrum,
-    material or car to that of its new spectrum.
+    ``[spectra]``: a file with a spectrum, or a paint library, by name; paints of a library are "name/paint".
+    ``[paints]``: the new spectrum, by the name of a spectrum, material or car.
 ``[output]``
     ``product``: "radiance" or "counts"; ``true_reflectance``; ``hold_edges``.
 """
@@ -59,7 +59,7 @@ from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
 from .render_libraries import read_paints, spectra_digest
 from .render_products import Render, pose_of
 from .scene_files import SCHEMA, SceneFile, read_scene_file
-from .scene_parts import Parts, build_parts, chosen_atmospheres
+from .scene_parts import RenderParts, build_parts, chosen_atmospheres
 from .store_inputs import finishing_command, refuse_to_write_over
 
 #: Group of the traced scene.
@@ -68,10 +68,11 @@ TRANSPORT = "transport"
 #: Prefix of the groups of renders.
 RENDERS = "renders/"
 
-# lower bounds of compressed bytes: a pixel of the traced scene takes hundreds, a sample of a render two
+# lower bounds of the compressed size: hundreds of bytes for a pixel of a traced scene, two for a sample of a
+# render
 MIN_BYTES_PER_PIXEL, MIN_BYTES_PER_SAMPLE = 30, 1
 
-#: Lines in one task on a cluster; tracing a line takes some tenths of a second.
+#: Lines in a task on a cluster; tracing a line takes some tenths of a second.
 CLUSTER_LINES = 64
 
 
@@ -90,18 +91,18 @@ def render_scene(
     overwrite: bool = False,
     progress: bool = False,
 ) -> Path:
-    """Render a scene into one Zarr store: cubes of hundreds of bands, with everything true of each pixel.
+    """Render a scene into a Zarr store: cubes of hundreds of bands, with the truth of every pixel.
 
-    The scene is traced once, without spectra, into the group ``transport``. From what is stored there, each
-    atmosphere becomes a group ``renders/<name>``, which is a flight line: ``radiance`` or ``counts`` with all
-    that calibrates them, the irradiance of a spectrometer beside the scene, and so ``.paint.reflectance()``.
-    Beside them stand what is true of every pixel: material, instance, class, paint and car, with their names
-    in ``flag_meanings`` or in the attributes; purity, shadow, the shares of sun, sky, glint and indirect
-    light; and the reflectance without noise.
+    The scene is traced once, without spectra, into the group ``transport``. From this group, each atmosphere
+    gives a group ``renders/<name>``, a flight line: ``radiance``, or ``counts`` with all variables that
+    calibrate them, and the irradiance of a spectrometer beside the scene, so that ``.paint.reflectance()``
+    works. The group also has the truth of every pixel: material, instance, class, paint and car, with their
+    names in ``flag_meanings`` or in the attributes; purity, shadow, the shares of sun, sky, glint and
+    indirect light; and the reflectance without noise.
 
-    Everything is built and checked before anything is written. An interrupted run is resumed by the same
-    call; a store that is finished is left alone. Another atmosphere, paint or camera in the file costs no
-    tracing, unless the light comes from a sun that has not been traced.
+    All parts are built and checked before anything is written. The same call resumes an interrupted run, and
+    does nothing for a finished store. A new atmosphere, paint or camera in the file needs no tracing, unless
+    its sun has not been traced.
 
     Parameters
     ----------
@@ -110,19 +111,19 @@ def render_scene(
     out
         The store, a folder.
     samples
-        Rays of a pixel, in place of those of the file.
+        Rays of a pixel; by default those of the file.
     to
-        ``"radiance"`` or ``"counts"``, in place of what the file says.
+        ``"radiance"`` or ``"counts"``; by default the product of the file.
     atmospheres
-        Names of those of the file that are to be rendered; all by default.
+        Names of atmospheres of the file to render; all by default.
     library
-        A paint library, such as signatures of a flight: anything that `hyperpaint.write_library` or
-        `hyperpaint.write_dirsig` wrote. A paint that is called like a spectrum, a material or a thing of the
-        scene goes there, the others in turn to the cars that are left; what the file says in ``[paints]``
-        comes before. The scene is not traced again.
+        A paint library, such as signatures of a flight, in a format of `hyperpaint.write_library` or
+        `hyperpaint.write_dirsig`. A paint with the name of a spectrum, material or instance of the scene
+        replaces its spectrum; other paints are assigned in turn to the remaining cars; ``[paints]`` of the
+        file takes precedence. The scene is not traced again.
     hold_edges
-        Hold spectra constant beyond their last band with values, and bridge bands without, in place of what
-        the file says.
+        Extend spectra by their first and last value, and interpolate bands without a value; by default as in
+        the file.
     scheduler
     overwrite
     progress
@@ -134,12 +135,12 @@ def render_scene(
     Raises
     ------
     FormatError
-        The file, or one that it names, cannot be used; all problems are listed.
+        The scene file, or one of its files, cannot be used; all problems are listed.
     SchemaError
         An argument is out of range, a name unknown, or spectra do not cover the bands or leave 0 to 1.
     StoreError
-        The store holds something else, is being written, or cannot be written, or memory or disk would not
-        suffice, of which the message names the needed figure before anything is written.
+        The store holds other data, is being written by another process, or cannot be written; or memory or
+        disk does not suffice, which is checked before anything is written.
     MissingExtraError
         A package is not installed that ``scheduler`` or a mesh needs.
 
@@ -189,33 +190,35 @@ def run(
 ) -> Outcome:
     """Render a scene, as `render_scene` does with the same arguments, and return the groups written."""
     out = local_folder(out, "render")
-    file = _changed(read_scene_file(path), samples, to)
+    file = _with_options(read_scene_file(path), samples, to)
     if hold_edges is not None:
         file = dataclasses.replace(file, hold_edges=hold_edges)
     refuse_to_write_over(out, (file, library and Path(library)), "render")
-    # before the scene is built; `check_room` is exact later
+    # a rough check before the scene is built; `check_room` is exact
     folder = next(parent for parent in out.absolute().parents if parent.exists())
     pixels = file.platform["lines"] * file.platform["columns"]
-    bands = file.camera.get("bands", SimulationSettings.bands)
-    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * bands)
-    free = shutil.disk_usage(folder).free
-    if least > free:
+    min_bytes = pixels * (
+        MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", SimulationSettings.bands)
+    )
+    free_bytes = shutil.disk_usage(folder).free
+    if min_bytes > free_bytes:
         raise StoreError(
-            f"{file.path} needs at least {size_text(least)} of disk; {size_text(free)} are free in {folder}",
-            mend="take fewer lines, columns or bands, or another disk",
+            f"{file.path} needs at least {size_text(min_bytes)} of disk; {size_text(free_bytes)} are free in "
+            f"{folder}",
+            mend="reduce lines, columns or bands, or use another disk",
             code="disk-full",
         )
     parts = build_parts(file)
     if library is not None:
-        file, parts = _painted(file, parts, Path(library))
-    chosen = [each.name for each in chosen_atmospheres(parts, atmospheres)]
+        file, parts = _with_library(file, parts, Path(library))
+    names = [light.name for light in chosen_atmospheres(parts, atmospheres)]
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot render {path}"))
         lines = CHUNK_LINES if client is None else CLUSTER_LINES
         traced = _traced(file, parts, lines)
         settings = {SETTINGS: f"numerics={NUMERICS_VERSION}"}
-        planned = {TRANSPORT: traced, **_renders(traced, file, parts, chosen)}
+        planned = {TRANSPORT: traced, **_renders(traced, file, parts, names)}
         planned = {name: dataset.assign_attrs(settings) for name, dataset in planned.items()}
         complete = kept_groups(planned, out, overwrite=overwrite, command="render")
         _refuse_orphans(out, planned, complete)
@@ -239,7 +242,7 @@ def run(
         )
         for name in pending:
             dataset = traced
-            if name != TRANSPORT:  # of the scene as it is stored
+            if name != TRANSPORT:  # from the stored traced scene
                 turn.settle()
                 stored = open_group(out, TRANSPORT)
                 dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
@@ -252,7 +255,7 @@ def run(
     return Outcome(out, tuple(pending), tuple(complete))
 
 
-def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
+def _with_options(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
     problems = Problems("cannot render", SchemaError)
     if samples is not None:
         SCHEMA["sampling"]["samples"].note(problems, as_argument("samples", samples), samples)
@@ -263,22 +266,22 @@ def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
     return file if to is None else dataclasses.replace(file, product=to)
 
 
-def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Parts]:
-    # paints of the file take precedence over the library
+def _with_library(file: SceneFile, parts: RenderParts, paints: Path) -> tuple[SceneFile, RenderParts]:
+    # add the paints of a library; paints of the file take precedence
     from hyperpaint.simulation.rendering.given_spectra import by_name
     from hyperpaint.simulation.rendering.painting import assigned_paints
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     library = by_name(read_paints(paints))
-    dealt = assigned_paints(SceneRecord.of(parts.scene), list(library))
-    file = dataclasses.replace(file, paints={**dealt, **file.paints})
+    targets = assigned_paints(SceneRecord.of(parts.scene), list(library))
+    file = dataclasses.replace(file, paints={**targets, **file.paints})
     return file, dataclasses.replace(parts, spectra={**library, **parts.spectra})
 
 
 # --- groups to write ---------------------------------------------------------------------------------------
 
 
-def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
+def _traced(file: SceneFile, parts: RenderParts, lines: int) -> xr.Dataset:
     from hyperpaint.simulation.rendering.tracing import trace
 
     traced = trace(
@@ -292,7 +295,7 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
     inputs = {
         "format": [FORMAT_VERSION, NUMERICS_VERSION],
         "scene": {**file.scene, "name": file.name},
-        "meshes": [[_content(mesh.path), mesh.name, dict(mesh.options)] for mesh in file.meshes],
+        "meshes": [[_file_digest(mesh.path), mesh.name, dict(mesh.options)] for mesh in file.meshes],
         "platform": dict(file.platform),
         "sampling": dict(file.sampling),
         "suns": parts.suns,
@@ -302,14 +305,14 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
 
 
 def _renders(
-    traced: xr.Dataset, file: SceneFile, parts: Parts, names: Sequence[str]
+    traced: xr.Dataset, file: SceneFile, parts: RenderParts, names: Sequence[str]
 ) -> dict[str, xr.Dataset]:
     renders = {}
     for atmosphere in parts.atmospheres:
         if atmosphere.name in names:
             inputs = {
                 "transport": traced.attrs[INPUTS],
-                "atmosphere": _light(atmosphere),
+                "atmosphere": _light_digest(atmosphere),
                 "camera": dict(file.camera),
                 "exposure_time": parts.platform.exposure_time,
                 "spectra": spectra_digest(parts.spectra),
@@ -331,20 +334,19 @@ def _renders(
 
 
 def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
-    # renders of other parameters keep the traced scene below them
-
+    # a new traced scene would not fit the renders that are kept
     if TRANSPORT in complete or not out.exists():
         return
-    left = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
-    if left:
+    orphans = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
+    if orphans:
         raise StoreError(
-            f"{out} holds /{', /'.join(left)}, of a scene traced with other parameters",
-            mend="render them too, or choose another path",
+            f"{out} holds /{', /'.join(orphans)}, of a scene traced with other parameters",
+            mend="render these atmospheres too, or choose another path",
             code="renders-outdated",
         )
 
 
-def _light(atmosphere: Any) -> str:
+def _light_digest(atmosphere: Any) -> str:
     digest = hashlib.sha256()
     for field in dataclasses.fields(atmosphere):
         value = getattr(atmosphere, field.name)
@@ -353,7 +355,7 @@ def _light(atmosphere: Any) -> str:
     return digest.hexdigest()
 
 
-def _content(path: Path) -> str:
+def _file_digest(path: Path) -> str:
     with open_input(path, "an input of a scene") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -362,30 +364,30 @@ def _digest(inputs: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
 
-_WIDTH, _DPI = 4.0, 150  # of one picture [inch]
+_PICTURE_INCH, _DPI = 4.0, 150
 
 
 def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     """Draw the stored overviews of renders (``groups`` of the store) side by side, north up.
 
-    Raises `MissingExtraError`: matplotlib is not installed; `StoreError`: no group has an overview, of fewer
-    than three visible bands; `SchemaError`: matplotlib writes no such picture.
+    Raises `MissingExtraError` if matplotlib is not installed; `StoreError` if no group has an overview, which
+    needs three visible bands; `SchemaError` if matplotlib does not write this file type.
     """
     from hyperpaint.pictures.figures import new_figure, save_figure
 
-    opened = {group: open_store(store, group) for group in groups}
-    shown = {group: dataset["overview"] for group, dataset in opened.items() if "overview" in dataset}
-    if not shown:
+    datasets = {group: open_store(store, group) for group in groups}
+    overviews = {group: dataset["overview"] for group, dataset in datasets.items() if "overview" in dataset}
+    if not overviews:
         raise StoreError(
             f"{store} has no overview to draw, which needs three visible bands", code="overview-missing"
         )
-    lines, columns = next(iter(shown.values())).shape[:2]
-    size = (_WIDTH * len(shown), _WIDTH * min(lines / columns, 5.0) + 0.4)
+    lines, columns = next(iter(overviews.values())).shape[:2]
+    size = (_PICTURE_INCH * len(overviews), _PICTURE_INCH * min(lines / columns, 5.0) + 0.4)
     figure = new_figure("a picture", figsize=size, layout="constrained")
     for axes, (group, picture) in zip(
-        figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True
+        figure.subplots(1, len(overviews), squeeze=False)[0], overviews.items(), strict=True
     ):
-        # the first line is the southernmost of a flight to the north
+        # on a flight to the north the first line is in the south
         axes.imshow(picture.values, origin="lower", interpolation="nearest")
         axes.set_title(group.rpartition("/")[2].replace("_", " "))
         axes.set_axis_off()

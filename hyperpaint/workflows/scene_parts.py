@@ -1,4 +1,4 @@
-"""Scene, flight, light and camera, built from a scene file."""
+"""Scene, flight, light and camera of a scene file."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from .scene_files import (
 
 
 @dataclass(frozen=True)
-class Parts:
+class RenderParts:
     """All parts of a render."""
 
     scene: Scene
     platform: Platform
     camera: Camera
     noise: bool  #: Whether the camera has noise.
-    atmospheres: tuple[Atmosphere, ...]  #: All of them are traced.
+    atmospheres: tuple[Atmosphere, ...]  #: Atmospheres of the file; all their suns are traced.
     spectra: Mapping[str, Any]  #: Spectra of the file: (wavelength [nm], reflectance), or a paint library.
 
     @property
@@ -51,19 +51,19 @@ class Parts:
 
     @property
     def overcast(self) -> bool:
-        """Whether any sky is brighter overhead."""
+        """Whether an atmosphere has an overcast sky, brighter towards the zenith."""
         return any(light.overcast_share > 0.0 for light in self.atmospheres)
 
 
-def build_parts(file: SceneFile) -> Parts:
+def build_parts(file: SceneFile) -> RenderParts:
     """Return the parts that a scene file describes.
 
-    Raises `FormatError`: something in the file, or in a file that it names, cannot be used; all problems are
-    listed. Raises `MissingExtraError`: a mesh needs a package that is not installed.
+    Raises `FormatError` if the file, or one of its files, cannot be used; all problems are listed. Raises
+    `MissingExtraError` if a mesh needs a package that is not installed.
     """
     problems = Problems(f"{file.path} cannot be rendered", FormatError)
     parts: dict[str, Any] = {}
-    # every part is tried, so that all problems are listed
+    # build every part, so that all problems are listed
     builders: dict[str, tuple[str, Callable[[], Any]]] = {
         "scene": ("[scene]", lambda: _scene(file)),
         "camera": ("[camera]", lambda: _camera(file)),
@@ -79,11 +79,11 @@ def build_parts(file: SceneFile) -> Parts:
         except (PaintError, OSError) as error:
             problems.add_error(table, error)
     problems.raise_if_any()
-    return Parts(**parts, noise=file.camera.get("noise", True))
+    return RenderParts(**parts, noise=file.camera.get("noise", True))
 
 
-def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, ...]:
-    """Return the atmospheres of these names, all without names; `SchemaError` for an unknown one."""
+def chosen_atmospheres(parts: RenderParts, names: Sequence[str]) -> tuple[Atmosphere, ...]:
+    """Return the atmospheres with these names, by default all; `SchemaError` for an unknown name."""
     by_name = {light.name: light for light in parts.atmospheres}
     unknown = [name for name in names if name not in by_name]
     if unknown:
@@ -156,7 +156,7 @@ def _coat(table: Mapping[str, Any]) -> Coat | None:
 
 
 def _material(name: str, table: str | Mapping[str, Any], kind: str) -> Material:
-    # on a car it is paint unless the table has another class
+    # a material of a car is paint unless the table has another class
     table = {"spectrum": table} if isinstance(table, str) else table
     surface = table.get("class", "paint" if kind == "car" else "other")
     coat, share = _coat(table), float(table.get("flakes", 0.0))
@@ -175,11 +175,11 @@ def _material(name: str, table: str | Mapping[str, Any], kind: str) -> Material:
 def _platform(file: SceneFile, scene: Scene | None) -> Platform:
     options = dict(file.platform)
     if "centre" not in options and "start" not in options and scene is not None:
-        # by default over the middle of the scene
+        # by default the flight is over the centre of the scene
         east, north = scene.bounds[:, :2].mean(axis=0)
         options["centre"] = float(east), float(north)
         if file.scene["kind"] == "car_park":
-            # the park lies from y = 0 northwards, in the middle of ground that goes on around it
+            # the park extends from y = 0 to the north; the ground around it extends further
             options["centre"] = 0.0, park_arguments(file.scene)["length"] / 2
     return pushbroom(**options)
 
@@ -233,9 +233,9 @@ def _spectra(file: SceneFile) -> dict[str, Any]:
         except PaintError as error:
             problems.add_error(name, error)
             continue
-        if isinstance(value, dict):  # paints with wavelengths of their own
-            single = len(value) == 1
-            spectra |= {name if single else f"{name}/{paint}": curve for paint, curve in value.items()}
+        if isinstance(value, dict):  # paints on different wavelengths
+            is_single = len(value) == 1
+            spectra |= {name if is_single else f"{name}/{paint}": curve for paint, curve in value.items()}
         else:
             spectra[name] = value
     problems.raise_if_any()

@@ -1,4 +1,4 @@
-"""Inputs of a store: their names, their comparison, and protection against overwriting."""
+"""Inputs of a store: their paths, their digest, and protection against overwriting."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hyperpaint.io.files.reading import sampled_digest
 
 
 def paths_in(settings: Any) -> Iterator[Path]:
-    """Yield every path that settings name, however deep it stands in them."""
+    """Yield every path in settings, also in nested dataclasses, mappings and sequences."""
     if isinstance(settings, Path):
         yield settings
     elif dataclasses.is_dataclass(settings) and not isinstance(settings, type):
@@ -35,47 +35,46 @@ def paths_in(settings: Any) -> Iterator[Path]:
 
 
 def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
-    """Refuse a store that is an input, lies in one, or whose folder holds inputs; nothing allows it.
+    """Refuse an output that is an input, lies in an input, or contains inputs.
 
-    ``settings``: what names the inputs, see `paths_in`.
-
-    Raises `StoreError`: all such inputs are listed.
+    ``settings``: contain the paths of the inputs, see `paths_in`. Raises `StoreError`, which lists these
+    inputs.
     """
-    place = out.resolve()
+    output = out.resolve()
     problems = Problems(
         f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
     )
-    for path in dict.fromkeys(each.resolve() for each in paths_in(settings)):
-        if place == path:
+    for path in dict.fromkeys(path_in_settings.resolve() for path_in_settings in paths_in(settings)):
+        if output == path:
             problems.add(f"it is {path}, an input", code="output-is-input")
-        elif place in path.parents:
+        elif output in path.parents:
             problems.add(f"it holds {path}, an input", code="output-is-input")
-        elif path in place.parents and path.is_dir():
+        elif path in output.parents and path.is_dir():
             problems.add(f"it lies in {path}, an input", code="output-is-input")
     problems.raise_if_any()
 
 
 def finishing_command(command: str, options: Mapping[str, Any]) -> str:
-    """Return the command line that finishes an interrupted run, ``{store}`` in place of the store.
+    """Return the command line that finishes an interrupted run, with ``{store}`` for the path of the store.
 
-    ``options``: by their names; those that are None or False were not given, lists several times.
+    ``options``: values by option; None and False leave an option out, a list repeats it.
     """
-    given = ""
+    arguments = ""
     for name, value in options.items():
-        for each in value if isinstance(value, list) else [value]:
-            if each is not None and each is not False:
-                given += f" {name}" if each is True else f" {name} {quote(str(each))}"
-    return f"hyperpaint {command} --out {{store}}{given}"
+        for argument in value if isinstance(value, list) else [value]:
+            if argument is not None and argument is not False:
+                arguments += f" {name}" if argument is True else f" {name} {quote(str(argument))}"
+    return f"hyperpaint {command} --out {{store}}{arguments}"
 
 
 def settings_of(parameters: Mapping[str, Any]) -> str:
-    """Return the text for the settings of a run: version of its numerics, and a digest of all."""
+    """Return the settings of a run as text: version of its numerics, and a digest of all settings."""
     text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
     return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
 
 
-def _stored_form(cube: Path) -> str:
-    # another header gives the same file other values
+def _header_form(cube: Path) -> str:
+    # fields of the header that change the values read from the same file
     from hyperpaint.io.envi.envi_cubes import find_pair
     from hyperpaint.io.envi.envi_header import read_header
 
@@ -96,17 +95,17 @@ def _stored_form(cube: Path) -> str:
 
 
 def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
-    """Return a digest of all values but the cubes', of samples of the cubes' content, and of the settings."""
+    """Return a digest of settings, of all values except cubes, and of samples of the cubes' files."""
     import dask
 
     digest = hashlib.sha256(settings.encode())
     for cube in cubes:
-        digest.update(f"{cube.name} {_stored_form(cube)} {sampled_digest(cube)}".encode())
+        digest.update(f"{cube.name} {_header_form(cube)} {sampled_digest(cube)}".encode())
     digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
         digest.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
         if not dask.is_dask_collection(variable):
             values = np.ascontiguousarray(variable.values)
-            # of texts numpy holds places in memory
+            # bytes of an object array are addresses of texts
             digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
     return digest.hexdigest()[:32]

@@ -1,4 +1,4 @@
-"""A collect as a store of a few kilobytes: the cubes stay in the camera's raw files."""
+"""A collect as a small store that refers to the raw cubes of the camera."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ from .store_inputs import refuse_to_write_over
 if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_opening import OpenedCollect
 
-#: Of a cube; beyond it a stored cube is the better one [1].
+#: Maximum share of a cube that is copied [1]; beyond it, processing the collect is better.
 MAX_COPIED_SHARE = 0.1
 
-_FEW_SLABS = 4
-_NOT_WHOLE = "and not whole"
+_MIN_COPIED_SLABS = 4  # number of slabs that may always be copied
+_INCOMPLETE = "and incomplete"
 _SAMPLE_BYTES = 16 * 1024
 
 
@@ -56,44 +56,45 @@ def virtualise(
     accept: Collection[str] = (),
     overwrite: bool = False,
 ) -> Outcome:
-    """Write a store of flight lines that refers to the raw cubes and holds all that calibrates them.
+    """Write a store of flight lines that refers to the raw cubes and holds all variables that calibrate them.
 
-    ``.paint.reflectance()`` of `hyperpaint.io.open_virtual` gives the bits of what `hyperpaint.process`
-    stores as counts. Opened, judged and aligned as there; of a cube only the lines are read that this needs.
+    ``.paint.reflectance()`` of `hyperpaint.io.open_virtual` is bit for bit that of the counts stored by
+    `hyperpaint.process`. The collect is opened, checked and aligned as by `process`; of cubes only the lines
+    needed for this are read.
 
-    A slab of 8 to 64 whole lines is a run of bytes of its file. Slabs that are none are copied into the
-    store: the last of a cube whose lines no such size divides, what lies in two cubes, and lost frames.
+    A slab of 8 to 64 lines is a contiguous range of bytes in its file. Other slabs are copied into the store:
+    incomplete last slabs of a cube, slabs that span two cubes, and slabs with lost frames.
 
     Parameters
     ----------
     collect
         A ``collect.toml``; see `hyperpaint.open_collect`.
     out
-        A folder, which becomes a repository of icechunk.
+        A folder, for a repository of icechunk.
     prefix
-        URL (s3, http, https) below which the raw files lie as they do below the folder of ``collect``, such
-        as ``s3://bucket/flight``: they are referred to there. What is there is compared with the local files.
+        URL (s3, http, https) of a copy of the folder of ``collect``, such as ``s3://bucket/flight``: the
+        store refers to this copy. Samples of the copy are compared with the local files.
     alignment, accept
-        As of `hyperpaint.process`.
+        See `hyperpaint.process`.
     overwrite
-        Replace a virtual store of other inputs, which is there until the new one is whole. One of the same
-        inputs that is not whole is always written again.
+        Replace a virtual store of other inputs, once the new store is complete. An incomplete store of the
+        same inputs is always written again.
 
     Returns
     -------
     Outcome
-        The store, and groups that were written.
+        The store, and its groups.
 
     Raises
     ------
     CollectError, SchemaError
         As `hyperpaint.process`.
     FormatError
-        A cube is no run of bytes a slab (``bsq``), its samples are none of uint16 counts, or too much would
-        be copied; all lines are listed.
+        Slabs of a cube are not contiguous (``bsq``), its samples are not uint16 counts, or too many slabs
+        would be copied; all lines are listed.
     StoreError
-        ``out`` is there, of other inputs, or holds inputs, or is named as references of kerchunk; or files
-        below ``prefix`` are others.
+        ``out`` exists with other inputs, contains inputs, or has the suffix of kerchunk references; or files
+        below ``prefix`` differ from the local files.
     MissingExtraError
         icechunk is not installed.
 
@@ -114,14 +115,14 @@ def virtualise(
     if out.exists():
         difference = _difference(out, lines, cubes)
         if not difference:
-            beside = Staging(out.absolute())
-            if beside.folder.exists():  # leftovers of a run killed at its end
-                with contextlib.suppress(StoreError), staging(beside.store):
+            staging_area = Staging(out.absolute())
+            if staging_area.folder.exists():  # leftovers of a run killed at its end
+                with contextlib.suppress(StoreError), staging(staging_area.store):
                     pass
             return Outcome(out, (), tuple(lines))
-        if difference != _NOT_WHOLE and not (overwrite and is_virtual(out)):
+        if difference != _INCOMPLETE and not (overwrite and is_virtual(out)):
             raise StoreError(
-                f"{out} is there already, {difference}",
+                f"{out} exists, {difference}",
                 mend="pass overwrite=True, which replaces a virtual store, or choose another path",
                 option="pass --overwrite, which replaces a virtual store, or choose another --out",
                 code="store-exists",
@@ -130,64 +131,65 @@ def virtualise(
     apply = alignment or opened.settings.alignment
     groups = {}
     for name, line in lines.items():
-        rest = _companions(aligned_group(line, name, "reflectance", apply))
-        groups[name] = rest.assign_attrs(accepted.get(name, {})), cubes[name]
+        companions = _companions(aligned_group(line, name, "reflectance", apply))
+        groups[name] = companions.assign_attrs(accepted.get(name, {})), cubes[name]
     attrs = {str(key): value for key, value in opened.tree.attrs.items()}
     with published_folder(
         out, overwrite=True, foreign=lambda folder: "" if is_virtual(folder) else "other files"
     ) as folder:
         write_icechunk(folder, groups, attrs)
     corrected = {
-        name: str(rest.attrs["alignment"])
-        for name, (rest, _) in groups.items()
-        if rest.attrs.get("alignment_state") == "applied"
+        name: str(companions.attrs["alignment"])
+        for name, (companions, _) in groups.items()
+        if companions.attrs.get("alignment_state") == "applied"
     }
     return Outcome(out, tuple(groups), (), corrected)
 
 
 def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
-    # empty without any difference
-
+    # difference of an existing store from the collect, in words; empty if there is none
     if not is_virtual(out):
-        return "and no virtual store"
-    wanted = summary_of({name: (line, cubes[name]) for name, line in lines.items()})
+        return "and is not a virtual store"
+    summary = summary_of({name: (line, cubes[name]) for name, line in lines.items()})
     try:
-        if virtual_groups(out) != wanted:
-            return "of other inputs"
+        if virtual_groups(out) != summary:
+            return "from other inputs"
     except StoreError as error:
         return f"and cannot be read ({error})"
     try:
-        # the places that the caller names, not the store
+        # allow access only to the files of the collect, not to places named in the store
         allow = [file.url for cube in cubes.values() for file in cube.files]
-        for name in wanted:
+        for name in summary:
             open_virtual(out, name, allow=allow)
     except StoreError:
-        return _NOT_WHOLE
+        return _INCOMPLETE
     return ""
 
 
 def _companions(line: xr.Dataset) -> xr.Dataset:
-    # all variables but the cube, in memory
+    # all variables except the cube, in memory
     from hyperpaint.light.diffuse_record import split_of_lines
     from hyperpaint.radiometry.panels import declared_panels
 
-    rest = line.drop_vars("counts")
+    companions = line.drop_vars("counts")
     panels = declared_panels(line)
     if panels:
         product = line.paint.reflectance(panel=panels)
-        rest = rest.assign({name: product[name] for name in product if str(name).startswith("panel_")})
+        companions = companions.assign(
+            {name: product[name] for name in product if str(name).startswith("panel_")}
+        )
     split = split_of_lines(line)
     if split is not None:
-        rest = rest.assign(split.data_vars)
-    rest = rest.compute()
-    rest.attrs.pop(SETTINGS, None)
-    return rest
+        companions = companions.assign(split.data_vars)
+    companions = companions.compute()
+    companions.attrs.pop(SETTINGS, None)
+    return companions
 
 
 def _cubes(
     opened: OpenedCollect, lines: Mapping[str, xr.Dataset], prefix: str | None
 ) -> dict[str, VirtualCube]:
-    # slabs of the raw files
+    # references to the slabs in the raw files, by group
     entries = {str(entry.name): entry for entry in opened.settings.flightlines}
     problems = Problems(f"{opened.settings.path}: cubes cannot be referred to", FormatError)
     base = opened.settings.path.absolute().parent
@@ -206,10 +208,10 @@ def _cubes(
 def _array(entry: Any) -> EnviArray:
     from hyperpaint.io.envi.envi_cubes import open_envi
 
-    with warnings.catch_warnings():  # given when the collect was opened
+    with warnings.catch_warnings():  # already given when the collect was opened
         warnings.simplefilter("ignore", PaintWarning)
-        opened = open_envi(entry.path, keep_whole_lines=entry.keep_whole_lines, unsaid="counts")
-    lazy: Any = next(iter(opened.data_vars.values())).variable._data
+        dataset = open_envi(entry.path, keep_whole_lines=entry.keep_whole_lines, unsaid="counts")
+    lazy: Any = next(iter(dataset.data_vars.values())).variable._data
     array = lazy.array
     if not isinstance(array, EnviArray) or array.scaling is not None or array.dtype != np.uint16:
         raise FormatError(
@@ -222,14 +224,13 @@ def _array(entry: Any) -> EnviArray:
 
 
 def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
-    # the local file, or its copy below a URL
-
+    # the local file, or its copy below the URL ``prefix``
     local = RawFile.of(f"file://{os.path.realpath(path)}")
     if prefix is None:
         return local
     if not path.is_relative_to(base):
         raise StoreError(
-            f"{path} does not lie below {base}, the folder that {prefix} stands for",
+            f"{path} is outside {base}, the folder of which {prefix} is a copy",
             code="file-outside-prefix",
         )
     from fsspec.core import url_to_fs  # type: ignore[import-untyped]
@@ -259,16 +260,18 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
 def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
     from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
 
-    first = arrays[0]
-    interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first.axes)
+    first_array = arrays[0]
+    interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first_array.axes)
     forms = {(array.axes, array.file_shape[1:], array.stored) for array in arrays}
     if interleave is None or len(forms) > 1:
-        found = (
-            "bsq: a slab of lines is no run of bytes" if interleave is None else "cubes of several layouts"
+        problem = (
+            "bsq: a slab of lines is not contiguous in the file"
+            if interleave is None
+            else "cubes of several layouts"
         )
         raise FormatError(
-            found,
-            expected="bil or bip, alike in all cubes",
+            problem,
+            expected="bil or bip, the same in all cubes",
             mend="process the collect instead",
             code="interleave-unsupported",
         )
@@ -277,27 +280,29 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
     count = line.sizes[ALONG_TRACK]
     if ends[-1] != count:
         raise FormatError(
-            f"{count} lines of {ends[-1]} in the files: frames were lost between its cubes",
+            f"{count} lines, and {ends[-1]} in the files: frames were lost between the cubes",
             mend="process the collect instead",
             code="frames-lost",
         )
     lines = slab_lines(ends)
-    width = first.file_shape[1] * first.file_shape[2] * first.stored.itemsize
-    lost = np.flatnonzero(np.isnat(line["time"].values)) // lines
+    width = first_array.file_shape[1] * first_array.file_shape[2] * first_array.stored.itemsize
+    lost_slabs = np.flatnonzero(np.isnat(line["time"].values)) // lines
     slabs: list[tuple[int, int, int]] = []
     for number, (start, end) in enumerate(itertools.pairwise([0, *ends])):
-        begin, stop = -(-start // lines), end // lines  # slabs that lie in this file
-        offsets = slab_offsets(lines, begin * lines - start, stop - begin, arrays[number].offset, width)
+        first_slab, end_slab = -(-start // lines), end // lines  # slabs that are completely in this file
+        offsets = slab_offsets(
+            lines, first_slab * lines - start, end_slab - first_slab, arrays[number].offset, width
+        )
         slabs += [
             (slab, number, offset)
-            for slab, offset in zip(range(begin, stop), offsets.tolist(), strict=True)
-            if slab not in lost
+            for slab, offset in zip(range(first_slab, end_slab), offsets.tolist(), strict=True)
+            if slab not in lost_slabs
         ]
     total = -(-count // lines)
     copied = sorted(set(range(total)) - {slab for slab, _, _ in slabs})
-    if len(copied) > max(_FEW_SLABS, MAX_COPIED_SHARE * total):
+    if len(copied) > max(_MIN_COPIED_SLABS, MAX_COPIED_SHARE * total):
         raise FormatError(
-            f"{len(copied)} of {total} slabs hold lost frames or lie in two cubes and would be copied",
+            f"{len(copied)} of {total} slabs have lost frames or span two cubes, and would be copied",
             expected=f"at most {MAX_COPIED_SHARE:.0%}",
             mend="process the collect instead",
             code="slabs-copied",
@@ -305,4 +310,6 @@ def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...])
     cube = line["counts"].transpose(*dims)
     copies = {slab: cube[slab * lines : (slab + 1) * lines].values for slab in copied}
     attrs = {key: value for key, value in cube.attrs.items() if isinstance(value, str | int | float | list)}
-    return VirtualCube("counts", dims, cube.shape, lines, first.stored, attrs, files, tuple(slabs), copies)
+    return VirtualCube(
+        "counts", dims, cube.shape, lines, first_array.stored, attrs, files, tuple(slabs), copies
+    )

@@ -94,7 +94,7 @@ def test_libraries(form: str, name: str, export: Export, store: Path, tmp_path: 
 def test_one_row_a_paint_or_all_of_them(export: Export, store: Path, tmp_path: Path) -> None:
     """Expected: two paints with three members each are 2 rows, or 2 x (1 + 3)."""
     done = export(store, "--format", "csv", "--out", tmp_path / "p.csv")
-    assert "one row a paint, its centre; --curves all writes members" in done.output
+    assert "one row a paint, its centre; --curves all also writes members" in done.output
     assert len((tmp_path / "p.csv").read_text("utf-8-sig").splitlines()) == 1 + 2
     done = export(store, "--format", "csv", "--out", tmp_path / "all.csv", "--curves", "all")
     assert "one row" not in done.output

@@ -48,21 +48,21 @@ def test_a_damaged_group(tmp_path: Path, line: xr.Dataset) -> None:
 def test_a_copy_without_a_manifest(tmp_path: Path, line: xr.Dataset) -> None:
     plain_zarr(line.assign_attrs(hyperpaint_version="0.1"), tmp_path / "lot.zarr")
     text = describe_path(tmp_path / "lot.zarr")
-    assert "in no manifest" in text
+    assert "not in a manifest" in text
     assert "another program" not in text
 
 
 def test_a_store_of_another_program(tmp_path: Path, line: xr.Dataset) -> None:
     plain_zarr(line, tmp_path / "other.zarr")
     text = describe_path(tmp_path / "other.zarr")
-    assert "in no manifest: whether it is complete is unknown; written at an unknown time by another" in text
+    assert "not in a manifest, so that completeness is unknown; written at an unknown time by another" in text
     assert "NOT COMPLETE" not in text
 
 
 def test_the_simulators_stores(tmp_path: Path) -> None:
     collect = hp.simulate_collect(tmp_path / "sim", scene="plan", lines=8, bands=4, columns=4)
     for name in ("calibration.zarr", "truth.zarr"):
-        assert "in no manifest" in describe_path(collect.parent / name)
+        assert "not in a manifest" in describe_path(collect.parent / name)
     assert "5 ms (collect.toml)" in describe_path(collect)
 
 

@@ -31,7 +31,7 @@ def test_it_searches_saves_and_draws(tmp_path: Path) -> None:
     out, picture = tmp_path / "red.zarr", tmp_path / "red.png"
     told = run("--colour", "red", "--limit", 3, "--members", 2, "--out", out, "--picture", picture)
     assert "3 of 40 paints" in told
-    assert "off" in told
+    assert "colour difference" in told
     saved = hp.open_library(out)
     assert saved["signature"].values[0] == "Synthetic Signal Red"
     assert saved.member_reflectance.shape == (3, 2, 272)

@@ -261,7 +261,7 @@ def test_a_finished_store_is_left_alone(hyperpaint: Hyperpaint, tmp_path: Path) 
     assert {path: path.stat().st_mtime_ns for path in (out / "transport").rglob("*")} == before
     other = hyperpaint("render", file, "--out", out, "--samples", 3)
     assert other.exit_code == 2
-    assert "/transport is there already, with other inputs or parameters; pass --overwrite" in other.stderr
+    assert "/transport exists, from other inputs or parameters; pass --overwrite" in other.stderr
     orphan = hyperpaint("render", file, "--out", out, "--samples", 3, "--atmosphere", "noon", "--overwrite")
     assert orphan.exit_code == 2
     assert "holds /renders/cloudy, of a scene traced with other parameters" in orphan.stderr

@@ -200,7 +200,7 @@ def test_bad_calls_are_one_message(stored: Path, references: Path, tmp_path: Pat
     poem.write_text("Shall I compare thee\nto a summer's day\n")
     reference = ("--reference", references)
     for words, told in {
-        (stored,): "name files with --reference",
+        (stored,): "pass files with --reference",
         (stored, "--reference", tmp_path / "no*.sig"): "no spectra found",
         (stored, "--reference", poem): "poem.txt",
         (stored, *reference, "--pairs", poem): "as a list of paints",
@@ -227,7 +227,7 @@ def test_a_store_named_inside_a_library_is_looked_for_beside_it_only(tmp_path: P
         paints = agreeing()[0].assign_attrs(store=name)
         hp.to_store(paints, tmp_path / "p.zarr", overwrite=True)
         (tmp_path / "references").mkdir(exist_ok=True)
-        assert "name files with --reference" in run("validate", tmp_path / "p.zarr").stderr
+        assert "pass files with --reference" in run("validate", tmp_path / "p.zarr").stderr
 
 
 def test_numbers_that_are_none_make_valid_json(tmp_path: Path) -> None:

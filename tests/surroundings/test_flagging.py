@@ -136,7 +136,9 @@ def test_the_sun_is_asked_for(tmp_path: Path, surveys: list[dict[str, Any]]) -> 
     done = run("signatures", nowhere, "--regions", regions, "--out", out)
     assert done.exit_code == 2
     assert "give --sun-zenith" in done.stderr
-    assert "flight line 'raw_0' has no flags of glint or shadow yet; --no-flags does without" in done.stderr
+    assert (
+        "flight line 'raw_0' has no flags of glint or shadow; --no-flags extracts without them" in done.stderr
+    )
     assert not out.exists()
     done = run(
         "signatures", nowhere, "--regions", regions, "--out", out, "--sun-zenith", 30,

@@ -157,7 +157,7 @@ def test_a_survey_of_a_slope_is_no_height_of_the_ground(folder: Path) -> None:
     (folder / "survey.csv").write_text("name,ellipsoidal_height_m\nA,100.0\nB,103.5\n")
     found = find_field_files(folder)
     assert found.survey is None
-    assert any("3.50 m apart in height" in note for note in found.notes)
+    assert any("heights differ by 3.50 m" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def test_field_spectra_and_scene_show_the_same_paints(folder: Path) -> None:
 def test_a_wrong_chain_shows_in_the_signatures(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(paint_closure, "_MANY", 20)
+    monkeypatch.setattr(paint_closure, "_MIN_PIXELS", 20)
     right = compare(folder / "lot.zarr", folder / "truth.zarr")
     for name in ("raw_0", "raw_60"):
         line = xr.open_zarr(folder / "lot.zarr", group=f"flightlines/{name}").load().drop_encoding()

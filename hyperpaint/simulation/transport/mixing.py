@@ -186,10 +186,10 @@ def _write_tile(sums: Array, start: int, stop: int, line: int, out: Array) -> No
 
 @borrowing_kernel
 def _has_factor(factors: Array, path: int, factor: int) -> bool:
-    found = False
+    has_factor = False
     for digit in range(factors.shape[1]):
-        found = found or factors[path, digit] == factor
-    return found
+        has_factor = has_factor or factors[path, digit] == factor
+    return has_factor
 
 
 @borrowing_kernel
