@@ -39,7 +39,7 @@ def test_what_no_daylight_is_is_refused_with_the_unit(factor: float, unit: str) 
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(1e-2, "declared in uW cm-2 nm-1"), (1e-3, "said to be in mW m-2 nm-1"), (2.2, "")]
+    ("factor", "unit"), [(1e-2, "declared in uW cm-2 nm-1"), (1e-3, "declared in mW m-2 nm-1"), (2.2, "")]
 )
 def test_what_a_clear_sky_contradicts_is_warned_of(factor: float, unit: str) -> None:
     lazily = reflectance(_line(factor))
