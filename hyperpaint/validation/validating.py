@@ -255,8 +255,8 @@ def _exchanged(compared: Sequence[Compared]) -> list[str]:
         return float(np.sqrt((difference**2).mean())) if used.any() else np.nan
 
     own_rmse = np.array([rmse(comparison, comparison) for comparison in compared])
-    candidates = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
-    candidates = sorted(candidates[np.argsort(-own_rmse[candidates])][:_EXCHANGED_MAX_PAINTS])
+    distant = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
+    candidates = sorted(distant[np.argsort(-own_rmse[distant])][:_EXCHANGED_MAX_PAINTS])
     texts = []
     for i, j in itertools.combinations(candidates, 2):
         first, second = compared[i], compared[j]

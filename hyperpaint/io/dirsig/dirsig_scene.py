@@ -352,13 +352,13 @@ def _attrs(
     )
     if lobes:
         advice = (
-            f"{lobes} materials have a clear coat as the BRDF Shell Target; their curves hold what it "
-            "mirrors of\nlight from the normal."
+            f"{lobes} materials have a clear coat as the BRDF Shell Target; their curves include its "
+            "reflectance\nat normal incidence."
         )
     if included:
         advice += (
-            f"\nThe curves of {included} hold what a coat mirrored when they were measured, or do not say: "
-            "these\nhave none; do not add one, it would count twice."
+            f"\nThe curves of {included} include light mirrored by a coat, or do not declare it: these "
+            "materials\nhave no coat; do not add one, it would count twice."
         )
     return {
         "origin": [float(value) for value in origin],

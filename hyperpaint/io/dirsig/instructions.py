@@ -181,11 +181,11 @@ def _gaps(records: Sequence[Mapping[str, Any]]) -> str:
         gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MAX_GAPS]] + ["..."] * (
             len(record["gaps"]) > _MAX_GAPS
         )
-        alone = "; no member reaches both ends: the centre stands for them" if record["is_centre"] else ""
-        if gaps or alone:
+        note = "; no member has values at both ends: the centre is the only curve" * record["is_centre"]
+        if gaps or note:
             complete = f"{record['complete']} of {record['curves']} curves are complete, and come first"
             rows.append(
-                f"{record['id']}: {complete}" + f"; filled in at {', '.join(gaps)} nm" * bool(gaps) + alone
+                f"{record['id']}: {complete}" + f"; filled in at {', '.join(gaps)} nm" * bool(gaps) + note
             )
     return "\n".join(["", "Gaps:", *rows, ""]) if rows else ""
 
