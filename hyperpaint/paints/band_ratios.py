@@ -119,7 +119,7 @@ def band_ratio(signatures: xr.Dataset, numerator: float, denominator: float) -> 
     Returns
     -------
     Dataset
-        ``ratio`` and ``ratio_u``, its standard uncertainty [1], on the other dims, mostly paint.
+        ``ratio`` and ``ratio_u``, its standard uncertainty [1], on the dims without ``band``.
 
     Raises
     ------

@@ -43,7 +43,7 @@ def search_library(
     ----------
     library
     name
-        Part of a paint's name, or a pattern for the whole name with ``*``, ``?`` or ``[...]``. Case is
+        Part of a paint's name, or a pattern for the full name with ``*``, ``?`` or ``[...]``. Case is
         ignored; "grun" and "gruen" find "Grün".
     colour
         A word such as "dark red", or sRGB as "#701a20". Paints are sorted by their colour difference from it
@@ -51,7 +51,7 @@ def search_library(
     like
         A spectrum: the name of a paint of the library; a library with one paint; one spectrum from a
         spectrometer reader; a DataArray with a coordinate ``wavelength``, in nm where it has no units; or
-        plain numbers, one a band. Paints are sorted by their spectral angle to it.
+        numbers, one per band. Paints are sorted by their spectral angle to it.
     maximum_colour_difference
         Largest CIEDE2000 difference from ``colour`` [1]; 1 is just visible, 10 is another shade. Needs
         ``colour``.

@@ -1,4 +1,4 @@
-"""Survey of a whole scene, with the flags and the corrections of light that follow from it.
+"""Survey of a scene, with the flags and the corrections of light that follow from it.
 
 A line with reflectance comes in; a `SceneModel`, layers and bits of ``quality``, or corrected reflectance go
 out. For regions, paints, pictures and every room above. `detection_rules` holds the thresholds.

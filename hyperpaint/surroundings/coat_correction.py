@@ -182,7 +182,7 @@ def _shares(
 
 
 def _mean_sky_reflectance(split: LightSplit, sun_zenith: float, index: float) -> Any:
-    # Reflectance of the coat for the light of the whole sky, between clear and overcast
+    # Reflectance of the coat for the light of the sky, between clear and overcast
     def reflectance(zenith: float | None, cloud: float) -> xr.DataArray:
         return xr.DataArray(sky_reflectance(split.wavelength, zenith, cloud, index), dims=BAND)
 

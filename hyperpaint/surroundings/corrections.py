@@ -70,15 +70,16 @@ def remove_mirrored_sky(
         Part of the mirrored directions that show sky [1].
     diffuse, sun_zenith
     sky
-        "clear", darker at the zenith than its mean under a low sun; "uniform"; "overcast", brighter there
-        (CIE). By default from ``sky_state`` of the lines, between clear and overcast where it is broken or
-        contradictory; clear with a modelled split, uniform with a measured one, which may be of any sky.
+        Distribution of sky radiance: "clear", under a low sun darker at the zenith than on average;
+        "uniform"; "overcast" (CIE), brighter at the zenith. By default from ``sky_state`` of the lines,
+        between clear and overcast if it is broken or contradictory; without it, clear for a modelled split,
+        and uniform for a measured split, which may be of any sky.
 
     Returns
     -------
     Dataset
-        The same with reduced ``reflectance``, and a library's quantiles and members; the attribute
-        ``mirrored_sky_removed`` of reflectance records the correction, and ``mirror_reflection`` is
+        The line or library with reduced ``reflectance``, quantiles and members; the attribute
+        ``mirrored_sky_removed`` of reflectance describes the correction, and ``mirror_reflection`` is
         "excluded".
 
     Raises
@@ -91,7 +92,7 @@ def remove_mirrored_sky(
     Warns
     -----
     PaintWarning
-        The state of the sky is unknown, and a clear one is assumed.
+        The state of the sky is unknown, and a clear sky is assumed.
 
     Notes
     -----

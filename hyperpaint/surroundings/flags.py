@@ -98,7 +98,7 @@ def flag(
               + \textstyle\sum_n (b_n \rho \rho_n + c_n \rho_n)
 
     is solved exactly for amounts that are not negative, by least squares with priors of 1 for c and V and of
-    0 for the others, after [1]_. Standard deviations are the noise that the survey measured, and 0.7 % of
+    0 for other amounts, after [1]_. Standard deviations are the noise that the survey measured, and 0.7 % of
     variation within bodies. g and the sum over neighbours are 0 unless leaving them out is worse by three
     standard deviations, of the misfit where that is more than noise (a likelihood ratio). A surface that
     mirrors the sun to a camera above faces halfway to it: with glint, c is expected to be
@@ -119,8 +119,8 @@ def flag(
 
     Known limits: the wide lobe of a worn coat can be distinguished from flakes on coloured and on black paint
     only, and where the body part shows its core; dark glass is taken for asphalt in shadow, so that glint and
-    shadow are unreliable on glass. Mixed pixels are detected less well than whole ones. For measured
-    precision and recall see docs/figures.md.
+    shadow are unreliable on glass. Mixed pixels are detected less well than pixels of one material. For
+    measured precision and recall see docs/figures.md.
 
     References
     ----------

@@ -321,10 +321,10 @@ def solve(spectra: Floats, body: Floats, sender: Floats | None, light: Light) ->
 
 
 def least_amounts(spectra: Floats, parts: list[Floats]) -> tuple[Floats, Floats]:
-    """Return least-squares amounts (n, part) from 0 on, and relative misfits (n,), of spectra (n, channel).
+    """Return non-negative least-squares amounts (n, part) and relative misfits (n,) of spectra (n, channel).
 
-    The minimum is exact: every subset of the parts, (channel,) or (n, channel), is solved, and the one with
-    the smallest residual and no negative amount is returned.
+    The minimum is exact: every subset of the parts, (channel,) or (n, channel), is solved, and the solution
+    with the smallest residual and no negative amount is returned.
     """
     sigma = MIXTURES.tolerance * np.abs(spectra) + MIXTURES.floor
     design = np.stack([part / sigma for part in parts], axis=2)

@@ -1,7 +1,7 @@
 """Mirror images of the sun in clear coats and glass: the pixels inside one.
 
 A glossy coat reflects the sun's light into a few degrees: on a body part, into a spot much brighter than its
-surroundings. Flakes in a paint, and leaning body parts, are brighter over the whole part, without such a
+surroundings. Flakes in a paint, and leaning body parts, are brighter over all of the part, without such a
 spot.
 """
 

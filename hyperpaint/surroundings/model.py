@@ -1,4 +1,4 @@
-"""The scene model: result of a survey of a whole line, small enough to be stored beside it."""
+"""The scene model: result of the survey of a flight line, small enough to be stored beside it."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "segment": ((ALONG_TRACK, CROSS_TRACK), "int32", "", "Number of the segment; -1 without data"),
     "edge_distance": ((ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to another surface, 0 in mixed ones"),
     "shade_distance": (
-        (ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to a cast shadow, 0 in it; 255 where there is none",
+        (ALONG_TRACK, CROSS_TRACK), "uint8", "1", "Pixels to a cast shadow, 0 in it; 255 without a shadow",
     ),
     "lobe": (
         (ALONG_TRACK, CROSS_TRACK), "uint8", "", "1 in a mirror image of the sun, 2 saturated in one",

@@ -1,4 +1,4 @@
-"""Survey of a whole line: its channels, segments, their spectra in full light, and neighbours."""
+"""Survey of a flight line: its channels, segments, their spectra in full light, and neighbours."""
 
 from __future__ import annotations
 
@@ -863,7 +863,7 @@ def survey(
     reach: int = 120,
     progress: Progress | bool | None = None,
 ) -> SceneModel:
-    r"""Survey a whole line, and return the scene model that flags use.
+    r"""Survey a flight line, and return the scene model that flags use.
 
     Eager. The line is read once, in blocks. During the survey its means over 24 channels take 96 bytes a
     pixel, in a temporary file for more than some 500 lines, and other arrays some 30 bytes a pixel of memory.

@@ -297,7 +297,7 @@ def test_a_killed_run_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     file, out = scene_file(tmp_path, text.replace("columns = 24", "columns = 4")), tmp_path / "out.zarr"
     done = subprocess.run([sys.executable, "-c", _KILLED, str(file), str(out)], timeout=120, check=False)
     assert done.returncode == 9
-    assert "unfinished: 0 of 2 groups are there" in str(hp.verify(out))
+    assert "unfinished: 0 of 2 groups are written" in str(hp.verify(out))
     traced: list[int] = []
     original = tracing._trace_rays
 

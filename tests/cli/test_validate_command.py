@@ -206,7 +206,7 @@ def test_bad_calls_are_one_message(stored: Path, references: Path, tmp_path: Pat
         (stored, *reference, "--pairs", poem): "as a list of paints",
         (stored, *reference, "--panel", poem): "used as a spectrum",
         (stored, *reference, "--tolerance", "much"): "'much', expected a number of RMSE",
-        (stored, *reference, "--tolerance", "colour=1"): "no statistic 'colour'",
+        (stored, *reference, "--tolerance", "colour=1"): "limit='colour', expected one of",
         (stored, *reference, "--part", "red"): "part-unreadable",
         (stored, *reference, "--part", "=400-500"): "part-unreadable",
         (stored, *reference, "--out", tmp_path / "t.xlsx"): "suffix-unknown",
@@ -275,5 +275,5 @@ def test_what_is_not_judged_or_missing_is_exit_1(stored: Path, references: Path,
     assert run(*more).exit_code == 0
     missing = run(*more, "--require-all")
     assert missing.exit_code == 1
-    assert "not passed: roof: its reference is not there" in missing.stderr
+    assert "not passed: roof: its reference is missing" in missing.stderr
     assert "1 of 2 paints compared" in missing.stdout

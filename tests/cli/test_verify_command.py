@@ -40,7 +40,7 @@ def test_an_unfinished_store_says_how_it_is_finished(
     monkeypatch.setattr(WholeRun, "write", stop)
     with pytest.raises(KeyboardInterrupt):
         hp.process(collect, out, to="radiance")
-    again = "unfinished: 1 of 2 groups are there, not yet: /flightlines/raw_1; to finish it"
+    again = "unfinished: 1 of 2 groups are written, without /flightlines/raw_1; to finish it"
     for command, expected in ((verify, 1), (info, 0)):
         status, text = said(command, out)
         assert status == expected

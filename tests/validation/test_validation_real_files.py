@@ -86,7 +86,7 @@ def test_real_files_of_an_svc_before_and_after_matching(shared_data: Path) -> No
     assert found[0].statistics.overlap.item() == "preserved"
     assert not found[0].statistics.overlap_matched.item()
     assert found[1].statistics.overlap_matched.item()
-    assert "the reference was overlap-matched" in found[1].table()
+    assert "the reference is overlap-matched" in found[1].table()
     library_of_raw = library(
         found[0].spectra[0]["signature"].values, ("BNL13001_000_moc",), nm=np.arange(420.0, 950.0, 5.0)
     )

@@ -135,7 +135,7 @@ CASES: list[tuple[str, str, str, str, str, str, str]] = [
      "[calibration] path = 'none.zarr': no such file",
      "", RELATIVE, "file-not-found"),
     ("collect", 'path = "calibration.zarr"', "", "[calibration] path is missing", "",
-     "name a calibration, or a lab sweep (sweep)", "key-missing"),
+     "state path= of a calibration, or sweep= of a lab sweep", "key-missing"),
     ("collect", 'cubes = "none"', "cubes = 3", "[dark] cubes = 3", "a text or a list of texts",
      'for example cubes = ["dark/raw_0.hdr"]', TYPE),
     ("collect", 'files = "sky.asd"', 'files = "*.csv"',

@@ -196,13 +196,13 @@ def container_elsewhere(repository: Repository, server: str) -> str:
 def link_that_leads_out(repository: Repository, server: str) -> str:
     (repository.home / "day" / "cube").symlink_to(repository.home.parent / "secret")
     repository.refer(f"file://{repository.home}/day/cube", record=True)
-    return "raw files elsewhere"
+    return "raw files in other folders"
 
 
 def folder_that_is_a_link(repository: Repository, server: str) -> str:
     (repository.home / "day" / "up").symlink_to(repository.home.parent)
     repository.refer(f"file://{repository.home}/day/up/secret", record=True)
-    return "raw files elsewhere"
+    return "raw files in other folders"
 
 
 def offset_beyond_the_end(repository: Repository, server: str) -> str:
@@ -241,7 +241,7 @@ def s3_container(repository: Repository, server: str) -> str:
         region="us-east-1", endpoint_url=server, allow_http=True, force_path_style=True, s3_compatible=True
     )
     repository.refer("s3://bucket/cube", place=place, record=True)
-    return "raw files elsewhere"
+    return "raw files in other folders"
 
 
 def s3_container_of_no_record(repository: Repository, server: str) -> str:
@@ -255,18 +255,18 @@ def s3_container_of_no_record(repository: Repository, server: str) -> str:
 def http_container(repository: Repository, server: str) -> str:
     place = repository.icechunk.http_store({"allow_http": "true"})
     repository.refer("http://localhost/cube", place=place, record=True)
-    return "raw files elsewhere"
+    return "raw files in other folders"
 
 
 def record_of_a_file_outside(repository: Repository, server: str) -> str:
     repository.refer(f"file://{repository.home.parent}/secret", record=True)
-    return "raw files elsewhere"
+    return "raw files in other folders"
 
 
 def record_with_another_url(repository: Repository, server: str) -> str:
     row = {"url": f"simplecache::{server}/cube", "size": 1}
     repository.record(lambda groups: groups[GROUP]["raw_files"].append(row))
-    return "icechunk reads no raw files from"
+    return "icechunk cannot read raw files from"
 
 
 def chunk_that_is_a_link(repository: Repository, server: str) -> str:
@@ -357,10 +357,10 @@ def test_what_is_allowed_is_a_place_not_the_record(home: Path, tmp_path: Path, a
     (tmp_path / "stores").mkdir()
     store = Path(shutil.move(home / "lot.icechunk", tmp_path / "stores" / "lot.icechunk"))
     given = allow if "://" in allow else str(home) if allow == "home" else str(home / allow)
-    with pytest.raises(StoreError, match="elsewhere"):
+    with pytest.raises(StoreError, match="other folders"):
         hp.io.open_virtual(store, allow=f"{given}x")
     if "://" in allow:
-        with pytest.raises(StoreError, match="elsewhere"):
+        with pytest.raises(StoreError, match="other folders"):
             hp.io.open_virtual(store, allow=allow)
         return
     assert hp.io.open_virtual(store, allow=given).sizes["along_track"] == 160

@@ -132,7 +132,7 @@ def test_other_settings_cut_short_are_not_whole(
         with pytest.raises(KeyboardInterrupt):
             process(collect, store, overwrite=True)
     report = hp.verify(store)
-    assert "unfinished: 1 of 2 groups are there, not yet: /flightlines/raw_1" in str(report)
+    assert "unfinished: 1 of 2 groups are written, without /flightlines/raw_1" in str(report)
     assert report.resume == f"hyperpaint process {collect} --out {store} --to radiance --overwrite"
     assert process(collect, store, overwrite=True).written == (LINES[1],)
     assert hp.verify(store).ok

@@ -1,7 +1,7 @@
-"""Materials and scenes of the simulator DIRSIG: written from a paint library, and read back strictly.
+"""Materials and scenes of the simulator DIRSIG: writers and strict readers.
 
-A paint library comes in, or a scene of triangles with one, and a folder of files goes out; ``.ems`` and
-``.mat`` files come in, curves and materials go out. Called by users and workflows.
+A paint library, or a scene of triangles with paint libraries, is written as a folder of files; ``.ems`` and
+``.mat`` files are read as curves and materials. Called by users and workflows.
 """
 
 from __future__ import annotations

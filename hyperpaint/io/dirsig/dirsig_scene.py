@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.mirrored_light import EXCLUDED, INCLUDED, mirror_reflection
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
 from hyperpaint.base.units import takes_quantities
@@ -39,21 +39,21 @@ from .paint_curves import GAPS, Axis, Choices, coat_of
 #: Default of the largest number of curves of a population.
 MAX_CURVES = 64
 
-_WINDOW_NM = (400.0, 700.0)  # of a texture's picture
-#: Wavelengths that materials must cover [nm] for a scene to have the feature.
+_WINDOW_NM = (400.0, 700.0)  # wavelengths of which a texture's picture shows the mean reflectance
+#: Features of a scene, by the wavelengths that all materials must cover [nm].
 _FEATURES = {"vis": (410.0, 690.0), "nir": (710.0, 890.0)}
 _SPECULAR = "specular_reflectance"
 
 
 class _Surface(NamedTuple):
-    # Material of faces: a spectrum, under a coat of a refractive index (0 for none) and roughness.
-    spectrum: str
-    coat_index: float
-    roughness: float  # 0 where not written
+    # Material of faces: a spectrum, and a clear coat
+    spectrum: str  # name
+    coat_index: float  # refractive index, 0 without a coat
+    roughness: float  # 0 if it is not written
 
     @property
     def mirrored(self) -> float:
-        # For light from the normal [1].
+        # Fresnel reflectance of the coat at normal incidence [1]
         return ((self.coat_index - 1.0) / (self.coat_index + 1.0)) ** 2 if self.coat_index else 0.0
 
 
@@ -77,56 +77,59 @@ def write_dirsig_scene(
 ) -> xr.Dataset:
     r"""Write a scene of triangles as files of the simulator DIRSIG.
 
-    Written are the geometry as OBJ with its MTL, a geometry list, the ``.scene``, a skeleton of a ``.jsim``,
-    the materials with their spectra, a texture map of every population, and a README that says how to run
-    it, and which constructs were checked. The folder appears when all is written, or not at all.
+    The folder contains the geometry as OBJ with its MTL, a geometry list, the ``.scene``, a skeleton of a
+    ``.jsim``, the materials with their spectra, a texture map of every population of curves, and a README on
+    how to run it and which constructs were checked. The folder appears when all files are complete.
 
     Parameters
     ----------
     scene
-        As `hyperpaint.simulation` makes it: ``vertices`` [m], ``faces``, ``materials`` ...
+        A scene of `hyperpaint.simulation`: ``vertices`` [m], ``faces``, ``materials`` ...
     folder
     paints
-        A paint library, or several of which the first that has a name counts: ``reflectance`` (signature,
-        band) [1] under the names of the spectra that the scene's materials have. Members become a population.
+        A paint library, or several; a spectrum is taken from the first with its name. ``reflectance``
+        (signature, band) [1] must have the names of the spectra in the scene's materials. Members become a
+        population of curves.
     repaint
-        New spectra by the name of an instance (its paint), of a material, or of a spectrum; the first counts
-        most.
+        New spectra by the name of an instance (its paint), of a material, or of a spectrum, in this order of
+        priority.
     origin
         Latitude and longitude [degree] of the scene's origin, and its height [m].
     max_curves
-        Curves of a population at the most, at even ranks of their brightness, complete ones first.
+        Maximum number of curves in a population. They are chosen at equal steps of their rank in brightness,
+        complete curves first.
     wavelength_range, extrapolate, gaps
         As for `write_dirsig`.
     coat_brdf
-        Write clear coats as the BRDF Shell Target, which mirrors white light into a lobe of the coat's
-        roughness; else as SPECULAR_FRACTION, which has the body's colour.
+        Write clear coats as the BRDF Shell Target, whose lobe has the colour of the light and the roughness
+        of the coat; else as SPECULAR_FRACTION, whose lobe has the colour of the body.
     texture_m
-        What one picture of a texture covers [m].
+        Side of the square that a picture of a texture covers [m].
     overwrite
     progress
 
     Returns
     -------
     Dataset
-        What was written (signature): ``material_id``, ``curves``, ``complete``, ``thinned``,
-        ``specular_fraction``, ``faces``, and ``texture`` where there is one. Attributes: ``name``,
+        Properties of the materials (signature): ``material_id``, ``curves``, ``complete``, ``thinned``,
+        ``specular_fraction``, ``faces``, and ``texture``, empty without a texture map. Attributes: ``name``,
         ``features``, ``coverage_nm``.
 
     Raises
     ------
     SchemaError
         A spectrum of the scene is in no library, a name of ``repaint`` is not in the scene, an option is out
-        of range, or paints have no values or holes at the ends; all are listed.
+        of range, or paints have no values, or none at the ends of the range; all are listed.
     StoreError
-        The folder holds something, is being written by another, or cannot be written.
+        The folder contains other files, is being written by another process, or cannot be written.
 
     Notes
     -----
-    A clear coat of index n becomes a SPECULAR_FRACTION: the coat's reflectance at normal incidence, F_0 =
-    ((n - 1) / (n + 1))^2, as a share of itself and the body's mean; or, with ``coat_brdf``, a Shell Target
-    with F_0 in its first term. Either is only written where a library declares its reflectance free of
-    mirrored light; otherwise the coat would count twice. The README says what of Shell Target was checked.
+    A clear coat of refractive index n becomes a SPECULAR_FRACTION F_0 / (F_0 + R), with the coat's
+    reflectance at normal incidence F_0 = ((n - 1) / (n + 1))^2 and the mean reflectance R of the body; or,
+    with ``coat_brdf``, a Shell Target with F_0 in its first term. A coat is only written if the library
+    declares its reflectance as free of mirrored light; else the coat would count twice. The README lists the
+    constructs of Shell Target that were checked.
 
     Examples
     --------
@@ -148,10 +151,14 @@ def write_dirsig_scene(
         problems.add(
             f"max_curves={max_curves!r}", expected="a whole number above 0", code="value-out-of-range"
         )
-    if not isinstance(texture_m, int | float) or not 1e-3 <= texture_m <= 1e4:
+    if not is_number(texture_m) or not 1e-3 <= texture_m <= 1e4:
         problems.add(f"texture_m={texture_m!r}", expected="0.001 to 10000 m", code="value-out-of-range")
-    place = np.asarray(origin, np.float64)
-    if place.shape != (3,) or not np.isfinite(place).all() or not (abs(place[:2]) <= [90.0, 360.0]).all():
+    position = np.asarray(origin, np.float64)
+    if (
+        position.shape != (3,)
+        or not np.isfinite(position).all()
+        or not (abs(position[:2]) <= [90.0, 360.0]).all()
+    ):
         problems.add(
             f"origin={origin!r}",
             expected="latitude and longitude [degree] and height [m]",
@@ -161,13 +168,19 @@ def write_dirsig_scene(
     for library in libraries:
         require(library, ["reflectance", "wavelength"], "a DIRSIG scene", LIBRARY_VARIABLES)
     surfaces, face_surface = _surfaces(scene, dict(repaint or {}), with_roughness=coat_brdf)
-    shares = _by_library(libraries, surfaces)
+    surfaces_of = _by_library(libraries, surfaces)
     choices = Choices("centre", wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
     stem = material_ids([scene.name or "scene"])[0]
     title = scene.name or "scene"
     with export_folder(folder, overwrite=overwrite, inside=_FOLDERS) as build:
         records = _write_materials(
-            build / "materials", libraries, shares, surfaces, choices, coat_brdf=coat_brdf, progress=progress
+            build / "materials",
+            libraries,
+            surfaces_of,
+            surfaces,
+            choices,
+            coat_brdf=coat_brdf,
+            progress=progress,
         )
         by_surface = {record.pop("surface"): record for record in records}
         ordered = [by_surface[number] for number in range(len(surfaces))]
@@ -213,21 +226,23 @@ _FOLDERS = (
 def _surfaces(
     scene: Triangles, repaint: dict[str, str], *, with_roughness: bool
 ) -> tuple[list[_Surface], NDArray[np.int64]]:
-    # The distinct surfaces, and the surface of every face (face,).
+    # Distinct surfaces, and the index of the surface of every face (face,)
     problems = Problems("the scene cannot be painted", SchemaError)
     materials, instances = scene.materials, scene.instances
-    names = {each.name for each in (*materials, *instances)} | {each.spectrum for each in materials}
+    names = {item.name for item in (*materials, *instances)}
+    names |= {material.spectrum for material in materials}
     for key in repaint.keys() - names:
         problems.add(
-            f"repaint[{key!r}] names no instance, material or spectrum of the scene", code="key-unknown"
+            f"repaint[{key!r}]: the scene has no instance, material or spectrum of this name",
+            code="key-unknown",
         )
     problems.raise_if_any()
     pair = scene.face_material.astype(np.int64) * len(instances) + scene.face_instance
     distinct, face_pair = np.unique(pair, return_inverse=True)
     numbers: dict[_Surface, int] = {}
     surface_of_pair = []
-    for each in distinct.tolist():
-        material, instance = materials[each // len(instances)], instances[each % len(instances)]
+    for code in distinct.tolist():
+        material, instance = materials[code // len(instances)], instances[code % len(instances)]
         spectrum = repaint.get(material.name, repaint.get(material.spectrum, material.spectrum))
         if material.kind == "paint":
             spectrum = repaint.get(instance.name, spectrum)
@@ -238,48 +253,50 @@ def _surfaces(
 
 
 def _by_library(libraries: Sequence[xr.Dataset], surfaces: Sequence[_Surface]) -> list[list[tuple[int, int]]]:
-    # For every library its surfaces: their numbers, and the places of their paints.
+    # For every library the surfaces painted from it: pairs of their index and the index of their paint
     problems = Problems("the scene cannot be painted", SchemaError)
-    shares: list[list[tuple[int, int]]] = [[] for _ in libraries]
-    places = [
-        {str(name): place for place, name in enumerate(library[SIGNATURE].values)} for library in libraries
+    surfaces_of: list[list[tuple[int, int]]] = [[] for _ in libraries]
+    paint_indices = [
+        {str(name): index for index, name in enumerate(library[SIGNATURE].values)} for library in libraries
     ]
     for number, surface in enumerate(surfaces):
-        owner = next((k for k, names in enumerate(places) if surface.spectrum in names), None)
-        if owner is None:
+        source = next((k for k, indices in enumerate(paint_indices) if surface.spectrum in indices), None)
+        if source is None:
             problems.add(
                 f"spectrum {surface.spectrum!r} of the scene is in no library", code="spectrum-missing"
             )
         else:
-            shares[owner].append((number, places[owner][surface.spectrum]))
+            surfaces_of[source].append((number, paint_indices[source][surface.spectrum]))
     problems.raise_if_any()
-    return shares
+    return surfaces_of
 
 
 def _write_materials(
     build: Path,
     libraries: Sequence[xr.Dataset],
-    shares: Sequence[list[tuple[int, int]]],
+    surfaces_of: Sequence[list[tuple[int, int]]],
     surfaces: Sequence[_Surface],
     choices: Choices,
     *,
     coat_brdf: bool,
     progress: Callable[[int, int], None] | None,
 ) -> list[dict[str, Any]]:
-    # Write the spectra of all surfaces; return their records, with the number of their ``surface``.
+    # Write the spectra of all surfaces; return their records, with the index of their ``surface``
     records: list[dict[str, Any]] = []
-    for library, share in zip(libraries, shares, strict=True):
-        if not share:
+    for library, pairs in zip(libraries, surfaces_of, strict=True):
+        if not pairs:
             continue
-        numbers, places = zip(*share, strict=True)
+        numbers, paints = zip(*pairs, strict=True)
         mirrored = np.array([surfaces[number].mirrored for number in numbers])
         is_body = mirror_reflection(library) == EXCLUDED
-        part = _with_coats(library.isel({SIGNATURE: list(places)}), mirrored * is_body, as_brdf=coat_brdf)
-        taken = [Material(record["id"], record["name"], Section("")) for record in records]
-        library_records = paint_records(part, taken)
-        kind = "members" if "member_reflectance" in part.variables else "centre"
-        coat = coat_of(part, "library" if _SPECULAR in part.variables else 0.0)
-        write_spectra(part, build, Axis(part), replace(choices, curves=kind), coat, library_records, None)
+        coated = _with_coats(library.isel({SIGNATURE: list(paints)}), mirrored * is_body, as_brdf=coat_brdf)
+        written = [Material(record["id"], record["name"], Section("")) for record in records]
+        library_records = paint_records(coated, written)
+        curves = "members" if "member_reflectance" in coated.variables else "centre"
+        coat = coat_of(coated, "library" if _SPECULAR in coated.variables else 0.0)
+        write_spectra(
+            coated, build, Axis(coated), replace(choices, curves=curves), coat, library_records, None
+        )
         for record, number in zip(library_records, numbers, strict=True):
             record |= {
                 "surface": number,
@@ -288,10 +305,10 @@ def _write_materials(
             record["fit_file"] = ""
             if coat_brdf and is_body and surfaces[number].coat_index:
                 record["fit_file"] = f"brdf/{record['id']}.fit"
-                # the written centre includes the coat
-                micrometre, whole = np.loadtxt(build / record["reflectance_file"], unpack=True)
+                # the file contains the reflectance of body and coat together
+                micrometre, total = np.loadtxt(build / record["reflectance_file"], unpack=True)
                 surface = surfaces[number]
-                body = np.maximum(whole - surface.mirrored, 0.0)
+                body = np.maximum(total - surface.mirrored, 0.0)
                 text = fit_text(surface.coat_index, surface.roughness, micrometre * 1000.0, body)
                 (build / record["fit_file"]).write_text(text)
         records += library_records
@@ -301,7 +318,8 @@ def _write_materials(
 
 
 def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Dataset:
-    # A library with coats of reflectance ``mirrored`` (signature,) [1], apart or within a BRDF.
+    # A library with coats of reflectance ``mirrored`` (signature,) [1]: in a variable of its own, or added to
+    # the body for a BRDF
     plain = library.drop_vars(_SPECULAR, errors="ignore")
     if not mirrored.any():
         return plain
@@ -310,13 +328,13 @@ def _with_coats(library: xr.Dataset, mirrored: Array, *, as_brdf: bool) -> xr.Da
         specular = (xr.zeros_like(plain["reflectance"]) + level).assign_attrs(units="1")
         return plain.assign({_SPECULAR: specular.transpose(*plain["reflectance"].dims)})
     names = [name for name in ("reflectance", "member_reflectance") if name in plain.variables]
-    whole = {
+    totals = {
         name: (plain[name] + level).transpose(*plain[name].dims).assign_attrs(plain[name].attrs)
         for name in names
     }
-    for values in whole.values():
+    for values in totals.values():
         values.attrs["mirror_reflection"] = INCLUDED
-    return plain.assign(whole)
+    return plain.assign(totals)
 
 
 def _attrs(
@@ -324,30 +342,30 @@ def _attrs(
 ) -> dict[str, Any]:
     low = max(record["wavelength"][0] for record in records)
     high = min(record["wavelength"][1] for record in records)
-    has = [name for name, (first, last) in _FEATURES.items() if low <= first and high >= last]
+    features = [name for name, (start, end) in _FEATURES.items() if low <= start and high >= end]
     window = max(low, _WINDOW_NM[0]), min(high, _WINDOW_NM[1])
-    shares = sum(record["specular_fraction"] > 0 for record in records)
+    fractions = sum(record["specular_fraction"] > 0 for record in records)
     lobes = sum(bool(record["fit_file"]) for record in records)
     included = sum(record["mirror_reflection"] != EXCLUDED for record in records)
     advice = (
-        f"{shares} materials have a clear coat as SPECULAR_FRACTION, of the body's colour and mirror-like."
+        f"{fractions} materials have a clear coat as SPECULAR_FRACTION, of the body's colour and mirror-like."
     )
     if lobes:
         advice = (
-            f"{lobes} materials have a clear coat as the BRDF Shell Target; their curves hold what it "
-            "mirrors of\nlight from the normal."
+            f"{lobes} materials have a clear coat as the BRDF Shell Target; their curves include its "
+            "reflectance\nat normal incidence."
         )
     if included:
         advice += (
-            f"\nThe curves of {included} hold what a coat mirrored when they were measured, or do not say: "
-            "these\nhave none; do not add one, it would count twice."
+            f"\nThe curves of {included} include light mirrored by a coat, or do not declare it: these "
+            "materials\nhave no coat; do not add one, it would count twice."
         )
     return {
         "origin": [float(value) for value in origin],
         "faces": len(scene.faces),
         "texture_m": float(texture_m),
         "coverage_nm": [low, high],
-        "features": ",".join(has),
+        "features": ",".join(features),
         "window_nm": list(window if window[0] < window[1] else (low, high)),
         "coat_advice": advice,
     }
@@ -405,18 +423,17 @@ def _summary(records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]) -> 
     return xr.Dataset(values, coords, {"title": "DIRSIG scene", **attrs})
 
 
-# ----------------------------------------------------------------------------------------------------------
-# Texts of a DIRSIG scene: geometry, scene, simulation, texture pictures, README.
+# --- texts of a DIRSIG scene: geometry, scene, simulation, texture pictures, README ------------------------
 
 
 #: Side of a texture's picture [pixel].
 PICTURE_PX = 128
 
-_GRAIN_PX = 3.0  # sigma of the blur that joins neighbouring pixels of a picture
+_GRAIN_PX = 3.0  # standard deviation of the Gaussian blur of the noise in a picture
 
 
 class Triangles(Protocol):
-    """Attributes of `hyperpaint.simulation.rendering.scene.Scene` that are written."""
+    """Attributes of `hyperpaint.simulation.rendering.scene.Scene` that are read."""
 
     @property
     def name(self) -> str:
@@ -432,63 +449,64 @@ class Triangles(Protocol):
 
     @property
     def normals(self) -> Floats:
-        """At the vertices (vertex, 3), zero where faces are flat."""
+        """Normals at the vertices (vertex, 3), zero for flat faces."""
 
     @property
     def face_material(self) -> NDArray[np.int32]:
-        """Number of the material of every triangle (face,)."""
+        """Index of the material of every triangle (face,)."""
 
     @property
     def face_instance(self) -> NDArray[np.int32]:
-        """Number of the instance of every triangle (face,)."""
+        """Index of the instance of every triangle (face,)."""
 
     @property
     def materials(self) -> Sequence[Any]:
-        """Each with ``name``, ``spectrum``, ``kind``, and ``coat`` with its ``index``, or None."""
+        """Materials with ``name``, ``spectrum``, ``kind``, and ``coat`` (with its ``index``), or None."""
 
     @property
     def instances(self) -> Sequence[Any]:
-        """Each with a ``name``."""
+        """Instances with a ``name``."""
 
 
 def obj_lines(
     scene: Triangles, material_id: Sequence[str], face_id: NDArray[np.int64], library: str, texture_m: float
 ) -> Iterator[str]:
-    """Yield the lines of a scene as Wavefront OBJ, one object for each instance.
+    """Yield the lines of a scene as Wavefront OBJ, one object per instance.
 
-    Faces name their material by its ID (``face_id`` (face,), a number into ``material_id``); ``library`` is
-    the ``.mtl`` file. Texture coordinates are metres over ``texture_m``, on the plane of the two axes that a
-    face leans least against, so that a picture has the same size everywhere.
+    ``face_id`` (face,): index of the face's material in ``material_id``; ``library``: the ``.mtl`` file.
+    Texture coordinates are in units of ``texture_m``, in the coordinate plane that is most parallel to the
+    face, so that a picture has a similar size on all faces.
     """
     yield f"mtllib {library}"
     yield from (f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in scene.vertices.tolist())
-    # vertices on the planes across x, y and z that their faces lean least against
+    # distinct pairs of a vertex and the plane of its face: 0, 1 or 2 for the plane across x, y or z
     corners = scene.vertices[scene.faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    plane: NDArray[np.int64] = np.argmax(np.abs(across), axis=1, keepdims=True)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    plane: NDArray[np.int64] = np.argmax(np.abs(normals), axis=1, keepdims=True)
     projected, texture = np.unique(scene.faces + plane * len(scene.vertices), return_inverse=True)
     axes = np.array([(1, 2), (0, 2), (0, 1)])[projected // len(scene.vertices)]
-    places = np.take_along_axis(scene.vertices[projected % len(scene.vertices)], axes, axis=1) / texture_m
-    yield from (f"vt {a:.5f} {b:.5f}" for a, b in places.tolist())
+    points = np.take_along_axis(scene.vertices[projected % len(scene.vertices)], axes, axis=1) / texture_m
+    yield from (f"vt {a:.5f} {b:.5f}" for a, b in points.tolist())
     yield from (f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in scene.normals.tolist())
     smooth = (scene.normals != 0.0).any(axis=1)[scene.faces].all(axis=1).tolist()
     order = np.lexsort((face_id, scene.face_instance))
-    last = (-1, -1)
-    points, turns = (scene.faces + 1).tolist(), (texture.reshape(scene.faces.shape) + 1).tolist()
+    instance, material = -1, -1
+    # OBJ counts from 1
+    vertices, textures = (scene.faces + 1).tolist(), (texture.reshape(scene.faces.shape) + 1).tolist()
     for face in order.tolist():
-        here = (int(scene.face_instance[face]), int(face_id[face]))
-        if here[0] != last[0]:
-            yield f"o {plain_name(scene.instances[here[0]].name)}"
-        if here != last:
-            yield f"usemtl {material_id[here[1]]}"
-        last = here
-        pairs = zip(points[face], turns[face], strict=True)
-        # a vertex's normal has the vertex's own number
+        previous = instance, material
+        instance, material = int(scene.face_instance[face]), int(face_id[face])
+        if instance != previous[0]:
+            yield f"o {plain_name(scene.instances[instance].name)}"
+        if (instance, material) != previous:
+            yield f"usemtl {material_id[material]}"
+        pairs = zip(vertices[face], textures[face], strict=True)
+        # the normal of a vertex has the number of the vertex
         yield "f " + " ".join(f"{a}/{b}/{a}" if smooth[face] else f"{a}/{b}" for a, b in pairs)
 
 
 def material_colours_text(records: Sequence[Mapping[str, Any]]) -> str:
-    """Return an ``.mtl`` file: the colours of the materials, for programs that show the geometry."""
+    """Return an ``.mtl`` file: the colours of the materials, for programs that display the geometry."""
     rows = []
     for record in records:
         red, green, blue = record["editor_color"]
@@ -512,15 +530,16 @@ def geometry_list_text(geometry: str) -> str:
 
 
 def texture_picture(means: Array, name: str) -> NDArray[np.uint8] | None:
-    """Return a picture (row, column) that selects every curve of a population equally often.
+    """Return a picture (row, column) by which DIRSIG uses every curve of a population equally often.
 
-    DIRSIG gives a pixel the curve whose mean over the picture's wavelengths, in standard deviations of the
-    population, is nearest to the pixel's brightness in standard deviations of the picture. Here pixels have
-    the brightness of the curves themselves, each curve as many pixels, so that both scales are one. Curves
-    nearer to each other than 1/255 of their range share pixels.
+    DIRSIG compares standard scores: a pixel gets the curve whose mean over the picture's wavelengths, in
+    standard deviations of the population, is nearest to the pixel's brightness in standard deviations of the
+    picture. The pixels have the mean reflectances of the curves as brightness, and every curve has the same
+    number of pixels, so that both scores are equal. Curves that differ by less than 1/255 of their range
+    share pixels.
 
-    ``means`` (curve,) are the curves' mean reflectances over those wavelengths; ``name`` seeds the grain.
-    None where the curves are equally bright, or one.
+    ``means`` (curve,): mean reflectances of the curves over these wavelengths; ``name``: seed of the noise.
+    None for one curve, or curves of equal means.
 
     Examples
     --------
@@ -541,7 +560,7 @@ def texture_picture(means: Array, name: str) -> NDArray[np.uint8] | None:
 
 
 _FIT_STEP_NM = 20.0
-_SMOOTH_DEG = 90.0  # shadowing and obscuration of a coat, which has hardly any: tau and omega
+_SMOOTH_DEG = 90.0  # tau and omega of a coat with hardly any shadowing and obscuration
 
 
 def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> str:
@@ -552,16 +571,16 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
     .. math:: f = \frac{F(\beta)}{F(0)} \frac{B e^{-(\theta_h / \sigma)^2} \cos^2 \theta_h}
                   {\cos \theta_i \cos \theta_r} S + \rho_d + \frac{2 \rho_v}{\cos \theta_i + \cos \theta_r}
 
-    with B such that the first term reflects F(0) of light from the normal, :math:`\rho_d` the body over pi,
-    and no :math:`\rho_v`. DHR is all that is reflected of light from the normal. Blocks of parameters stand
-    at many wavelengths, close enough for any interpolation between them.
+    with B such that the first term reflects F(0) of light from the normal, :math:`\rho_d` the reflectance of
+    the body over pi, and :math:`\rho_v` = 0. DHR is the total reflectance at normal incidence. Parameters are
+    written at many wavelengths, so that the kind of interpolation between them has no influence.
 
     Parameters
     ----------
     index, roughness
-        Refractive index of the coat, and GGX alpha of its surface, whose peak the Gaussian has.
+        Refractive index of the coat, and GGX alpha of its surface; the Gaussian has the same peak.
     wavelength, body
-        Reflectance of the body through the coat (wavelength,) [nm], [1].
+        Wavelengths [nm], and reflectance of the body through the coat (wavelength,) [1].
 
     References
     ----------
@@ -581,7 +600,7 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
     """
     normal = ((index - 1.0) / (index + 1.0)) ** 2
     sigma = max(roughness, 1e-4)
-    # light from the normal leaves at twice the facet's tilt: d omega = 2 sin(2 theta) d theta d phi
+    # light from the normal is reflected at twice the facet's tilt: d omega = 2 sin(2 theta) d theta d phi
     tilt = np.linspace(0.0, min(8.0 * sigma, np.pi / 4.0), 4001)
     shadow = np.degrees(tilt) / _SMOOTH_DEG
     shadow = (1.0 + shadow * np.exp(-2.0 * shadow)) / (1.0 + shadow)
@@ -609,11 +628,11 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
 
 
 def _fresnel(angle: Array, index: float) -> Array:
-    # Unpolarised light, angle from the normal [rad].
-    outside, inside = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
-    across = (outside - index * inside) / (outside + index * inside)
-    along = (index * outside - inside) / (index * outside + inside)
-    return np.asarray(0.5 * (across**2 + along**2))
+    # Reflectance for unpolarised light at an angle from the normal [rad]
+    cos_air, cos_coat = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
+    s_wave = (cos_air - index * cos_coat) / (cos_air + index * cos_coat)
+    p_wave = (index * cos_air - cos_coat) / (index * cos_air + cos_coat)
+    return np.asarray(0.5 * (s_wave**2 + p_wave**2))
 
 
 _ORIGIN = ("latitude", "longitude", "altitude")
@@ -629,11 +648,11 @@ def scene_text(
 ) -> str:
     """Return a ``.scene`` file.
 
-    ``origin``: latitude, longitude [degree], height [m]; ``features``: parts of the spectrum that all
-    materials cover; ``window``: wavelengths of the textures' pictures [nm]. Records with a ``texture`` have
-    one.
+    ``origin``: latitude, longitude [degree], height [m]; ``features``: spectral ranges that all materials
+    cover; ``window``: wavelengths of the textures' pictures [nm]. A texture map is written for every record
+    with a ``texture``.
     """
-    place = "".join(
+    location = "".join(
         f"      <{key}>{value:.10f}</{key}>\n" for key, value in zip(_ORIGIN, origin, strict=True)
     )
     maps = "".join(_texture_map(record, window) for record in records if record.get("texture"))
@@ -648,7 +667,7 @@ def scene_text(
 
   <sceneorigin>
     <location frame="geodetic">
-{place}    </location>
+{location}    </location>
   </sceneorigin>
 
   <properties features="{features}" mingsd="0" maxgsd="0"/>
@@ -694,7 +713,7 @@ def _texture_map(record: Mapping[str, Any], window: tuple[float, float]) -> str:
 
 
 def simulation_text(stem: str) -> str:
-    """Return a ``.jsim`` file of the scene, to be completed with atmosphere and platform."""
+    """Return a ``.jsim`` file of the scene, to which users add atmosphere and platform."""
     return json.dumps([{"scene_list": [{"inputs": f"./{stem}.scene"}], "plugin_list": []}], indent=4) + "\n"
 
 
@@ -702,7 +721,7 @@ def scene_readme_text(
     title: str, stem: str, records: Sequence[Mapping[str, Any]], attrs: Mapping[str, Any]
 ) -> str:
     """Return the README: the files, how to run them, and which constructs were checked."""
-    (low, high), (first, last) = attrs["coverage_nm"], attrs["window_nm"]
+    (low, high), (window_start, window_end) = attrs["coverage_nm"], attrs["window_nm"]
     north, east, height = attrs["origin"]
     return f"""{title}: a scene for DIRSIG
 {"=" * (len(title) + 20)}
@@ -743,8 +762,7 @@ Populations
 -----------
 A material of several curves has a texture map. Its picture holds every curve equally often, as far as its
 256 levels tell them apart, and repeats, mirrored, every {attrs["texture_m"]:g} m. DIRSIG gives a pixel the
-curve that stands where the pixel's brightness does, both in standard deviations, over {first:g} to
-{last:g} nm.
+curve whose mean over {window_start:g} to {window_end:g} nm has the standard score of the pixel's brightness.
 
 Clear coats
 -----------

@@ -16,7 +16,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems, SchemaError, StoreError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, is_number, one_of
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import LIBRARY_VARIABLES, SIGNATURE, require
 from hyperpaint.base.units import takes_quantities
@@ -47,7 +47,7 @@ MARKER = "paints.json"
 
 FORMAT = "hyperpaint DIRSIG export"
 #: Names of files and folders in exports.
-_OWN = re.compile(
+_EXPORT_NAME = re.compile(
     r"emissivity|reflectance|geometry|maps|materials|README\.txt|materials\.mat|paints\.(glist|json)|.*\.(scene|jsim)"
 )
 
@@ -59,13 +59,13 @@ _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
 def export_folder(
     folder: str | os.PathLike[str], *, overwrite: bool, inside: Sequence[str] = (EMISSIVITY, REFLECTANCE)
 ) -> Iterator[Path]:
-    """Yield a folder for an export, moved to its place when the block ends without error.
+    """Yield a temporary folder, which is renamed to ``folder`` when the block ends without an error.
 
-    ``folder``: the place: new, empty, or an earlier export; ``overwrite``: whether that may be replaced;
-    ``inside``: folders to make in it.
+    ``folder``: path of a new or empty folder, or of an earlier export; ``overwrite``: whether an export may
+    be replaced; ``inside``: folders that are created in it.
 
-    Raises `StoreError`: The place holds anything else, or an export that may not be replaced; another writes
-    there; or it, or a file inside, cannot be written.
+    Raises `StoreError`: ``folder`` contains other files, or an export that may not be replaced; another
+    process writes there; or it cannot be written.
     """
     if _URL.match(os.fspath(folder)):
         raise StoreError(
@@ -81,22 +81,23 @@ def export_folder(
 
 
 def _foreign(folder: Path) -> str:
+    # Description of files that no export contains, empty for an export
     try:
         document = json.loads(read_limited(folder / MARKER, _MAX_BYTES, "an export"))
     except (FormatError, ValueError, RecursionError):
         document = None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         return "other files"
-    strange = sorted(path.name for path in folder.iterdir() if not _OWN.fullmatch(path.name))
-    return f"{strange[0]}, which no export has" if strange else ""
+    foreign = sorted(path.name for path in folder.iterdir() if not _EXPORT_NAME.fullmatch(path.name))
+    return f"{foreign[0]}, which no export has" if foreign else ""
 
 
 SURFACES = ("ClassicEmissivity", "SimpleReflectance")
 _MAX_SHOWN = 20
-#: Curves formatted as text at a time.
+#: Number of curves that are formatted as text together.
 _CURVES_AT_ONCE = 64
 
-_RGB = (640.0, 550.0, 460.0)
+_RGB = (640.0, 550.0, 460.0)  # [nm]
 
 
 @takes_quantities(wavelength_range="nm")
@@ -121,10 +122,10 @@ def write_dirsig(
 ) -> xr.Dataset:
     r"""Write the paints of a library as materials of the simulator DIRSIG.
 
-    Every paint becomes an ``.ems`` file with many curves, so that a texture can draw from the population, a
-    two-column ``.txt`` of its centre and a MATERIAL_ENTRY; with them go a fragment of a geometry list and a
-    README that says step by step how to add them. The folder appears when all is written, or not at all.
-    Paints are read and written some at a time.
+    Every paint becomes an ``.ems`` file with many curves, from which a texture can select, a two-column
+    ``.txt`` of its centre and a MATERIAL_ENTRY. The folder also contains a fragment of a geometry list and a
+    README with the steps to add the paints to a scene. It appears when all files are complete. Paints are
+    read and written in blocks.
 
     Parameters
     ----------
@@ -132,26 +133,29 @@ def write_dirsig(
         A paint library: ``reflectance`` (signature, band) [1], ``wavelength`` (band) [nm], in any order.
     folder
     curves
-        ``members`` for the single pixels, ``quantiles``, or ``centre`` for one curve a paint. By default
-        members where the library has them, else the centre.
+        ``members`` for the single pixels, ``quantiles``, or ``centre`` for one curve per paint. By default
+        members if the library has them, else the centre.
     wavelength_range
-        Low and high end [nm]; the bands next to it outside are written too, so that all of it is covered. By
-        default all that was measured.
+        Low and high end [nm]; the next band beyond each end is written too, so that the range is covered. By
+        default the measured range.
     extrapolate
-        Hold curves constant where ``wavelength_range`` goes beyond what was measured; the README says where.
+        Continue curves as constants where ``wavelength_range`` exceeds the measured range; the README says
+        where.
     gaps
-        What to do about bands without values, or not ``good``, between others: ``interpolate`` by a straight
-        line, or ``refuse``. By default they are interpolated, with a warning; the README says in which
-        curves, and at which wavelengths: complete curves come first in a file. Bands that no pixel has at an
-        end are left away; single members that lack an end are left out, and where all do, the centre is the
-        only curve.
+        Treatment of bands without values, or not ``good``, within the range: ``interpolate`` linearly, or
+        ``refuse`` with an error. By default they are interpolated, with a warning; the README lists the
+        curves and the wavelengths; complete curves come first in a file. Bands at an end that have no value
+        in any pixel are not written; nor are members without a value at an end, and if no member has values
+        at both ends, the centre is the only curve.
     max_curves
-        Curves of a paint at the most, at even ranks of their brightness, complete ones first; None for all.
+        Maximum number of curves of a paint, chosen at equal steps of their rank in brightness, complete
+        curves first; None for all.
     specular
-        Fraction of reflectance that DIRSIG shall mirror [1], or ``library`` to take it from the library's
-        ``specular_reflectance`` (signature, band). Only for reflectance without mirrored light.
+        Fraction of reflectance that is specular in DIRSIG [1], or ``library`` to compute it from the
+        library's ``specular_reflectance`` (signature, band). Only for reflectance without mirrored light.
     surface
-        What the materials use: ``ClassicEmissivity`` (the ``.ems``) or ``SimpleReflectance`` (the ``.txt``).
+        Surface model: ``ClassicEmissivity`` (reads the ``.ems``) or ``SimpleReflectance`` (reads the
+        ``.txt``).
     rad_solver
         Name of DIRSIG's radiometry solver.
     thermal
@@ -159,32 +163,33 @@ def write_dirsig(
         ``thermal_conductivity``, ``solar_absorption``, ``thermal_emissivity``, ``exposed_area`` and
         ``thickness``, in DIRSIG's units. By default no temperature is computed.
     double_sided
-        Whether the back of a facet shows the paint too.
+        Whether the back of a facet has the paint, too.
     scene_materials
-        A scene's own material list, whose IDs and names are not used again.
+        Material list of the scene; its IDs and names are not given to paints.
     overwrite
     progress
 
     Returns
     -------
     Dataset
-        What was written (signature): ``material_id``, ``emissivity_file``, ``curves``, how many of them are
-        ``complete``, their samples ``clipped`` and ``interpolated``, those of the ``.txt`` ``centre_clipped``
-        and ``centre_interpolated``, members ``left_out`` and ``thinned``, the range and ``extrapolated``. Its
-        attributes describe the treatment of mirrored light: ``mirror_reflection``, ``specular_term``.
+        Properties of the materials (signature): ``material_id``, ``emissivity_file``; numbers of ``curves``,
+        of ``complete`` curves, of their samples that were ``clipped`` and ``interpolated``, of samples of the
+        ``.txt`` that were ``centre_clipped`` and ``centre_interpolated``, of members ``left_out`` (without
+        values at an end) and ``thinned`` (above ``max_curves``); the range, and the ends ``extrapolated``.
+        Its attributes describe the treatment of mirrored light: ``mirror_reflection``, ``specular_term``.
 
     Raises
     ------
     SchemaError
-        It is no paint library, or has no curves of the kind; an option is not one of those above; a specular
-        term would count the clear coat twice; paints have no values, holes, or do not reach as far as asked;
-        all are listed.
+        ``library`` is not a paint library, or has no such ``curves``; an option is not among those above; a
+        specular term would count the clear coat twice; paints have no values, gaps with ``gaps="refuse"``, or
+        do not cover the range; all are listed.
     UnitsError
         Units cannot be read.
     FormatError
-        ``scene_materials`` is no material list.
+        ``scene_materials`` is not a material list.
     StoreError
-        The folder holds something, is being written by another, or cannot be written.
+        The folder contains other files, is being written by another process, or cannot be written.
 
     Notes
     -----
@@ -192,14 +197,14 @@ def write_dirsig(
 
     .. math:: \epsilon = 1 - \rho / (1 - s)
 
-    with the specular fraction s, so that the diffuse part :math:`(1 - s)(1 - \epsilon)` is the body
-    reflectance :math:`\rho` [1]_; s is 0 unless asked for. That DIRSIG shares reflectance in this way is
-    taken from the name of SPECULAR_FRACTION. Emissivity has six decimals, samples outside 0 to 1 are clipped
-    and counted, with a warning.
+    with the specular fraction s (``specular``, by default 0), so that the diffuse part :math:`(1 - s)(1 -
+    \epsilon)` is the body reflectance :math:`\rho` [1]_. That DIRSIG divides reflectance in this way is an
+    assumption from the name of SPECULAR_FRACTION. Emissivity has six decimals; samples outside 0 to 1 are
+    clipped and counted, with a warning.
 
-    IDs and file names are ASCII letters, digits and underscores; names are ASCII: umlauts become two letters,
-    other accents are dropped, brackets and the like become underscores, doubles get a number.
-    ``paints.json`` keeps the names as they were.
+    IDs and file names have ASCII letters, digits and underscores; names are ASCII: umlauts become two
+    letters, other accents are dropped, brackets and similar signs become underscores, equal names get a
+    number. ``paints.json`` has the names of the library.
 
     References
     ----------
@@ -208,32 +213,31 @@ def write_dirsig(
     Examples
     --------
     >>> import tempfile, numpy as np, xarray as xr
-    >>> seen = xr.DataArray(np.float32([[0.04, 0.05, 0.6]]), dims=("signature", "band"), attrs={"units": "1"})
+    >>> values = np.float32([[0.04, 0.05, 0.6]])
+    >>> reflectance = xr.DataArray(values, dims=("signature", "band"), attrs={"units": "1"})
     >>> nm = ("band", [450.0, 550.0, 650.0], {"units": "nm"})
-    >>> paints = xr.Dataset({"reflectance": seen}, {"signature": ["Türkis, matt"], "wavelength": nm})
+    >>> paints = xr.Dataset({"reflectance": reflectance}, {"signature": ["Türkis, matt"], "wavelength": nm})
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     made = write_dirsig(paints, folder)
-    ...     print(made.emissivity_file.item(), *sorted(path.name for path in Path(folder).iterdir()))
+    ...     summary = write_dirsig(paints, folder)
+    ...     print(summary.emissivity_file.item(), *sorted(path.name for path in Path(folder).iterdir()))
     emissivity/Tuerkis_matt.ems README.txt emissivity materials.mat paints.glist paints.json reflectance
     """
     problems = Problems("no DIRSIG materials can be written", SchemaError)
-    kind = curves or ("members" if CURVES["members"] in library.variables else "centre")
-    # dims and units are judged without reading values: an empty library has them, too
+    curves = curves or ("members" if CURVES["members"] in library.variables else "centre")
+    # dims and units are checked on the library without its paints, so that no values are read
     empty = library.isel({SIGNATURE: slice(0)}) if SIGNATURE in library.dims else library
-    names = {"reflectance", "wavelength", CURVES.get(kind, "reflectance")} & {*map(str, library.variables)}
+    names = {"reflectance", "wavelength", CURVES.get(curves, "reflectance")} & {*map(str, library.variables)}
     require(empty, sorted(names | {"reflectance", "wavelength"}), "DIRSIG materials", LIBRARY_VARIABLES)
-    if kind not in CURVES:
-        problems.add(f"curves={curves!r}", expected=", ".join(CURVES), code="choice-unknown")
-    elif CURVES[kind] not in library.variables:
-        problems.add(
-            f"curves={kind!r} needs {CURVES[kind]}, which the library lacks",
-            mend="pass curves='centre'",
-            code="variable-missing",
-        )
-    elif library[CURVES[kind]].dtype.kind not in "fiu" or library["reflectance"].dtype.kind not in "fiu":
-        problems.add(
-            f"{CURVES[kind]} is {library[CURVES[kind]].dtype}", expected="numbers", code="type-wrong"
-        )
+    if one_of(curves, CURVES, "curves", problems=problems):
+        name = CURVES[curves]
+        if name not in library.variables:
+            problems.add(
+                f"curves={curves!r} needs {name}, which the library lacks",
+                mend="pass curves='centre'",
+                code="variable-missing",
+            )
+        elif library[name].dtype.kind not in "fiu" or library["reflectance"].dtype.kind not in "fiu":
+            problems.add(f"{name} is {library[name].dtype}", expected="numbers", code="type-wrong")
     if not library.sizes[SIGNATURE]:
         problems.add("the library has no paints", code="empty-input")
     if wavelength_range is not None and not _is_range(wavelength_range):
@@ -242,11 +246,9 @@ def write_dirsig(
             expected="two wavelengths such as (400, 1000) [nm]",
             code="value-out-of-range",
         )
-    if gaps not in (None, *GAPS):
-        problems.add(f"gaps={gaps!r}", expected=" or ".join(GAPS), code="choice-unknown")
-    if surface not in SURFACES:
-        problems.add(f"surface={surface!r}", expected=" or ".join(SURFACES), code="choice-unknown")
-    elif surface == "SimpleReflectance" and specular != 0.0:
+    one_of(GAPS[0] if gaps is None else gaps, GAPS, "gaps", problems=problems)
+    one_of(surface, SURFACES, "surface", problems=problems)
+    if surface == "SimpleReflectance" and specular != 0.0:
         problems.add(
             "SimpleReflectance has no specular term",
             mend="leave specular out, or use ClassicEmissivity",
@@ -256,7 +258,7 @@ def write_dirsig(
         problems.add(
             f"rad_solver={rad_solver!r}", expected="a name such as 'Classic'", code="value-out-of-range"
         )
-    if thermal is not None and (set(thermal) != set(THERMAL) or not all(map(_is_number, thermal.values()))):
+    if thermal is not None and (set(thermal) != set(THERMAL) or not all(map(is_number, thermal.values()))):
         problems.add(
             f"thermal={dict(thermal)!r}",
             expected=f"numbers for all of {', '.join(THERMAL)}",
@@ -271,7 +273,7 @@ def write_dirsig(
         )
     coat = coat_of(library, specular)
     axis = Axis(library)
-    choices = Choices(kind, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
+    choices = Choices(curves, wavelength_range, extrapolate, gaps or GAPS[0], max_curves)
     records = paint_records(library, () if scene_materials is None else read_materials(scene_materials))
     with export_folder(folder, overwrite=overwrite) as build:
         write_spectra(library, build, axis, choices, coat, records, progress)
@@ -281,20 +283,20 @@ def write_dirsig(
             )
             for record in records
         )
-        attrs = {**coat.attrs, "surface": surface, "curves_of": kind}
+        attrs = {**coat.attrs, "surface": surface, "curves_of": curves}
         for name in ("title", "source", "provenance", "references", "license"):
             if name in library.attrs:
                 attrs[f"library_{name}"] = str(library.attrs[name])
-        # identifies the folder as an export
+        # by this file `_foreign` recognises an export
         marker = {"format": FORMAT, "version": 1, **attrs, "paints": records}
-        written = {
+        texts = {
             "materials.mat": materials_text(entries),
             "paints.glist": glist_text(records),
             "README.txt": readme_text(records, attrs),
             MARKER: json.dumps(marker, indent=1, ensure_ascii=False) + "\n",
         }
-        for name, text in written.items():
-            # a name may hold halves of surrogate pairs, which no encoding has
+        for name, text in texts.items():
+            # a name may contain half a surrogate pair, which UTF-8 cannot encode
             (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
     _warn(records, gaps_chosen=gaps is not None)
     return _summary(records, {**attrs, "folder": os.fspath(folder)})
@@ -305,22 +307,18 @@ def _is_range(value: Any) -> bool:
         low, high = value
     except (TypeError, ValueError):
         return False
-    return _is_number(low) and _is_number(high) and MIN_NM <= low < high <= MAX_NM
+    return is_number(low) and is_number(high) and MIN_NM <= low < high <= MAX_NM
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
+def paint_records(library: xr.Dataset, used: Collection[Material]) -> list[dict[str, Any]]:
+    """Return the first items of every paint's record: names, files, and columns of the library.
 
-
-def paint_records(library: xr.Dataset, taken: Collection[Material]) -> list[dict[str, Any]]:
-    """Return the first part of every paint's record: names, files, and columns of the library.
-
-    IDs and names of materials that are ``taken`` are not used again.
+    ``used``: materials whose IDs and names are not given to paints.
     """
     names = [str(name) for name in library[SIGNATURE].values] if SIGNATURE in library.variables else []
     names = names or [f"paint {number}" for number in range(1, library.sizes[SIGNATURE] + 1)]
-    tokens = material_ids(names, [material.id for material in taken])
-    plain = material_names(names, [material.name for material in taken])
+    tokens = material_ids(names, [material.id for material in used])
+    plain = material_names(names, [material.name for material in used])
     about = [
         name for name, column in library.coords.items() if column.dims == (SIGNATURE,) and name != SIGNATURE
     ]
@@ -347,7 +345,7 @@ def write_spectra(
     records: list[dict[str, Any]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write the files of all paints and complete their records; after a fault, only check the rest."""
+    """Write the files of all paints and complete their records; after a fault, only check further paints."""
     problems: list[Problem] = []
     formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
     for paints, values in blocks_of(library, choices):
@@ -372,14 +370,14 @@ def write_spectra(
         if progress is not None:
             progress(paints.stop, len(records))
     if problems:
-        rest = (
+        number_more = (
             [Problem(f"and {len(problems) - _MAX_SHOWN} more paints", code="paint-unwritable")]
             if problems[_MAX_SHOWN:]
             else []
         )
         raise SchemaError(
             "paints cannot be written for DIRSIG",
-            problems=problems[:_MAX_SHOWN] + rest,
+            problems=problems[:_MAX_SHOWN] + number_more,
             code="paint-unwritable",
         )
 
@@ -423,7 +421,7 @@ def _write_paint(
 
 
 def _colour(wavelength: Array, reflectance: Array) -> list[float]:
-    # Red, green and blue for DIRSIG's editor, brightened; white where unknown.
+    # Red, green and blue for DIRSIG's editor, with gamma; white if the visible range is not covered
     if wavelength[0] > _RGB[2] or wavelength[-1] < _RGB[0]:
         return [1.0, 1.0, 1.0]
     return [round(float(value), 3) for value in np.sqrt(np.interp(_RGB, wavelength, reflectance))]
@@ -434,10 +432,10 @@ def _warn(records: list[dict[str, Any]], *, gaps_chosen: bool) -> None:
     for key, change in (
         ("clipped", "samples outside 0 to 1 were clipped"),
         ("centre_clipped", "samples of centres outside 0 to 1 were clipped"),
-        ("left_out", "members that lack an end of the range were left out"),
-        ("is_centre", "paints have no member that reaches both ends: their centre is written"),
-        ("interpolated", "samples in gaps of curves were filled in by straight lines"),
-        ("centre_interpolated", "samples in gaps of centres were filled in by straight lines"),
+        ("left_out", "members without a value at an end of the range were left out"),
+        ("is_centre", "paints have no member with values at both ends: their centre is written"),
+        ("interpolated", "samples in gaps of curves were interpolated"),
+        ("centre_interpolated", "samples in gaps of centres were interpolated"),
     ):
         number, paints = sum(record[key] for record in records), sum(bool(record[key]) for record in records)
         if number and not (gaps_chosen and "interpolated" in key):
@@ -472,7 +470,7 @@ def _summary(records: list[dict[str, Any]], attrs: Mapping[str, str]) -> xr.Data
         np.array([record["wavelength"] for record in records]),
         {"units": "nm"},
     )
-    # pandas keeps texts as Arrow's where pyarrow is installed, and cannot hold halves of surrogate pairs
+    # with pyarrow, pandas cannot store half a surrogate pair
     names = [record["paint"].encode("utf-8", "backslashreplace").decode() for record in records]
     coords = {SIGNATURE: (SIGNATURE, np.array(names, object)), "material_id": column("id", object)}
     return xr.Dataset(values, {**coords, "end": ["low", "high"]}, {"title": "DIRSIG materials", **attrs})

@@ -1,11 +1,11 @@
 """DIRSIG's spectral emissivity (``.ems``) files.
 
 An ``.ems`` file is text: the number of curves, 91 weights for view angles of 0 to 90 degrees, then the
-curves. In a new file each begins with the line ``CURVE_BEGIN``, and its rows are wavelength [um], ascending,
-and emissivity. In an old one it begins with its number, from 0, and has the 396 rows of wavenumbers 39850,
-39750, ... 350 [cm-1] and emissivity.
+curves. In the new layout a curve begins with the line ``CURVE_BEGIN``, and its rows are wavelength [um],
+ascending, and emissivity. In the old layout a curve begins with its number, from 0, and has the 396 rows of
+wavenumbers 39850, 39750, ... 350 [cm-1] and emissivity.
 
-Several curves are the variability within a material: DIRSIG's texture picks one for every place.
+Several curves are the variability within a material: DIRSIG's texture selects one for every point.
 
 References
 ----------
@@ -31,10 +31,10 @@ from hyperpaint.base.errors import FormatError, Problems, SchemaError
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, SIGNATURE
 from hyperpaint.io.files.reading import read_limited_text
 
-#: Line before every curve of a new ``.ems`` file.
+#: Line before every curve in the new layout of an ``.ems`` file.
 CURVE_BEGIN = "CURVE_BEGIN"
 
-#: Decimals of an emissivity or reflectance, as in DIRSIG's own files.
+#: Decimals of an emissivity or reflectance, as in files of DIRSIG's distribution.
 DECIMALS = 6
 
 #: Decimals of a wavelength [um]: a ten-thousandth of a nanometre.
@@ -44,9 +44,9 @@ _ANGLES = 91
 
 
 def emissivity_head(count: int) -> bytes:
-    """Return the first lines of an ``.ems`` file: the number of curves, and a weight for each degree.
+    """Return the first lines of an ``.ems`` file: the number of curves, and a weight for every degree.
 
-    The weights are 1, as in nearly all files: an imager measures one view angle only.
+    All weights are 1, as in nearly all files, since an imager measures at one view angle only.
 
     Examples
     --------
@@ -57,14 +57,14 @@ def emissivity_head(count: int) -> bytes:
 
 
 class ColumnText:
-    r"""Writes spectra on one set of wavelengths as two columns, wavelength [um] and value [1].
+    r"""Format of spectra with common wavelengths as two columns, wavelength [um] and value [1].
 
-    The digits of all values of many spectra are worked out at once, by whole-number division; the rest of the
-    text is copied.
+    The digits of the values of many spectra are computed together, by integer division, and inserted into
+    copies of a template.
 
-    ``wavelength``: ascending [nm]; ``title``: line before every spectrum; none by default.
+    ``wavelength``: ascending [nm]; ``title``: line before every spectrum, empty for none.
 
-    Raises `SchemaError`: Wavelengths are not ascending as they are written.
+    Raises `SchemaError`: Wavelengths rounded to the written decimals are not ascending.
 
     Examples
     --------
@@ -73,9 +73,9 @@ class ColumnText:
     """
 
     def __init__(self, wavelength: Sequence[float] | npt.NDArray[Any], title: str = "") -> None:
-        written = [f"{value / 1000.0:.{WAVELENGTH_DECIMALS}f}" for value in np.asarray(wavelength, float)]
-        steps = itertools.pairwise(zip(map(float, written), written, strict=True))
-        if equal := next((first[1] for first, second in steps if second[0] <= first[0]), ""):
+        micrometres = [f"{nm / 1000.0:.{WAVELENGTH_DECIMALS}f}" for nm in np.asarray(wavelength, float)]
+        pairs = itertools.pairwise(micrometres)
+        if equal := next((text for text, following in pairs if float(following) <= float(text)), ""):
             raise SchemaError(
                 f"two successive wavelengths at or below {equal} um",
                 expected="ascending wavelengths",
@@ -83,11 +83,11 @@ class ColumnText:
                 code="wavelength-unordered",
             )
         head = f"{title}\n" if title else ""
-        rows = [f"{text}\t0.{'0' * DECIMALS}\n" for text in written]
+        rows = [f"{text}\t0.{'0' * DECIMALS}\n" for text in micrometres]
         self._template = np.frombuffer((head + "".join(rows)).encode(), np.uint8)
+        # Successive rows of equal width: their bytes, their indices, their width
         self._runs: list[tuple[slice, slice, int]] = []
         start, row = len(head), 0
-        # rows of one width lie in memory like a table
         for width, group in itertools.groupby(map(len, rows)):
             count = len(list(group))
             self._runs.append((slice(start, start + count * width), slice(row, row + count), width))
@@ -97,17 +97,18 @@ class ColumnText:
         """Return the text of spectra (spectrum, wavelength) between 0 and 1."""
         digits_left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
         texts = np.repeat(self._template[np.newaxis], len(digits_left), axis=0)
+        # views of shape (spectrum, row, character)
         tables = [
-            (texts[:, place].reshape(len(digits_left), -1, width), columns)
-            for place, columns, width in self._runs
+            (texts[:, text_slice].reshape(len(digits_left), -1, width), columns)
+            for text_slice, columns, width in self._runs
         ]
         for digit in range(DECIMALS + 1):
             quotient = digits_left // np.uint32(10)
-            shown = (digits_left - quotient * np.uint32(10)).astype(np.uint8) + np.uint8(ord("0"))
-            # counted from the end of the row: the line feed, the decimals, the point, the whole number
+            characters = (digits_left - quotient * np.uint32(10)).astype(np.uint8) + np.uint8(ord("0"))
+            # position from the end of the row, after the line feed; the point is before the decimals
             at = -2 - digit if digit < DECIMALS else -3 - digit
             for table, columns in tables:
-                table[:, :, at] = shown[:, columns]
+                table[:, :, at] = characters[:, columns]
             digits_left = quotient
         return texts.tobytes()
 
@@ -120,7 +121,7 @@ _WAVENUMBERS = np.arange(39850.0, 349.0, -100.0)
 _MAX_WAVELENGTH_UM = 100.0  # [um]
 _MAX_SHOWN = 8
 
-# quantifiers that give nothing back: a long line is read once
+# possessive quantifiers, so that a long line is read once
 _NUMBER = rb"[+-]?+(?:[0-9]{1,40}+(?:\.[0-9]{0,40}+)?+|\.[0-9]{1,40}+)(?:[eE][+-]?+[0-9]{1,4}+)?+"
 _ROW = rb"[ \t]*+" + _NUMBER + rb"[ \t]++" + _NUMBER + rb"[ \t]*+"
 _ONE_NUMBER = re.compile(rb"[ \t]*+" + _NUMBER + rb"[ \t]*+")
@@ -143,27 +144,26 @@ class Curve:
 class Emissivity:
     """Content of an ``.ems`` file."""
 
-    weights: Floats  # Factor on emissivity at 0, 1, ... 90 degrees from the normal (91,) [1].
-    curves: tuple[Curve, ...]  # At least one
+    weights: Floats  # Factor on emissivity at 0, 1, ... 90 degrees from the normal (91,) [1]
+    curves: tuple[Curve, ...]  # One or more
     layout: str  # ``new`` or ``old``
 
 
 def read_emissivity(path: str | os.PathLike[str]) -> Emissivity:
-    """Read a spectral emissivity file, old or new.
+    """Read a spectral emissivity file of the old or new layout.
 
     Raises
     ------
     FormatError
-        The file cannot be read, or is not what `hyperpaint.io.dirsig.emissivity_files` says: another number
-        of curves than its first line states, wavelengths that do not ascend or are not in micrometres,
-        emissivity outside 0 to 1, other text in between; all are listed.
+        The file cannot be read, or differs from the format in `hyperpaint.io.dirsig.emissivity_files`: the
+        number of curves is not that of the first line, wavelengths do not ascend or are not in micrometres,
+        emissivity is outside 0 to 1, or there is other text; all are listed.
     """
-    place = Path(path)
-    return _parse(read_limited_text(place, MAX_BYTES, "a DIRSIG emissivity file"), str(place))
+    return _parse(read_limited_text(Path(path), MAX_BYTES, "a DIRSIG emissivity file"), os.fspath(path))
 
 
 def _parse(data: bytes, name: str) -> Emissivity:
-    problems = Problems(f"{name} is no DIRSIG emissivity file", FormatError)
+    problems = Problems(f"{name} is not a DIRSIG emissivity file", FormatError)
     text = data.replace(b"\r\n", b"\n") if b"\r" in data else data
     if not text.endswith(b"\n"):
         text += b"\n"
@@ -191,14 +191,14 @@ def _parse(data: bytes, name: str) -> Emissivity:
 
 
 def _weights(lines: list[bytes], problems: Problems) -> Floats:
-    wrong = [angle for angle, line in enumerate(lines) if not _ONE_NUMBER.fullmatch(line)]
-    for angle in wrong[:_MAX_SHOWN]:
+    unreadable = [angle for angle, line in enumerate(lines) if not _ONE_NUMBER.fullmatch(line)]
+    for angle in unreadable[:_MAX_SHOWN]:
         problems.add(
             f"line {angle + 2}: {_shown(lines[angle])}",
             expected=f"the weight of {angle} degrees",
             code="number-unreadable",
         )
-    if wrong:
+    if unreadable:
         return np.ones(_ANGLES)
     weights = np.array([float(line) for line in lines])
     if not (np.isfinite(weights).all() and weights.min() >= 0.0):
@@ -211,18 +211,19 @@ def _weights(lines: list[bytes], problems: Problems) -> Floats:
 
 
 def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curve]]:
-    start = body.rfind(b"\n", 0, len(body) - len(body.lstrip(b" \t\n"))) + 1
-    new = _NEW_MARK.match(body, start) is not None
-    if not new and not _OLD_MARK.match(body, start):
+    # Layout, and curves after the weights
+    start = body.rfind(b"\n", 0, len(body) - len(body.lstrip(b" \t\n"))) + 1  # first line with text
+    is_new = _NEW_MARK.match(body, start) is not None
+    if not is_new and not _OLD_MARK.match(body, start):
         line = _ANGLES + 2 + body.count(b"\n", 0, start)
-        first = body[start : body.find(b"\n", start)]
+        row = body[start : body.find(b"\n", start)]
         problems.add(
-            f"line {line}: {_shown(first)}",
+            f"line {line}: {_shown(row)}",
             expected=f"{CURVE_BEGIN} or the number 0 of a curve",
             code="row-unreadable",
         )
         return "", []
-    layout, mark = ("new", _NEW_MARK) if new else ("old", _OLD_MARK)
+    layout, mark = ("new", _NEW_MARK) if is_new else ("old", _OLD_MARK)
     marks = list(mark.finditer(body, start))
     if len(marks) != count:
         problems.add(
@@ -236,42 +237,42 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
     ends = [mark.start() for mark in marks[1:]] + [len(body)]
     line = _ANGLES + 3 + body.count(b"\n", 0, start)
     for number, (heading, end) in enumerate(zip(marks, ends, strict=True)):
-        if not new and int(heading[1]) != number:
+        if not is_new and int(heading[1]) != number:
             problems.add(
                 f"line {line - 1}: curve {int(heading[1])}", expected=str(number), code="row-unreadable"
             )
         rows = body[heading.end() : end]
         if (table := _table(rows, line, problems)) is not None:
             axis, emissivity = table.T.copy()
-            where = f"curve {number}, from line {line}"
-            if not new and not np.array_equal(axis, _WAVENUMBERS):
+            subject = f"curve {number}, from line {line}"
+            if not is_new and not np.array_equal(axis, _WAVENUMBERS):
                 problems.add(
-                    f"{where}: {len(axis)} rows",
+                    f"{subject}: {len(axis)} rows",
                     expected=f"the {len(_WAVENUMBERS)} wavenumbers 39850, 39750, ... 350 [cm-1]",
                     code="grid-mismatch",
                 )
-            elif not np.isfinite(axis).all() or axis[0] <= 0.0 or (new and (np.diff(axis) <= 0.0).any()):
+            elif not np.isfinite(axis).all() or axis[0] <= 0.0 or (is_new and (np.diff(axis) <= 0.0).any()):
                 problems.add(
-                    f"{where}: wavelengths do not ascend from above 0",
-                    mend="sort the rows, one a wavelength",
+                    f"{subject}: wavelengths do not ascend from above 0",
+                    mend="sort the rows, and keep one per wavelength",
                     code="wavelength-unordered",
                 )
-            elif new and axis[-1] > _MAX_WAVELENGTH_UM:
+            elif is_new and axis[-1] > _MAX_WAVELENGTH_UM:
                 problems.add(
-                    f"{where}: wavelengths up to {axis[-1]:g}",
+                    f"{subject}: wavelengths up to {axis[-1]:g}",
                     expected="micrometres",
                     mend="divide nanometres by 1000",
                     code="wavelength-range",
                 )
             elif not (np.isfinite(emissivity).all() and emissivity.min() >= 0.0 and emissivity.max() <= 1.0):
                 problems.add(
-                    f"{where}: emissivity from {emissivity.min():g} to {emissivity.max():g}",
+                    f"{subject}: emissivity from {emissivity.min():g} to {emissivity.max():g}",
                     expected="0 to 1",
                     mend="divide percent by 100",
                     code="value-out-of-range",
                 )
             else:
-                curves.append(Curve(axis if new else 1e4 / axis, emissivity))
+                curves.append(Curve(axis if is_new else 1e4 / axis, emissivity))
         if len(problems) >= _MAX_SHOWN:
             break
         line += rows.count(b"\n") + 1
@@ -279,7 +280,7 @@ def _curves(body: bytes, count: int, problems: Problems) -> tuple[str, list[Curv
 
 
 def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
-    # Rows of two numbers (row, 2), None for any other text.
+    # Array of rows with two numbers (row, 2), None for other text
     if _ROWS.fullmatch(rows):
         return np.array(rows.split(), np.float64).reshape(-1, 2)
     if not rows.strip():
@@ -288,9 +289,11 @@ def _table(rows: bytes, line: int, problems: Problems) -> Floats | None:
         )
         return None
     lines = rows.rstrip(b" \t\n").split(b"\n")
-    wrong = next((number for number, row in enumerate(lines) if not _ONE_ROW.fullmatch(row)), 0)
+    unreadable = next((number for number, row in enumerate(lines) if not _ONE_ROW.fullmatch(row)), 0)
     problems.add(
-        f"line {line + wrong}: {_shown(lines[wrong])}", expected="two numbers", code="row-unreadable"
+        f"line {line + unreadable}: {_shown(lines[unreadable])}",
+        expected="two numbers",
+        code="row-unreadable",
     )
     return None
 
@@ -300,26 +303,26 @@ def _shown(line: bytes) -> str:
 
 
 def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Open an ``.ems`` file as a paint library of one opaque paint, whose curves are its members.
+    """Open an ``.ems`` file as a paint library of one opaque paint, with its curves as members.
 
     Returns
     -------
     Dataset
         ``member_reflectance`` (signature, member, band) = 1 - emissivity and ``reflectance`` (signature,
-        band), their mean, float32 [1]; ``wavelength`` (band) [nm]. Weights of view angles are left out.
+        band), their mean, float32 [1]; ``wavelength`` (band) [nm]. Weights of view angles are ignored.
 
     Raises
     ------
     FormatError
-        As `read_emissivity`; or its curves are on different wavelengths.
+        As `read_emissivity`; or its curves have different wavelengths.
     """
-    place = Path(path)
-    file = read_emissivity(place)
+    path = Path(path)
+    file = read_emissivity(path)
     wavelength = file.curves[0].wavelength
     if not all(np.array_equal(curve.wavelength, wavelength) for curve in file.curves):
         raise FormatError(
-            f"{place}: curves on different wavelengths",
-            expected="the same for all",
+            f"{path}: the curves have different wavelengths",
+            expected="equal wavelengths",
             mend="read each curve with read_emissivity",
             code="grid-mismatch",
         )
@@ -327,7 +330,7 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
     centre = members.mean(axis=0, dtype=np.float64)[np.newaxis].astype(np.float32)
     about_centre = {"units": "1", "long_name": "Reflectance, mean of the curves"}
     about_members = {"units": "1", "long_name": "Reflectance of a curve"}
-    # nm at the grid that is written, so that a file's text survives
+    # nm rounded to the decimals that are written, so that reading and writing again gives the same text
     return xr.Dataset(
         {
             "reflectance": ((SIGNATURE, BAND), centre, about_centre),
@@ -338,8 +341,8 @@ def open_emissivity(path: str | os.PathLike[str]) -> xr.Dataset:
             ),
         },
         {
-            SIGNATURE: np.array([place.stem], object),
+            SIGNATURE: np.array([path.stem], object),
             "wavelength": (BAND, np.round(wavelength * 1e3, 10), LIBRARY_VARIABLES["wavelength"].attrs),
         },
-        {"source": place.name, "layout": f"DIRSIG emissivity, {file.layout}"},
+        {"source": path.name, "layout": f"DIRSIG emissivity, {file.layout}"},
     )

@@ -1,4 +1,4 @@
-"""Materials, a fragment of a geometry list, and instructions beside the spectra of an export."""
+"""Texts of an export beside its spectra: materials, a fragment of a geometry list, instructions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CURVES = {
 }
 
 
-#: Settings of the radiometry solvers in DIRSIG's own files.
+#: Settings of the radiometry solvers, as in files of DIRSIG's distribution.
 _SOLVERS = {
     "Classic": (("ENABLE_SAMPLED_DIFFUSE", "FALSE"),),
     "Generic": (
@@ -52,13 +52,13 @@ def material_section(
 ) -> Section:
     """Return the entry of one paint in a material list.
 
-    ``record``: a paint's line of ``paints.json``; ``surface``: ``ClassicEmissivity``, ``SimpleReflectance``,
-    or ``ShellTarget`` with a ``fit_file``; ``rad_solver``: name of the radiometry solver; ``thermal``: values
-    of `THERMAL`; None for a material whose temperature is not computed; ``double_sided``: whether the back of
-    a facet shows the paint too.
+    ``record``: record of the paint in ``paints.json``; ``surface``: ``ClassicEmissivity``,
+    ``SimpleReflectance``, or ``ShellTarget`` with a ``fit_file``; ``rad_solver``: name of the radiometry
+    solver; ``thermal``: values of `THERMAL`, None if temperature is not computed; ``double_sided``: whether
+    the back of a facet has the paint, too.
     """
     colour = ", ".join(f"{value:.3g}" for value in record["editor_color"])
-    sampled = _SOLVERS.get(rad_solver, ())
+    settings = _SOLVERS.get(rad_solver, ())
     values = tuple((key.upper(), f"{float(value):.6g}") for key, value in (thermal or {}).items())
     if surface == "ShellTarget":
         files = (("EMISSIVITY_FILE", record["emissivity_file"]), ("BRDF_FIT_FILE", record["fit_file"]))
@@ -77,7 +77,7 @@ def material_section(
             ("EDITOR_COLOR", colour),
             ("DOUBLE_SIDED", "TRUE" if double_sided else "FALSE"),
             ("RAD_SOLVER_NAME", rad_solver),
-            Section("RAD_SOLVER", sampled),
+            Section("RAD_SOLVER", settings),
             ("TEMP_SOLVER_NAME", "Therm" if thermal else "Null"),
             Section("TEMP_SOLVER", values),
             Section("SURFACE_PROPERTIES", ((f"{properties.name}_NAME", surface), properties)),
@@ -166,7 +166,7 @@ held constant, only where the table says so: of the curves + of the centre (refl
 
 
 def _thinned(records: Sequence[Mapping[str, Any]]) -> str:
-    # The sentence on curves left out by ``max_curves``.
+    # Sentence on curves above ``max_curves``, which are not written
     rows = [f"{record['id']} {record['thinned']}" for record in records if record["thinned"]]
     text = "\nLeft out since there were more than asked for, at even ranks of brightness: "
     return text + ", ".join(rows) + "." if rows else ""
@@ -181,11 +181,11 @@ def _gaps(records: Sequence[Mapping[str, Any]]) -> str:
         gaps = [f"{nm:.1f}" for nm in record["gaps"][:_MAX_GAPS]] + ["..."] * (
             len(record["gaps"]) > _MAX_GAPS
         )
-        alone = "; no member reaches both ends: the centre stands for them" if record["is_centre"] else ""
-        if gaps or alone:
+        note = "; no member has values at both ends: the centre is the only curve" * record["is_centre"]
+        if gaps or note:
             complete = f"{record['complete']} of {record['curves']} curves are complete, and come first"
             rows.append(
-                f"{record['id']}: {complete}" + f"; filled in at {', '.join(gaps)} nm" * bool(gaps) + alone
+                f"{record['id']}: {complete}" + f"; filled in at {', '.join(gaps)} nm" * bool(gaps) + note
             )
     return "\n".join(["", "Gaps:", *rows, ""]) if rows else ""
 

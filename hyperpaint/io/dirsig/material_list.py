@@ -1,6 +1,6 @@
 """DIRSIG's material list (``.mat``): sections in curly brackets, and ``KEY = value``.
 
-The opening bracket stands on the line of the section's name, the closing one on its own [1]_.
+The opening bracket is on the line of the section's name, the closing bracket on a separate line [1]_.
 
 References
 ----------
@@ -50,7 +50,7 @@ _LETTERS = str.maketrans(
 )
 _UNSAFE = re.compile(r"[^ -~]|[{}=\"#<>&;]")
 _NO_TOKEN = re.compile(r"[^A-Za-z0-9]+")
-#: Device names, which are no file names on Windows.
+#: Names of devices on Windows, which files cannot have.
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(10))}
 
 
@@ -64,27 +64,27 @@ def plain_name(name: str) -> str:
     >>> plain_name("Brillantsilber métallisé, 775/9775 {Türkis}")
     'Brillantsilber metallise, 775/9775 _Tuerkis_'
     """
-    # one spelling for letters with accents, whichever way they were typed
+    # Unicode has two encodings of letters with accents
     text = unicodedata.normalize("NFC", name).translate(_LETTERS)
     text = "".join(sign for sign in unicodedata.normalize("NFKD", text) if not unicodedata.combining(sign))
     return " ".join(_UNSAFE.sub("_", " ".join(text.split())).split())[:_MAX_NAME_CHARS].strip()
 
 
-def material_names(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
-    """Return a distinct plain name for every name.
+def material_names(names: Iterable[str], used: Collection[str] = ()) -> list[str]:
+    """Return a plain name for every name, all distinct and not in ``used``.
 
     Examples
     --------
-    >>> material_names(["red", "red", "赤"], taken=["red"])
+    >>> material_names(["red", "red", "赤"], used=["red"])
     ['red (2)', 'red (3)', 'paint 3']
     """
     plain = [plain_name(name) for name in names]
     usable = [text if text.strip("_ ") else f"paint {number}" for number, text in enumerate(plain, start=1)]
-    return unique_names(usable, taken, fold=str.casefold)
+    return unique_names(usable, used, fold=str.casefold)
 
 
-def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
-    """Return a token for every name, distinct on every file system, which also names the paint's files.
+def material_ids(names: Iterable[str], used: Collection[str] = ()) -> list[str]:
+    """Return an ID for every name, all distinct on every file system and not in ``used``.
 
     Examples
     --------
@@ -95,10 +95,10 @@ def material_ids(names: Iterable[str], taken: Collection[str] = ()) -> list[str]
     for number, name in enumerate(names, start=1):
         token = _NO_TOKEN.sub("_", plain_name(name)).strip("_")[:_MAX_ID_CHARS].strip("_")
         if token.isdigit() or token.lower() in _DEVICES:
-            # a scene's own materials are often numbered
+            # IDs of a scene's materials are often numbers
             token = f"paint_{token}"
         tokens.append(token or f"paint_{number}")
-    return unique_names(tokens, taken, suffix="_{}", fold=str.casefold)
+    return unique_names(tokens, used, suffix="_{}", fold=str.casefold)
 
 
 MAX_BYTES = 16 * 2**20
@@ -116,8 +116,8 @@ _ENTRY = "MATERIAL_ENTRY"
 class Section:
     """A section of the tag format."""
 
-    name: str  # Before the bracket
-    # Content in file order: pairs of key and value, and sections
+    name: str  # Text before the bracket
+    # Pairs of key and value, and sections, in the order of the file
     items: tuple[tuple[str, str] | Section, ...] = ()
 
     def get(self, key: str) -> str | None:
@@ -129,7 +129,7 @@ class Section:
         return next((item for item in self.sections() if item.name == name), None)
 
     def sections(self) -> Iterator[Section]:
-        """Yield the sections in this one."""
+        """Yield the inner sections."""
         return (item for item in self.items if isinstance(item, Section))
 
 
@@ -137,29 +137,29 @@ class Section:
 class Material:
     """An entry of a material list."""
 
-    id: str  # Token by which geometry names it
+    id: str  # ID of the material in geometry files
     name: str  # Name for readers
     entry: Section  # Complete entry of the file
 
     @property
     def emissivity_file(self) -> str | None:
         """Path of the emissivity file, as written; not opened."""
-        return self._of("EMISSIVITY_PROP", "FILENAME")
+        return self._property("EMISSIVITY_PROP", "FILENAME")
 
     @property
     def reflectance_file(self) -> str | None:
         """Path of the two-column reflectance file, as written."""
-        return self._of("REFLECTANCE_PROP", "TXT_FILENAME")
+        return self._property("REFLECTANCE_PROP", "TXT_FILENAME")
 
     @property
     def specular_fraction(self) -> float | None:
-        """Share of reflectance that is specular, None where not stated."""
-        text = self._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
+        """Share of reflectance that is specular [1]; None if the file does not have it."""
+        text = self._property("EMISSIVITY_PROP", "SPECULAR_FRACTION")
         return None if text is None else float(text)
 
-    def _of(self, part: str, key: str) -> str | None:
+    def _property(self, section: str, key: str) -> str | None:
         surface = self.entry.section("SURFACE_PROPERTIES")
-        properties = surface.section(part) if surface else None
+        properties = surface.section(section) if surface else None
         return properties.get(key) if properties else None
 
 
@@ -169,28 +169,27 @@ def read_materials(path: str | os.PathLike[str]) -> tuple[Material, ...]:
     Raises
     ------
     FormatError
-        The file cannot be read; brackets or lines are not of the tag format; keys or sections are there
-        twice; a material has no ID or name, or the ID of another; a solver or property is named that has no
+        The file cannot be read; brackets or lines are not of the tag format; keys or sections occur twice; a
+        material has no ID or name, or the ID of another material; a solver or property has a name but no
         section; SPECULAR_FRACTION is not 0 to 1. All are listed.
     """
-    place = Path(path)
-    data = read_limited_text(place, MAX_BYTES, "a DIRSIG material list", MAX_LINES)
-    problems = Problems(f"{place} is no DIRSIG material list", FormatError)
+    data = read_limited_text(Path(path), MAX_BYTES, "a DIRSIG material list", MAX_LINES)
+    problems = Problems(f"{os.fspath(path)} is not a DIRSIG material list", FormatError)
     top = _parse(decoded_text(data), problems)
     problems.raise_if_any()
     entries = [item for item in top if item.name == _ENTRY]
     materials = [_material(entry, number, problems) for number, entry in enumerate(entries, start=1)]
     counts = Counter(material.id for material in materials)
     for token in [token for token, count in counts.items() if count > 1][:_MAX_SHOWN]:
-        problems.add(f"ID {token[:40]!r} occurs twice", expected="one ID a material", code="id-duplicate")
+        problems.add(f"ID {token[:40]!r} occurs twice", expected="distinct IDs", code="id-duplicate")
     if not top:
-        problems.add("no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
+        problems.add("there is no section", expected=f"{_ENTRY} {{ ... }}", code="section-missing")
     problems.raise_if_any()
     return tuple(materials)
 
 
 def _parse(text: str, problems: Problems) -> list[Section]:
-    # innermost last; the list of an open section grows until its bracket closes
+    # name, first line and content of the open sections, innermost last
     opened: list[tuple[str, int, list[Any]]] = [("", 0, [])]
     for number, raw in enumerate(text.split("\n"), start=1):
         line = raw.strip(" \t\r")
@@ -214,14 +213,14 @@ def _parse(text: str, problems: Problems) -> list[Section]:
                 return []
     for name, number, _ in opened[1:][:_MAX_SHOWN]:
         problems.add(
-            f"line {number}: section {name} is not closed", expected="a line '}' for it", code="section-open"
+            f"line {number}: section {name} is not closed", expected="a line '}'", code="section-open"
         )
     return opened[0][2]
 
 
 def _expected(line: str, depth: int) -> str:
     if line == "}":
-        return "no bracket, since none is open"
+        return "no bracket, since no section is open"
     if depth > _MAX_DEPTH:
         return f"sections at most {_MAX_DEPTH} deep"
     return "'NAME {', '}'" + (" or 'KEY = value'" if depth > 1 else "")
@@ -230,18 +229,20 @@ def _expected(line: str, depth: int) -> str:
 def _material(entry: Section, number: int, problems: Problems) -> Material:
     # DIRSIG 3 wrote MATERIAL_ID and MATERIAL_NAME
     token, name = (entry.get(key) or entry.get(f"MATERIAL_{key}") or "" for key in ("ID", "NAME"))
-    who = f"material {number} ({token[:40]!r})"
+    subject = f"material {number} ({token[:40]!r})"
     if len(problems) < _MAX_SHOWN:
         if not _TOKEN.fullmatch(token):
-            problems.add(f"{who} has no ID", expected="an ID without blanks", code="id-missing")
+            problems.add(f"{subject} has no ID", expected="an ID without blanks", code="id-missing")
         if not name:
-            problems.add(f"{who} has no NAME", code="name-missing")
-        for found, code in _section_problems(entry):
-            problems.add(f"{who}: {found}", code=code)
-        fraction = Material(token, name, entry)._of("EMISSIVITY_PROP", "SPECULAR_FRACTION")
+            problems.add(f"{subject} has no NAME", code="name-missing")
+        for fault, code in _section_problems(entry):
+            problems.add(f"{subject}: {fault}", code=code)
+        fraction = Material(token, name, entry)._property("EMISSIVITY_PROP", "SPECULAR_FRACTION")
         if fraction is not None and not _is_fraction(fraction):
             problems.add(
-                f"{who}: SPECULAR_FRACTION = {fraction[:40]!r}", expected="0 to 1", code="value-out-of-range"
+                f"{subject}: SPECULAR_FRACTION = {fraction[:40]!r}",
+                expected="0 to 1",
+                code="value-out-of-range",
             )
     return Material(token, name, entry)
 
@@ -253,9 +254,9 @@ def _section_problems(section: Section) -> Iterator[tuple[str, str]]:
             yield f"{key} occurs twice in {section.name}", "key-duplicate"
     inside = {item.name for item in section.sections()}
     for key in sorted(keys.keys() - inside):
-        part = key.removesuffix("_NAME")
-        if part != key and part.endswith(("_SOLVER", "_PROP")) and part not in inside:
-            yield f"{key} without a section {part}", "section-missing"
+        name = key.removesuffix("_NAME")
+        if name != key and name.endswith(("_SOLVER", "_PROP")) and name not in inside:
+            yield f"{key} without a section {name}", "section-missing"
     for item in section.sections():
         yield from _section_problems(item)
 
@@ -268,7 +269,7 @@ def _is_fraction(text: str) -> bool:
 
 
 def materials_text(entries: Iterable[Section]) -> str:
-    """Return sections as the text of a material list, laid out as DIRSIG's own files are.
+    """Return sections as the text of a material list, in the layout of DIRSIG's distribution.
 
     Examples
     --------
@@ -295,7 +296,7 @@ def _lines(section: Section, indent: str) -> Iterator[str]:
                 yield ""
             yield from _lines(item, inner)
         elif isinstance(following, Section) and item[0] == f"{following.name}_NAME":
-            # the name of a solver or property stands with its section
+            # the name of a solver or property is written directly before its section
             yield from _aligned(run, inner)
             run = [item]
             yield ""

@@ -1,4 +1,4 @@
-"""Reflectance of a paint library as DIRSIG takes it: ascending, without gaps, the clear coat counted once."""
+"""Reflectance of a paint library for DIRSIG: ascending, without gaps, with the clear coat counted once."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from .emissivity_files import WAVELENGTH_DECIMALS
 class Coat:
     """Treatment of the light mirrored by the clear coat."""
 
-    mirror_reflection: str  # Whether the library's reflectance holds it: ``included`` or ``excluded``
-    is_declared: bool  # Whether the library declares it
-    # Specular fraction of DIRSIG's reflectance; ``library`` takes it from ``specular_reflectance``
+    mirror_reflection: str  # ``included`` in the library's reflectance, or ``excluded``
+    is_declared: bool  # Whether the library has this attribute; else it is assumed
+    # Specular fraction of DIRSIG's reflectance; ``library``: computed from ``specular_reflectance``
     specular: float | str
 
     @property
     def attrs(self) -> dict[str, str]:
-        """Attributes on the treatment."""
+        """Attributes that describe the treatment."""
         source = "stated by the library" if self.is_declared else "not stated by the library, assumed"
         term = (
             "none: reflectance is diffuse"
@@ -44,24 +44,25 @@ class Coat:
         }
 
     def fraction(self, centre: npt.NDArray[Any], mirror: npt.NDArray[Any] | None) -> float:
-        """Return the specular fraction of a paint [1], rounded as it is written.
+        """Return the specular fraction of a paint [1], rounded to the written decimals.
 
-        ``centre``, ``mirror``: reflectance of body and coat (band,) [1]; NaN where a band is not to be used.
+        ``centre``, ``mirror``: reflectance of body and coat (band,) [1]; NaN in bands that are not used.
         """
         if not isinstance(self.specular, str):
             return round(float(self.specular), 4)
         if mirror is None:
             return 0.0
         is_known = np.isfinite(mirror) & np.isfinite(centre)
-        part, body = (float(np.clip(spectrum[is_known], 0.0, 1.0).sum()) for spectrum in (mirror, centre))
-        return min(round(part / (part + body), 4), 0.9999) if part > 0.0 else 0.0
+        coat, body = (float(np.clip(spectrum[is_known], 0.0, 1.0).sum()) for spectrum in (mirror, centre))
+        return min(round(coat / (coat + body), 4), 0.9999) if coat > 0.0 else 0.0
 
 
 def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
     """Return the treatment of a library's mirrored light.
 
-    Raises `SchemaError`: The attribute ``mirror_reflection`` is neither of both; the specular fraction is not
-    from 0 to below 1, or would count the coat twice, or is to be taken from a library that has none.
+    Raises `SchemaError`: The attribute ``mirror_reflection`` is neither ``included`` nor ``excluded``; the
+    specular fraction is below 0, or 1 or more, or would count the coat twice; or ``specular`` is
+    ``library`` without a ``specular_reflectance``.
     """
     problems = Problems("the specular term cannot be written", SchemaError)
     has_specular = _SPECULAR in library.variables
@@ -70,7 +71,7 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
         declared = mirror_reflection(library)
     except SchemaError as error:
         problems.add_error("", error)
-    # the safe guess for measured reflectance: a coat counted twice would go unnoticed
+    # without a declaration the coat is taken as included, so that it cannot count twice
     mirror = declared or INCLUDED
     if specular != "library" and (isinstance(specular, str) or not 0.0 <= specular < 1.0):
         problems.add(
@@ -104,7 +105,7 @@ _ROWS = {
     _SPECULAR: Variable(_SPECULAR, (SIGNATURE, BAND), "1", "float32", "Mirror reflectance"),
 }
 
-#: Which variable of a library holds the curves of a paint.
+#: Variables of a library with the curves of a paint, by the choice of the caller.
 CURVES = {"members": "member_reflectance", "quantiles": "reflectance_quantiles", "centre": "reflectance"}
 
 GAPS = ("interpolate", "refuse")
@@ -112,7 +113,7 @@ GAPS = ("interpolate", "refuse")
 #: Wavelengths that can be written [nm].
 MIN_NM, MAX_NM = 1.0, 1e5
 
-#: Bytes of the curves held at a time.
+#: Maximum size of the curves in memory [byte].
 _BLOCK_BYTES = 8 * 2**20
 
 
@@ -124,37 +125,35 @@ class PaintProblemError(PaintError):
 class Choices:
     """Choices of the caller for the curves."""
 
-    curves: str  # A key of `CURVES`
-    wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for all that was measured
-    extrapolate: bool  # Whether curves are held constant beyond the measured range
+    curves: str  # Key of `CURVES`
+    wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for the measured range
+    extrapolate: bool  # Whether curves are constant beyond the measured range
     gaps: str  # Treatment of bands without values between others: one of `GAPS`
-    max_curves: int | None = None  # Curves of a paint at the most; None for all
+    max_curves: int | None = None  # Maximum number of curves of a paint; None for all
 
 
 @dataclass(frozen=True, eq=False)
 class PaintCurves:
-    """Curves of one paint as written."""
+    """Curves of one paint, as they are written."""
 
     wavelength: Array  # Ascending (wavelength,) [nm]
     centre: Array  # Reflectance (wavelength,) [1]
-    curves: Array  # Reflectance of the population (curve, wavelength) [1], complete ones first
-    complete: int  # Curves of which no sample was filled in
-    gaps: Array  # Where samples of curves were filled in (wavelength,) [nm]
+    curves: Array  # Reflectance of the population (curve, wavelength) [1], complete curves first
+    complete: int  # Number of curves without interpolated samples
+    gaps: Array  # Wavelengths with interpolated samples of curves [nm]
     measured: tuple[float, float]  # First and last measured wavelength [nm]
-    extrapolated: str  # Where a sample was added beyond that: ``below``, ``above``, both, or empty
-    # interpolated, centre_interpolated: Samples of the curves, and of the centre, that were filled in
-    # between others
-    interpolated: int
-    centre_interpolated: int
-    left_out: int  # Members without values at the ends, which are not written
-    is_centre: bool  # Whether no member reaches both ends, so that the centre is written instead
-    thinned: int = 0  # Curves left out above `max_curves`
+    extrapolated: str  # Ends with an added sample: ``below``, ``above``, ``below and above``, or empty
+    interpolated: int  # Number of interpolated samples of the curves
+    centre_interpolated: int  # Number of interpolated samples of the centre
+    left_out: int  # Number of members that are not written, since they have no value at an end
+    is_centre: bool  # Whether the centre is the only curve, since no member has values at both ends
+    thinned: int = 0  # Number of curves above `max_curves`, which are not written
 
 
 class Axis:
-    """The bands of a library, in ascending order.
+    """Bands of a library, in ascending order.
 
-    Raises `SchemaError`: A wavelength is not known or not above 0, or two are the same.
+    Raises `SchemaError`: A wavelength is not finite or out of range, or two are equal as written.
     """
 
     def __init__(self, library: xr.Dataset) -> None:
@@ -164,7 +163,7 @@ class Axis:
         is_finite = np.isfinite(wavelength).all() and wavelength.size
         if not (is_finite and wavelength.min() >= MIN_NM and wavelength.max() <= MAX_NM):
             raise SchemaError(
-                "a wavelength is unknown or out of range",
+                "a wavelength is not finite, or out of range",
                 expected=f"{MIN_NM:g} to {MAX_NM:g} nm",
                 mend="drop the band",
                 code="wavelength-range",
@@ -174,35 +173,35 @@ class Axis:
         steps = np.diff(wavelength)
         if not ((steps > 0).all() or (steps < 0).all()):
             msg = (
-                "wavelengths fall at the joins of detectors: bands are sorted, so that curves of overlapping "
-                "detectors alternate; keep one detector a wavelength, as open_svc(overlap='trim') does"
+                "wavelengths of detectors overlap: bands are sorted, so that samples of both alternate; "
+                "keep one detector per wavelength, as open_svc(overlap='trim') does"
             )
             warnings.warn(PaintWarning(msg, code="wavelength-unordered"), stacklevel=3)
-        written = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
-        if same := np.flatnonzero(np.diff(written) <= 0.0).tolist():
-            shown = ", ".join(f"{self.wavelength[band]:.4f}" for band in same[:8])
+        micrometres = np.round(self.wavelength / 1000.0, WAVELENGTH_DECIMALS)
+        if equal := np.flatnonzero(np.diff(micrometres) <= 0.0).tolist():
+            examples = ", ".join(f"{self.wavelength[band]:.4f}" for band in equal[:8])
             raise SchemaError(
-                f"two bands at {shown} nm",
+                f"two bands at {examples} nm",
                 expected="one",
-                mend="keep one detector there",
+                mend="keep the band of one detector",
                 code="wavelength-duplicate",
             )
-        good = arrays["good"].values.astype(bool) if "good" in arrays else np.ones(len(written), bool)
-        self.good = good[self.order]
+        is_good = arrays["good"].values.astype(bool) if "good" in arrays else np.ones(len(micrometres), bool)
+        self.good = is_good[self.order]
 
 
 def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, dict[str, Array]]]:
     """Yield a library's values in blocks of paints, so that memory stays bounded.
 
-    Yields the paints of the block; ``centre`` (signature, band) and ``curves`` (signature, curve, band) [1],
-    in the library's own order of bands.
+    Yields the slice of the block's paints; and ``centre`` (signature, band) and ``curves`` (signature, curve,
+    band) [1], in the library's order of bands.
     """
     name = CURVES[choices.curves]
     names = [key for key in dict.fromkeys(["reflectance", name, _SPECULAR]) if key in library.variables]
     count = library.sizes[SIGNATURE]
     size = 4 * library[name].size // max(count, 1)
     step = max(1, _BLOCK_BYTES // max(size, 1))
-    # a chunk is decoded as a whole: once is enough
+    # blocks of complete chunks, so that every chunk is decoded once
     stored = library[name].chunksizes or library[name].encoding.get("preferred_chunks", {})
     chunk = max(1, int(np.ravel(stored.get(SIGNATURE, 1))[0]))
     step = chunk * max(1, step // chunk) if chunk * size <= 8 * _BLOCK_BYTES else step
@@ -215,13 +214,13 @@ def blocks_of(library: xr.Dataset, choices: Choices) -> Iterator[tuple[slice, di
 
 
 def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> PaintCurves:
-    """Return the curves of one paint as written.
+    """Return the curves of one paint, as they are written.
 
-    ``axis``: the bands; ``centre``, ``curves``: reflectance (band,) and (curve, band) in the library's order;
-    curves of NaN alone are dropped; ``choices``: of the caller.
+    ``centre``, ``curves``: reflectance (band,) and (curve, band) in the library's order of bands; curves
+    without a value are dropped.
 
-    Raises `PaintProblemError`: It has no values, holes that nobody asked to fill, or does not reach as far as
-    was asked.
+    Raises `PaintProblemError`: The paint has no values, has gaps although ``choices`` refuse them, or does
+    not cover the wavelength range.
     """
     centre = np.where(axis.good, centre[axis.order].astype(np.float64), np.nan)
     curves = np.where(axis.good, curves[:, axis.order].astype(np.float64), np.nan)
@@ -233,10 +232,10 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
         )
     if not len(curves):  # a paint without members
         curves = centre[np.newaxis]
-    measured = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
-    below, above = _beyond(measured, choices)
-    chosen = _inside(axis.wavelength, usable, choices.wavelength_range)
-    wavelength = axis.wavelength[chosen]
+    measured_range = (float(axis.wavelength[usable[0]]), float(axis.wavelength[usable[-1]]))
+    extends_low, extends_high = _extended_ends(measured_range, choices)
+    bands = _bands_of_range(axis.wavelength, usable, choices.wavelength_range)
+    wavelength = axis.wavelength[bands]
     if np.median(centre[usable]) > 1.0:
         raise PaintProblemError(
             f"median reflectance {np.median(centre[usable]):g}",
@@ -244,50 +243,49 @@ def curves_of(axis: Axis, centre: Array, curves: Array, choices: Choices) -> Pai
             mend="divide percent by 100",
             code="value-out-of-range",
         )
-    curves = curves[:, chosen]
-    whole = np.isfinite(curves[:, [0, -1]]).all(axis=1)
-    missing, holes = ~np.isfinite(curves), ~np.isfinite(centre[chosen])
+    curves = curves[:, bands]
+    has_ends = np.isfinite(curves[:, [0, -1]]).all(axis=1)
+    missing, centre_missing = ~np.isfinite(curves), ~np.isfinite(centre[bands])
     if choices.gaps == "refuse":
         if missing.any():
-            which = f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have"
-            raise _hole_error(which, wavelength[missing.any(axis=0)])
-        if holes.any():
-            raise _hole_error("the centre has", wavelength[holes])
+            subject = f"{int(missing.any(axis=1).sum())} of {len(curves)} curves have"
+            raise _gap_error(subject, wavelength[missing.any(axis=0)])
+        if centre_missing.any():
+            raise _gap_error("the centre has", wavelength[centre_missing])
     centre = np.interp(wavelength, axis.wavelength[usable], centre[usable])
-    if whole.any():
-        curves, missing = curves[whole], missing[whole]
+    if has_ends.any():
+        curves, missing = curves[has_ends], missing[has_ends]
         order = np.argsort(missing.any(axis=1), kind="stable")
         curves, missing = curves[order], missing[order]
         for row, gaps in zip(curves, missing, strict=True):
             row[gaps] = np.interp(wavelength[gaps], wavelength[~gaps], row[~gaps])
         rows = thinned_rows(curves, np.asarray(missing.any(axis=1)), choices.max_curves)
     else:
-        curves, missing, rows = centre[np.newaxis], holes[np.newaxis], np.zeros(1, np.int64)
+        curves, missing, rows = centre[np.newaxis], centre_missing[np.newaxis], np.zeros(1, np.int64)
     thinned, curves, missing = len(curves) - len(rows), curves[rows], missing[rows]
-    low, high = choices.wavelength_range or measured
-    before, after = int(below), int(above)
-    extrapolated = " and ".join(name for name, is_so in (("below", below), ("above", above)) if is_so)
+    low, high = choices.wavelength_range or measured_range
+    padding = (int(extends_low), int(extends_high))
     return PaintCurves(
-        wavelength=np.concatenate([[low][:before], wavelength, [high][:after]]),
-        centre=np.pad(centre, (before, after), "edge"),
-        curves=np.pad(curves, ((0, 0), (before, after)), "edge"),
+        wavelength=np.concatenate([[low][: padding[0]], wavelength, [high][: padding[1]]]),
+        centre=np.pad(centre, padding, "edge"),
+        curves=np.pad(curves, ((0, 0), padding), "edge"),
         complete=int((~missing.any(axis=1)).sum()),
         gaps=wavelength[missing.any(axis=0)],
-        measured=measured,
-        extrapolated=extrapolated,
+        measured=measured_range,
+        extrapolated=" and ".join(["below"] * extends_low + ["above"] * extends_high),
         interpolated=int(missing.sum()),
-        centre_interpolated=int(holes.sum()),
-        left_out=int((~whole).sum()),
-        is_centre=not whole.any(),
+        centre_interpolated=int(centre_missing.sum()),
+        left_out=int((~has_ends).sum()),
+        is_centre=not has_ends.any(),
         thinned=thinned,
     )
 
 
-def thinned_rows(curves: Array, is_filled: Array, most: int | None) -> Array:
-    """Return the rows of a population (curve, wavelength) to write: at most ``most``, in order.
+def thinned_rows(curves: Array, is_filled: Array, max_curves: int | None) -> Array:
+    """Return the rows of a population (curve, wavelength) that are written, at most ``max_curves``.
 
-    They stand at even ranks of the curves' means, so that brightness keeps its distribution; complete curves
-    alone are taken where they suffice.
+    They have equal steps of rank in mean reflectance, so that the distribution of brightness is kept. Curves
+    with interpolated samples (``is_filled``) are only used if there are too few complete curves.
 
     Examples
     --------
@@ -295,48 +293,51 @@ def thinned_rows(curves: Array, is_filled: Array, most: int | None) -> Array:
     >>> thinned_rows(population, np.zeros(5, bool), 3)
     array([1, 0, 3])
     """
-    if most is None or len(curves) <= most:
+    if max_curves is None or len(curves) <= max_curves:
         return np.arange(len(curves))
-    rows = np.flatnonzero(~is_filled) if np.count_nonzero(~is_filled) >= most else np.arange(len(curves))
+    complete = np.flatnonzero(~is_filled)
+    rows = complete if complete.size >= max_curves else np.arange(len(curves))
     ranked = rows[np.argsort(curves[rows].mean(axis=1), kind="stable")]
-    # the middles of equal parts: the ends of a distribution are not worth more than its inside
-    chosen = ranked[np.floor((np.arange(most) + 0.5) * len(ranked) / most).astype(np.int64)]
+    # the middle curve of every one of `max_curves` classes with the same number of curves
+    chosen = ranked[np.floor((np.arange(max_curves) + 0.5) * len(ranked) / max_curves).astype(np.int64)]
     return chosen[np.argsort(is_filled[chosen], kind="stable")]
 
 
-def _beyond(measured: tuple[float, float], choices: Choices) -> tuple[bool, bool]:
+def _extended_ends(measured_range: tuple[float, float], choices: Choices) -> tuple[bool, bool]:
+    # Whether curves are extrapolated at the low end, and at the high end
     if choices.wavelength_range is None:
         return False, False
     low, high = choices.wavelength_range
-    below, above = low < measured[0], high > measured[1]
-    if low >= measured[1] or high <= measured[0]:
+    measured_low, measured_high = measured_range
+    extends_low, extends_high = low < measured_low, high > measured_high
+    if low >= measured_high or high <= measured_low:
         raise PaintProblemError(
-            f"measured {measured[0]:g} to {measured[1]:g} nm, nothing of {low:g} to {high:g} nm",
+            f"measured {measured_low:g} to {measured_high:g} nm, outside {low:g} to {high:g} nm",
             code="wavelength-uncovered",
         )
-    if (below or above) and not choices.extrapolate:
+    if (extends_low or extends_high) and not choices.extrapolate:
         raise PaintProblemError(
-            f"measured {measured[0]:g} to {measured[1]:g} nm",
+            f"measured {measured_low:g} to {measured_high:g} nm",
             expected=f"{low:g} to {high:g} nm",
-            mend="narrow wavelength_range, or pass extrapolate=True to hold the ends constant",
+            mend="narrow wavelength_range, or pass extrapolate=True for constant values beyond the ends",
             code="wavelength-uncovered",
         )
-    return below, above
+    return extends_low, extends_high
 
 
-def _inside(wavelength: Array, usable: Array, wanted: tuple[float, float] | None) -> slice:
-    # The bands of a range and the next ones outside, so that the range is covered.
-    first, last = int(usable[0]), int(usable[-1])
-    if wanted is not None:
-        low = int(np.searchsorted(wavelength, wanted[0], "right")) - 1
-        first, last = max(first, low), min(last, int(np.searchsorted(wavelength, wanted[1], "left")))
-    return slice(first, last + 1)
+def _bands_of_range(wavelength: Array, usable: Array, limits: tuple[float, float] | None) -> slice:
+    # Usable bands within the limits, and the next band beyond each limit, so that the range is covered
+    start, end = int(usable[0]), int(usable[-1])
+    if limits is not None:
+        start = max(start, int(np.searchsorted(wavelength, limits[0], "right")) - 1)
+        end = min(end, int(np.searchsorted(wavelength, limits[1], "left")))
+    return slice(start, end + 1)
 
 
-def _hole_error(subject: str, at: Array) -> PaintProblemError:
-    shown = ", ".join(f"{nm:.1f}" for nm in at[:6]) + (", ..." if at.size > 6 else "")
+def _gap_error(subject: str, wavelength: Array) -> PaintProblemError:
+    examples = ", ".join(f"{nm:.1f}" for nm in wavelength[:6]) + (", ..." if wavelength.size > 6 else "")
     return PaintProblemError(
-        f"{subject} no value at {shown} nm, inside the range",
-        mend="omit gaps= to fill them in, or pass a wavelength_range without them",
+        f"{subject} no value at {examples} nm, inside the range",
+        mend="omit gaps= to interpolate, or pass a wavelength_range without them",
         code="value-missing",
     )

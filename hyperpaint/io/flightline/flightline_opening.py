@@ -154,7 +154,7 @@ def open_flightline(
     fwhm_nm
         Width of the bands [nm] if neither calibration nor header states it.
     chunks
-        dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask (except where units are
+        dask chunks of the cube: ``"auto"`` for 32 complete lines, None for no dask (except where units are
         converted or dropped lines blanked), else as for `xarray.Dataset.chunk`.
     name
         Name of the line; by default the cube's.

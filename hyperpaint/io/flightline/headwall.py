@@ -230,7 +230,7 @@ def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject:
 
 
 def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
-    """Return microseconds since midnight of the first row's day, and whether all are whole seconds."""
+    """Return microseconds since midnight of the first row's day, and whether all are full seconds."""
     micros_of_day = np.empty(len(table.rows), np.int64)
     faulty_rows: list[int] = []
     whole_seconds = True
@@ -258,7 +258,7 @@ def _fit_stamps(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str
     # Stamps on a straight line over the frame numbers, fitted to whole seconds
     if len(np.unique(stamp)) < 3:
         raise TimeError(
-            f"{subject}: fewer than three different whole seconds",
+            f"{subject}: fewer than three different seconds",
             mend="pass start_time= and frame_period=",
             code="frame-rate-unknown",
         )

@@ -80,8 +80,8 @@ def open_library(
         * files of `hyperpaint.write_library`, including CSV and Zarr; any Zarr (folder, zip file, URL or
           store object of zarr); a path inside a store names a group.
     wavelength, fwhm
-        Axes of the bands [nm], or a file of the USGS library that holds them. They replace those of the file.
-        By default they are read for USGS text from files beside it and in the two folders above.
+        Axes of the bands [nm], or a file of the USGS library with them, in place of the axes in ``path``. By
+        default they are read for USGS text from files beside it and in the two folders above.
     scale
         Stored value of a reflectance of one (100 for percent). By default from the file: its scale factor,
         units or headings. Without any of these, values that are not fractions are an error.

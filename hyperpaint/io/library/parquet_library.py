@@ -33,7 +33,7 @@ _NM_PER_UNIT = {"nm": 1.0, "um": 1e3}
 _NM_OF_WAVENUMBER = 1e7  # over cm-1
 _PURPOSE = "Parquet"
 
-#: Columns of OpenSpecLib that hold text: those that must not be empty, and those that may.
+#: Text columns of OpenSpecLib: columns that must have a value, and optional columns.
 _TEXTS = (
     "id",
     "name",

@@ -32,7 +32,7 @@ class Term(NamedTuple):
     """A declaration that every library makes, for all its paints or for each."""
 
     name: str
-    words: tuple[str, ...]  #: those that there are; () where any text is one
+    words: tuple[str, ...]  #: allowed words; () for any text
     meaning: str
 
 

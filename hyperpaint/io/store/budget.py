@@ -1,11 +1,11 @@
-"""The memory plan of a run, made before it starts.
+"""The memory plan of a run, computed before it starts.
 
-A model gives the memory: a fixed share, the calibration and matched spectra that every task reads, and for
-every thread its slabs of lines; `MARGIN` is added. The figures of merit (docs) compare the
+Modelled memory is the sum of a fixed part, of the calibration and matched spectra that all tasks read, and of
+the slabs of lines of every thread; it is multiplied by `MARGIN`. The figures of merit (docs) compare the
 model with measured peaks.
 
-A limit of the address space (``ulimit -v``, some batch systems) counts more than resident memory: stacks, and
-the arenas that glibc reserves for every thread, see `HELPER_SPACE` and `THREAD_SPACE`.
+A limit of the address space (``ulimit -v``, some batch systems) includes more than resident memory: stacks,
+and the arenas that glibc reserves for every thread, see `HELPER_SPACE` and `THREAD_SPACE`.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ PROCESS = 330 * 10**6
 # Memory of a worker of dask.distributed, without any slab [byte].
 WORKER = 380 * 10**6
 
-# Slabs of a thread: one is computed while another waits for its last chunk to be stored.
+# Number of slabs of a thread in memory: one is computed while the last chunk of another is being stored.
 SLABS_IN_HAND = 2
 
-# Memory for encoding a chunk, over the chunk's size: worst case, and a copy of the result.
+# Memory for encoding a chunk, relative to its size: result in the worst case, and its copy.
 ENCODED_COPIES = 1.5
 
 # Memory of the dask graph of one slab [byte].
 TASK_BYTES = 16_000
 
-# Planned memory over modelled memory.
+# Ratio of planned to modelled memory.
 MARGIN = 1.1
 
 # Memory of a process with all modules that read, calibrate and survey lines, without any slab [byte].
@@ -54,7 +54,7 @@ LOADED = 390 * 10**6
 # Share of the available memory that a run uses if the user sets no limit.
 USABLE = 0.8
 
-# Address space of each of zarr's file threads beyond its resident memory [byte]; zarr starts up to four more
+# Address space of a file thread of zarr beyond its resident memory [byte]; zarr starts up to 4 threads more
 # than there are processors.
 HELPER_SPACE = 48 * 2**20
 
@@ -67,7 +67,7 @@ SMILE_STEP = 0.5
 
 @dataclass(frozen=True)
 class Load:
-    """Memory that one flight line takes; all in bytes.
+    """Memory for processing one flight line [byte].
 
     Examples
     --------
@@ -77,17 +77,17 @@ class Load:
     """
 
     scan_line: int  # Counts and float32 product of one scan line
-    light: int  # Irradiance of one scan line while it is interpolated
-    encoded: int  # The chunk that is encoded, of the widest stored cube, and its result
+    light: int  # Arrays for the interpolation of irradiance, per scan line
+    encoded: int  # A chunk of the cube and its encoded bytes
     shared: int  # Calibration, darks and matched spectra, which all tasks read
-    lines: int  # Scan lines of the flight line
+    lines: int  # Number of scan lines of the flight line
 
     @classmethod
     def of(cls, line: xr.Dataset) -> Load:
         cube = next(line[name] for name in ("counts", "radiance", "reflectance") if name in line)
         samples = cube.sizes[BAND] * cube.sizes[CROSS_TRACK]
         single = np.dtype(np.float32).itemsize
-        # cells of the smile; many where the smile is not in memory
+        # number of wavelength shifts of matched irradiance; 16 if the smile is not in memory
         cells, shift = 1, line.variables.get("wavelength_shift")
         if shift is not None and shift.chunks is not None:
             cells = 16
@@ -99,19 +99,19 @@ class Load:
             scan_line=samples * (cube.dtype.itemsize + single),
             light=4 * cubic,
             encoded=int(ENCODED_COPIES * min(CHUNK_LINES, cube.sizes[ALONG_TRACK]) * samples * single),
-            # as read, and as passed to the tasks
+            # twice: as read, and as passed to the tasks
             shared=2 * (small + line.sizes.get(IRRADIANCE_TIME, 0) * cubic),
             lines=cube.sizes[ALONG_TRACK],
         )
 
     @property
     def a_thread(self) -> int:
-        """Memory of a thread with slabs as high as a storage chunk [byte]."""
+        """Memory of a thread with slabs of the lines of a storage chunk [byte]."""
         slab = min(CHUNK_LINES, self.lines) * (self.scan_line + self.light)
         return SLABS_IN_HAND * slab + self.encoded // 2
 
     def peak(self, *, lines: int, threads: int, fixed: int) -> int:
-        """Return the modelled peak [byte] at ``lines`` a task; ``fixed``: memory without any slab."""
+        """Return the modelled peak [byte]; ``lines``: per task; ``fixed``: memory without any slab."""
         slabs = math.ceil(self.lines / lines)
         slab = min(lines, self.lines) * (self.scan_line + self.light)
         a_thread = min(SLABS_IN_HAND, slabs) * slab + self.encoded
@@ -120,11 +120,11 @@ class Load:
 
 @dataclass(frozen=True)
 class Demand:
-    """Lines a task and threads with which a run stays within its memory."""
+    """Lines per task and threads of a run, and its peak memory."""
 
-    lines: int  # Scan lines a task
-    threads: int  # Threads at once, in one process
-    needed: int  # Peak memory of that process, margin included [byte]
+    lines: int  # Scan lines per task
+    threads: int  # Number of parallel threads of the process
+    needed: int  # Peak memory of the process, margin included [byte]
 
 
 def fit(
@@ -137,16 +137,16 @@ def fit(
     least_threads: int = 1,
     a_thread: int = 0,
 ) -> Demand:
-    """Return lines a task and threads with which every flight line stays within a limit.
+    """Return lines per task and threads with which every flight line stays within a memory limit.
 
-    Lines are halved first, down to the 32 of a storage chunk, then threads are taken away one by one.
+    Lines are halved first, down to the 32 of a storage chunk, then threads are removed one by one.
 
-    ``loads``: by name of the flight line; they are processed one after the other; ``lines``, ``threads``: the
-    numbers wished for, of threads ``least_threads`` at least; ``fixed``: memory without any slab; ``limit``:
-    most memory of the process, None for no limit; ``a_thread``: memory of a thread besides its slabs, see
-    `thread_space`; all in bytes.
+    ``loads``: memory by flight line, which are processed one after the other; ``lines``, ``threads``: the
+    desired numbers; ``least_threads``: minimum number of threads; ``fixed``: memory without any slab;
+    ``limit``: maximum memory of the process, None for no limit; ``a_thread``: memory of a thread besides its
+    slabs, see `thread_space`; all in bytes.
 
-    Raises `StoreError`: Not even the fewest threads with 32 lines a task stay within the limit.
+    Raises `StoreError`: The minimum number of threads with 32 lines per task exceeds the limit.
 
     Examples
     --------
@@ -167,13 +167,13 @@ def fit(
         plan = demand(plan.lines, plan.threads - 1)
     if plan.needed > limit:
         worst = max(loads, key=lambda name: loads[name].peak(lines=plan.lines, threads=1, fixed=fixed))
-        mend = "fewer threads a worker, " if least_threads > 1 else ""
-        which = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
+        mend = "take fewer threads per worker, " if least_threads > 1 else ""
+        limit_name = "the limit of the address space (ulimit -v)" if a_thread else "the memory limit"
         raise StoreError(
             f"/{worst} needs {size_text(plan.needed)} of memory with {counted(plan.threads, 'thread')} and "
-            f"{plan.lines} lines a task, the fewest possible",
+            f"{plan.lines} lines per task, the fewest possible",
             expected=f"at most {size_text(limit)}",
-            mend=f"{mend}end other programs, raise {which}, or take a larger machine",
+            mend=f"{mend}end other programs, raise {limit_name}, or take a larger machine",
             code="memory-short",
         )
     return plan
@@ -184,9 +184,9 @@ _LIMIT: ContextVar[int | None] = ContextVar("memory_limit", default=None)
 
 @contextlib.contextmanager
 def memory_limit(size: str | int | None) -> Iterator[None]:
-    """Limit the memory that this process plans with; None restores 80 % of the available memory.
+    """Limit the memory in plans of this process; None for 80 % of the available memory.
 
-    Raises `SchemaError`: not a size.
+    Raises `SchemaError`: ``size`` is not a size.
     """
     token = _LIMIT.set(None if size is None else parse_size(size))
     try:
@@ -196,17 +196,17 @@ def memory_limit(size: str | int | None) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0) -> Iterator[None]:
+def planned(subject: str, *, a_thread: int, fixed: int = LOADED, min_bytes: int = 0) -> Iterator[None]:
     """Limit the number of threads to the memory limit; on a cluster, change nothing.
 
-    ``a_thread``: memory of a thread; ``fixed``: memory without any thread; ``least``: memory needed at
-    another time, whatever the threads; all in bytes.
+    ``a_thread``: memory of a thread; ``fixed``: memory without any thread; ``min_bytes``: memory of another
+    step, which does not depend on threads; all in bytes.
 
-    Raises `StoreError`: not even one thread stays within the limit.
+    Raises `StoreError`: One thread exceeds the limit.
     """
     from dask.base import get_scheduler
 
-    # without distributed imported there is no client
+    # without an import of distributed there is no client
     scheduler = get_scheduler() if "distributed" in sys.modules else None
     if hasattr(getattr(scheduler, "__self__", None), "scheduler_info"):
         yield
@@ -216,7 +216,7 @@ def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0)
     fixed = max(fixed, resident)
 
     def needed(threads: int) -> int:
-        return int(MARGIN * max(least, fixed + threads * a_thread)) + threads * thread_space()
+        return int(MARGIN * max(min_bytes, fixed + threads * a_thread)) + threads * thread_space()
 
     threads = _threads_within(limit, needed)
     if needed(threads) > limit:
@@ -234,7 +234,7 @@ def planned(subject: str, *, a_thread: int, fixed: int = LOADED, least: int = 0)
 
 
 def parse_size(size: str | int) -> int:
-    """Return a size such as ``"2 GiB"`` in bytes; SchemaError where it is no positive size.
+    """Return a size such as ``"2 GiB"`` in bytes; SchemaError if it is not a positive size.
 
     Examples
     --------
@@ -244,7 +244,7 @@ def parse_size(size: str | int) -> int:
     from dask.utils import parse_bytes
 
     try:
-        # dask would read text without a number as one
+        # dask reads a unit without a number as 1 of it
         number = int(parse_bytes(size)) if any(map(str.isdigit, str(size))) else 0
     except (ValueError, OverflowError, TypeError, AttributeError):
         number = 0
@@ -260,28 +260,28 @@ def parse_size(size: str | int) -> int:
 def available_memory(system: Path = Path("/")) -> int:
     """Return the memory that can still be allocated [byte]; ``system``: root of ``proc`` and ``sys``.
 
-    The least of the memory left by the machine, its container and the address space limit of this process.
-    The reserve of helper threads is subtracted from the address space first.
+    That is the minimum of the free memory of the machine, of its container, of the user's limit, and of the
+    address space limit of this process, without the address space of helper threads.
     """
     space, limit = _address_space(), _LIMIT.get()
     shared = _shared_memory(system)
-    own = shared if limit is None else limit - resident_memory()
-    return max(0, min(shared, own, shared if space is None else space))
+    allowed = shared if limit is None else limit - resident_memory()
+    return max(0, min(shared, allowed, shared if space is None else space))
 
 
 def _shared_memory(system: Path) -> int:
-    # The memory left by the machine and its container, which other programs share.
+    # Free memory of the machine and its container, which other programs use as well
     import psutil
 
-    # includes the file cache, which is freed on demand
+    # `available` includes the file cache, which is freed on demand
     return min([int(psutil.virtual_memory().available), *_container_memory(system)])
 
 
 def process_limit(resident: int, limit: int | None = None) -> int:
-    """Return the memory that this process, which holds ``resident`` bytes, may take at most [byte].
+    """Return the maximum memory of this process, which has ``resident`` bytes [byte].
 
-    ``limit`` of the user replaces `USABLE` of the available memory; a limit of the address space,
-    which no other program shares, applies as well.
+    ``limit``: of the user; by default `USABLE` of the available memory is added to ``resident``. A limit of
+    the address space applies as well.
     """
     limit = _LIMIT.get() if limit is None else limit
     if limit is None:
@@ -305,21 +305,21 @@ def _address_limit() -> int | None:
 
 
 def _address_space() -> int | None:
-    # The address space left for slabs; None without a limit.
+    # Address space free for slabs, None without a limit
     limit = _address_limit()
     if limit is None:
         return None
     import psutil
 
-    # zarr's threads are threads of asyncio; running ones have their space reserved
+    # zarr's threads are threads of asyncio; the space of running threads is already reserved
     running = sum(thread.name.startswith(("asyncio_", "zarr_io")) for thread in threading.enumerate())
     helpers = max(0, min(32, (os.cpu_count() or 1) + 4) + 1 - running)
     return limit - int(psutil.Process().memory_info().vms) - helpers * HELPER_SPACE
 
 
 def _container_memory(system: Path) -> Iterator[int]:
-    # The memory left by each control group (version 2 or 1) of this process, and by those above.
-    # psutil knows no control groups, and distributed only the limit of the innermost one.
+    # Free memory of every control group (version 2 or 1) of this process, and of their parents.
+    # psutil does not read control groups, and distributed only the limit of the innermost.
     root = system / "sys/fs/cgroup"
     try:
         entries = (system / "proc/self/cgroup").read_text(encoding="ascii", errors="replace").splitlines()
@@ -327,20 +327,23 @@ def _container_memory(system: Path) -> Iterator[int]:
         return
     for number, controllers, path in (entry.split(":", 2) for entry in entries if entry.count(":") >= 2):
         if number == "0":
-            base, limit, used = root, "memory.max", "memory.current"
+            base, limit, usage = root, "memory.max", "memory.current"
         elif "memory" in controllers.split(","):
-            base, limit, used = root / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
+            base, limit, usage = root / "memory", "memory.limit_in_bytes", "memory.usage_in_bytes"
         else:
             continue
-        inside = base.joinpath(*(part for part in path.split("/") if part not in ("", "..")))
-        for folder in (inside, *(above for above in inside.parents if above.is_relative_to(base))):
-            with contextlib.suppress(OSError, ValueError):  # no such group, or no limit ("max")
-                left = int((folder / limit).read_text()) - int((folder / used).read_text())
+        group_folder = base.joinpath(*(part for part in path.split("/") if part not in ("", "..")))
+        for folder in (
+            group_folder,
+            *(parent for parent in group_folder.parents if parent.is_relative_to(base)),
+        ):
+            with contextlib.suppress(OSError, ValueError):  # the group does not exist, or its limit is "max"
+                free = int((folder / limit).read_text()) - int((folder / usage).read_text())
                 # the file cache is freed on demand
                 with contextlib.suppress(OSError):
                     cached = re.search(r"^inactive_file (\d+)$", (folder / "memory.stat").read_text(), re.M)
-                    left += int(cached[1]) if cached else 0
-                yield left
+                    free += int(cached[1]) if cached else 0
+                yield free
 
 
 def resident_memory() -> int:
@@ -375,14 +378,12 @@ def limited_threads(count: int | None) -> Iterator[None]:
 
 
 def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
-    """Return the number of threads that may store a dataset; StoreError if not even one block fits.
+    """Return the number of threads with which a dataset can be stored, None for any number.
 
-    The dask chunks cannot be changed here, only the number of threads. No value is read. Dask arrays count:
-    cubes along the flight are computed together, line by line, other arrays one by one.
+    No value is read, and dask chunks are not changed. Cubes along the flight are computed together, block by
+    block of lines, other dask arrays one after the other. ``subject``: the dataset in errors.
 
-    ``subject`` names the dataset in errors. None where any number will do.
-
-    Raises `StoreError`: one block is larger than the available memory.
+    Raises `StoreError`: One block is larger than the available memory.
     """
     available, fixed = available_memory(), thread_space()
     problems = Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError)
@@ -406,30 +407,30 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
     a_line = [v.nbytes // length for v in cubes]
     lines = max(max(v.chunksizes[ALONG_TRACK]) for v in cubes)
     encoded = int(ENCODED_COPIES * min(CHUNK_LINES, length) * max(a_line))
-    surely = lines * sum(a_line) + encoded + fixed
-    if surely > available:
+    one_thread = lines * sum(a_line) + encoded + fixed
+    if one_thread > available:
         raise StoreError(
-            f"{subject} needs {size_text(surely)} of memory for one dask chunk of {counted(lines, 'line')}",
+            f"{subject} needs {size_text(one_thread)} of memory for a dask chunk of {counted(lines, 'line')}",
             expected=f"at most {size_text(available)}",
-            mend=f"take fewer lines a chunk (chunks={{'{ALONG_TRACK}': {CHUNK_LINES}}}), end other programs, "
-            "or raise the memory limit",
+            mend=f"take fewer lines per chunk (chunks={{'{ALONG_TRACK}': {CHUNK_LINES}}}), "
+            "end other programs, or raise the memory limit",
             code="memory-short",
         )
-    # a single cube is assumed to be computed from one half as large: 16-bit counts
-    alone = sum(size > max(a_line) // 4 for size in a_line) == 1
-    load = Load(sum(a_line) + alone * max(a_line) // 2, 0, encoded, 0, length)
+    # a single float32 cube is assumed to be computed from a cube of 16-bit counts, which is half as large
+    is_single = sum(size > max(a_line) // 4 for size in a_line) == 1
+    load = Load(sum(a_line) + is_single * max(a_line) // 2, 0, encoded, 0, length)
     resident = resident_memory()
 
-    def needed(threads: int) -> float:
+    def memory_of(threads: int) -> float:
         return MARGIN * load.peak(lines=lines, threads=threads, fixed=resident + RUNNING) + threads * fixed
 
-    return _threads_within(process_limit(resident), needed)
+    return _threads_within(process_limit(resident), memory_of)
 
 
-def _threads_within(limit: int, needed: Callable[[int], float]) -> int:
-    # The largest number of threads, at least one, within a memory limit.
+def _threads_within(limit: int, memory_of: Callable[[int], float]) -> int:
+    # Maximum number of threads within a memory limit; 1 if even that exceeds it
     threads = thread_count()
-    while threads > 1 and needed(threads) > limit:
+    while threads > 1 and memory_of(threads) > limit:
         threads -= 1
     return threads
 

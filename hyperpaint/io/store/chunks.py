@@ -1,7 +1,7 @@
 """Chunk files of a group under construction: written from dask blocks, resumed by the next run.
 
-A chunk file ends in the crc32c of all bytes before it, and gets its name when complete. A power failure may
-leave it empty, so the next run keeps only chunks with the right checksum.
+A chunk file ends with the crc32c of all bytes before it, and gets its name when it is complete. A power
+failure may leave it empty, so that the next run keeps only chunks with a valid checksum.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Target:
-    """An array that blocks are written to, without zarr's event loop; pickles small, for clusters."""
+    """Stored array to which blocks are written without zarr's event loop; its pickle is small."""
 
     place: Location  # Of the group
     name: str
@@ -62,24 +62,24 @@ class Target:
         return "/".join(("c", *map(str, position)))
 
     def write(self, block: np.ndarray[Any, Any], offset: tuple[int, ...]) -> np.ndarray[Any, Any]:
-        """Write a block of whole chunks that starts at the chunk ``offset`` of the grid.
+        """Write a block of chunks, whose first has the position ``offset`` in the grid of chunks.
 
-        At the far edges of the array chunks may be cut. Return the crc32c of the encoded chunks (uint32), in
-        the shape of the block's grid.
+        Chunks at the far edges of the array may be incomplete. Return the crc32c of the encoded chunks
+        (uint32), in the shape of the block's grid.
         """
         # times are stored as int64 nanoseconds
         if block.dtype.kind in "mM":
             block = block.astype(f"{block.dtype.kind}8[ns]", copy=False).view(np.int64)
         if block.dtype.newbyteorder("<") != self.dtype:
-            raise TypeError(f"a block of {self.name} came as {block.dtype}, declared was {self.dtype}")
+            raise TypeError(f"a block of {self.name} has dtype {block.dtype}, expected {self.dtype}")
         block = block.astype(self.dtype, copy=False)
         grid = tuple(-(-size // step) for size, step in zip(block.shape, self.chunk, strict=True))
         sums = np.empty(grid, dtype=np.uint32)
         for index in np.ndindex(grid):
-            part = tuple(slice(i * step, (i + 1) * step) for i, step in zip(index, self.chunk, strict=True))
-            piece = np.ascontiguousarray(block[part])
-            position = tuple(first + step for first, step in zip(offset, index, strict=True))
-            encoded, checksum = encode_chunk(piece, self.chunk, self.fill, self.codec)
+            region = tuple(slice(i * step, (i + 1) * step) for i, step in zip(index, self.chunk, strict=True))
+            samples = np.ascontiguousarray(block[region])
+            position = tuple(start + step for start, step in zip(offset, index, strict=True))
+            encoded, checksum = encode_chunk(samples, self.chunk, self.fill, self.codec)
             sums[index] = int.from_bytes(checksum, "little")
             key = self.key(position)
             if self.place.local is None:
@@ -90,14 +90,14 @@ class Target:
 
 
 def write_chunk(folder: Path, key: str, parts: Sequence[bytes]) -> None:
-    # not parents=True: a task that outlives its run must not create the array's folder again
+    # without parents=True, so that a task that runs after its run cannot create the array's folder again
     for parent in reversed((folder / key).relative_to(folder).parents[:-1]):
         (folder / parent).mkdir(exist_ok=True)
     replace_file(folder / key, parts, durable=False)
 
 
 def is_streamed(variable: xr.Variable) -> bool:
-    """Return whether a variable is written block by block; xarray writes the small ones."""
+    """Return whether a variable is written block by block; xarray writes small variables."""
     import dask
 
     if variable.dtype.kind not in "biufcmM" or not variable.ndim or not variable.size:
@@ -106,7 +106,7 @@ def is_streamed(variable: xr.Variable) -> bool:
 
 
 def placeholder(variable: xr.Variable) -> xr.Variable:
-    """Return a variable of the same shape and dtype from which xarray makes the metadata; never computed."""
+    """Return a variable of the same shape and dtype, for xarray to write metadata; it is never computed."""
     import dask.array as da
 
     chunks = tuple((size,) for size in variable.shape)
@@ -118,7 +118,8 @@ def lazy_checksums(
 ) -> da.Array:
     """Return the lazy checksums of a variable's chunks; computing them stores the variable in ``target``.
 
-    A block whose chunks are all ``finished`` (position in the grid to checksum) is not computed.
+    ``finished``: checksums of chunks in the store, by position in the grid; blocks of such chunks are not
+    computed.
     """
     import dask
     import dask.array as da
@@ -143,7 +144,7 @@ def lazy_checksums(
     )
     if not finished:
         return sums
-    # blocks with finished chunks become values; dask drops their tasks
+    # checksums of finished blocks replace their tasks, which dask drops
     name = f"resumed-{uuid.uuid4().hex}"
     layer: dict[tuple[Any, ...], Any] = {}
     for index in np.ndindex(sums.numblocks):
@@ -165,14 +166,15 @@ def _write_block(
     block: np.ndarray[Any, Any],
     block_id: tuple[int, ...] = (),
 ) -> np.ndarray[Any, Any]:
-    # Write a block of dask; ``offsets`` are the first chunks of all blocks along each dim.
+    # Write a dask block; ``offsets``: positions of the first chunks of all blocks, for every dim
     return target.write(block, tuple(starts[i] for starts, i in zip(offsets, block_id, strict=True)))
 
 
 def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) -> None:
-    """Move finished chunks of an earlier run's array into the array's folder; add them to ``finished``.
+    """Move the chunks of an earlier run with a valid checksum into the array's folder.
 
-    ``leftover`` need not exist. A chunk is added, by its position in the grid, if its checksum is right.
+    ``leftover``: folder of the array in the earlier run, which may be missing; ``finished``: gets the
+    checksums of moved chunks, by position in the grid.
     """
     if target.place.local is None or leftover.is_symlink() or not leftover.is_dir():
         return
@@ -200,9 +202,9 @@ def adopt(leftover: Path, target: Target, finished: dict[tuple[int, ...], int]) 
 
 
 def whole_chunk(encoded: bytes, decoded_bytes: int | None = None) -> int | None:
-    """Return the crc32c at the end of a chunk; None where it does not match the rest.
+    """Return the crc32c at the end of a chunk, None if it differs from that of the bytes before it.
 
-    ``decoded_bytes``: size that its blosc frame must declare, where known.
+    ``decoded_bytes``: size that the blosc frame of the chunk must declare; None for any.
 
     Examples
     --------
@@ -222,10 +224,10 @@ def whole_chunk(encoded: bytes, decoded_bytes: int | None = None) -> int | None:
 def is_mendable(error: BaseException) -> bool:
     """Return whether the same run may succeed later, so that its finished chunks are kept.
 
-    It may after an interruption, a full disk or memory, or lost workers. An error in the data recurs, or
-    is mended by other data.
+    That is so after an interruption, a full disk or memory, or lost workers. An error in the data would
+    occur again.
     """
     if isinstance(error, PaintError):
         return error.__cause__ is not None and is_mendable(error.__cause__)
-    lost = type(error).__module__.partition(".")[0] == "distributed"
-    return lost or not isinstance(error, Exception) or isinstance(error, OSError | MemoryError)
+    is_of_cluster = type(error).__module__.partition(".")[0] == "distributed"
+    return is_of_cluster or not isinstance(error, Exception) or isinstance(error, OSError | MemoryError)

@@ -1,8 +1,8 @@
 """Compute blocks on threads or a cluster; errors name the block, a bar shows the progress.
 
-A cluster repeats a task whose worker died, and `RETRIES` times one that raised: a file system shared by many
-nodes may fail for a moment. The result of a block is fetched as soon as it is computed, so that a dying
-worker loses only its current blocks.
+A cluster repeats a task whose worker died, and up to `RETRIES` times a task that raised an error, since a
+file system shared by many nodes may fail for a moment. The result of a block is fetched as soon as it is
+computed, so that a worker that dies loses only its current blocks.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ _SAME_FILES = "; every worker must see the same files, under the same paths"
 _CANCELLED = (asyncio.CancelledError, concurrent.futures.CancelledError)
 
 Key = tuple[Any, ...]
-Found = Generator[tuple[Key, Any], None, None]
+Results = Generator[tuple[Key, Any], None, None]
 
 
 @dataclass(frozen=True)
 class _Block:
     array: str
-    sums: tuple[slice, ...]  # Its place among the checksums of the array
-    words: str  # Its lines, for messages
+    sums: tuple[slice, ...]  # Its region in the checksums of the array
+    words: str  # Description of its lines, for messages
     stage: int  # Stages are computed one after the other
 
 
 def compute(
     lazy: Mapping[str, da.Array], targets: Mapping[str, Target], *, group: str, progress: bool
 ) -> dict[str, np.ndarray[Any, Any]]:
-    """Compute lazy checksums (`chunks.lazy_checksums`) together: tasks shared by two arrays run once.
+    """Compute lazy checksums (`chunks.lazy_checksums`) together, so that tasks of two arrays run once.
 
     Raises
     ------
@@ -65,23 +65,23 @@ def compute(
 
     if not lazy:
         return {}
-    # the blocks of a map are computed by rows of tiles, or by columns if it is wider than high
+    # stages of a map are rows of tiles, or columns if it is wider than high
     maps = [name for name in lazy if targets[name].dims[:2] == ("y", "x")]
     axis = int(bool(maps) and targets[maps[0]].shape[1] > targets[maps[0]].shape[0])
     size = max((max(lazy[name].chunks[axis]) * targets[name].chunk[axis] for name in maps), default=1)
     blocks: dict[Key, _Block] = {}
     for name, array in lazy.items():
         target = targets[name]
-        called = "lines" if target.dims[0] == ALONG_TRACK else target.dims[0]
+        plural = "lines" if target.dims[0] == ALONG_TRACK else target.dims[0]
         for index, region in zip(np.ndindex(array.numblocks), slices_from_chunks(array.chunks), strict=True):
-            first = region[0].start * target.chunk[0]
-            last = min(region[0].stop * target.chunk[0], target.shape[0]) - 1
+            start = region[0].start * target.chunk[0]
+            end = min(region[0].stop * target.chunk[0], target.shape[0]) - 1
             stage = region[axis].start * target.chunk[axis] // size if name in maps else 0
-            words = f"{called} {first} to {last} of {name}"
+            words = f"{plural} {start} to {end} of {name}"
             blocks[(array.name, *index)] = _Block(name, region, words, stage)
     arrays = list(lazy.values())
     merged = HighLevelGraph.merge(*(array.__dask_graph__() for array in arrays))
-    # optimised together: else shared tasks would be fused into both arrays
+    # the arrays are optimised together, so that dask does not fuse a shared task into both
     graph = dict(arrays[0].__dask_optimize__(merged, list(blocks)))
     sums = {name: np.empty(array.shape, array.dtype) for name, array in lazy.items()}
     client = client_in_force()
@@ -98,7 +98,7 @@ def compute(
 
 
 def client_in_force() -> Client | None:
-    """Return the current client of dask.distributed; None without a cluster."""
+    """Return the current client of dask.distributed, None without a cluster."""
     client = getattr(scheduler_in_force(), "__self__", None)
     return client if hasattr(client, "scheduler_info") else None
 
@@ -106,8 +106,8 @@ def client_in_force() -> Client | None:
 def scheduler_in_force() -> Any:
     """Return the scheduler with which dask computes arrays.
 
-    dask itself imports distributed to ask for a client, which takes a quarter of a second. Without that
-    import there is no client.
+    Without an import of distributed there is no client. dask would import it to look for one, which takes a
+    quarter of a second.
     """
     import dask
     import dask.threaded
@@ -120,7 +120,7 @@ def scheduler_in_force() -> Any:
 
 @contextlib.contextmanager
 def errors_of_the_cluster(subject: str) -> Iterator[None]:
-    """Turn lost workers, and a lost scheduler, into a StoreError; ``subject`` opens the message."""
+    """Raise a StoreError for lost workers or a lost scheduler; ``subject`` begins the message."""
     try:
         yield
     except (Exception, *_CANCELLED) as error:
@@ -132,8 +132,8 @@ def errors_of_the_cluster(subject: str) -> Iterator[None]:
 
 def _on_threads(
     get: Any, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
-) -> Found:
-    # Keys and checksums, a stage at a time; ``get`` is any scheduler of dask in this process.
+) -> Results:
+    # Keys and checksums, stage by stage; ``get``: scheduler of dask in this process
     from dask.callbacks import Callback
     from dask.core import get_deps
     from dask.local import execute_task
@@ -146,55 +146,55 @@ def _on_threads(
         with Callback(posttask=count):
             yield from in_stages(get, graph, {key: block.stage for key, block in blocks.items()})
     except Exception as error:
-        # the task that failed, and all blocks that need it
+        # find the blocks that depend on the failed task
         frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
         pending = [frame.f_locals.get("key") for frame in frames if frame.f_code is execute_task.__code__]
         _, dependents = get_deps(graph)
-        needing: set[Any] = set()
+        affected: set[Any] = set()
         while pending:
             key = pending.pop()
-            if key not in needing:
-                needing.add(key)
+            if key not in affected:
+                affected.add(key)
                 pending.extend(dependents.get(key, ()))
-        _raise_named(error, group, [block for key, block in blocks.items() if key in needing])
+        _raise_named(error, group, [block for key, block in blocks.items() if key in affected])
 
 
 def _on_cluster(
     client: Client, graph: dict[Key, Any], blocks: Mapping[Key, _Block], group: str, bar: BlockBar | None
-) -> Found:
+) -> Results:
     from distributed import as_completed
 
     with errors_of_the_cluster(f"cannot store /{group}"):
         futures = client.get(graph, list(blocks), sync=False, retries=RETRIES)
-    wanted = {future.key: future for future in futures}
+    futures_by_key = {future.key: future for future in futures}
     del futures
     try:
-        for future, result in as_completed(wanted.values(), with_results=True, raise_errors=False):
+        for future, result in as_completed(futures_by_key.values(), with_results=True, raise_errors=False):
             # the future's status may have changed since the result was fetched, if its worker died
             if isinstance(result, tuple | BaseException):
-                # a task's error comes as a tuple with type and traceback, a cancellation as an exception
+                # the error of a task is a tuple with type and traceback, a cancellation is an exception
                 error = result[1] if isinstance(result, tuple) else result
                 hint = _SAME_FILES if isinstance(error, FileNotFoundError | PermissionError) else ""
                 _raise_named(error, group, [blocks[future.key]], hint)
-            # fetched results are released: a dying worker loses no finished block
-            del wanted[future.key]
+            # released, so that a worker that dies loses no finished block
+            del futures_by_key[future.key]
             if bar is not None:
                 bar.advance()
             yield future.key, result
     finally:
-        # a traceback holds the futures of failed tasks, and another run would fail with them
-        if wanted:
-            with contextlib.suppress(Exception):  # of a scheduler that is lost
-                client.cancel(list(wanted.values()), force=True)
+        # cancelled, since a traceback keeps the futures of failed tasks, and the next run would get them
+        if futures_by_key:
+            with contextlib.suppress(Exception):  # the scheduler may be lost
+                client.cancel(list(futures_by_key.values()), force=True)
 
 
 def _cluster_failure(error: BaseException) -> str | None:
-    # A description of a failure of the cluster; None for any other error.
+    # Description of a failure of the cluster, None for other errors
     if type(error).__name__ == "KilledWorker":
         times = getattr(error, "allowed_failures", 0) + 1
-        last = getattr(getattr(error, "last_worker", None), "address", "unknown")
+        worker = getattr(getattr(error, "last_worker", None), "address", "unknown")
         workers = "a worker" if times == 1 else f"{times} workers"
-        return f"{workers} died over it, last {last}, whose log may say why; mostly it is too little memory"
+        return f"{workers} died during it, last {worker}; see its log; most often memory is too small"
     if isinstance(error, _CANCELLED):
         reason = getattr(error, "reason", error)
         return "the scheduler was lost" if "connection" in str(reason) else f"it was cancelled ({reason})"
@@ -204,18 +204,18 @@ def _cluster_failure(error: BaseException) -> str | None:
 
 
 def _raise_named(error: BaseException, group: str, blocks: Sequence[_Block], hint: str = "") -> NoReturn:
-    # Raise a task's error with the names of its blocks; of system, memory or cluster as StoreError.
-    # one block an array; the group alone where many blocks need the task
+    # Raise a task's error with the names of its blocks; an error of system, memory or cluster as StoreError.
+    # A task that several blocks of an array need is named by its group only.
     words = dict.fromkeys(block.words for block in blocks)
-    few = 0 < len(words) == len({block.array for block in blocks})
-    place = f"/{group}, {' and '.join(words)}" if few else f"/{group}"
+    is_one_each = 0 < len(words) == len({block.array for block in blocks})
+    subject = f"/{group}, {' and '.join(words)}" if is_one_each else f"/{group}"
     reason = _cluster_failure(error)
     if reason is None and not isinstance(error, PaintError) and isinstance(error, OSError | MemoryError):
         reason = f"{type(error).__name__}: {error}{hint}"
     if reason is None:
-        error.add_note(f"while storing {place}")
+        error.add_note(f"while storing {subject}")
         raise error
-    raise StoreError(f"cannot store {place}: {reason}", mend=RUN_AGAIN, code="block-failed") from error
+    raise StoreError(f"cannot store {subject}: {reason}", mend=RUN_AGAIN, code="block-failed") from error
 
 
 _WIDTH = 40
@@ -223,7 +223,7 @@ _MIN_SHARE = 0.02  # share finished before the remaining time is estimated
 
 
 class BlockBar:
-    """A progress bar on stdout over ``total`` blocks, in dask's style, with the remaining time."""
+    """A progress bar on stdout for ``total`` blocks, in dask's style, with the remaining time."""
 
     def __init__(self, total: int) -> None:
         self._total, self._done, self._shown = total, 0, 0

@@ -17,7 +17,7 @@ from .location import MANIFEST_NODE, METADATA, Location, joined
 from .manifest import OWN_ATTRS, Manifest, content_of, entry_of
 from .reader import check_entry
 
-# Attributes of the time of writing, which do not change the content.
+# Attributes that depend on the time of writing, and are not part of the content.
 VOLATILE_ATTRS = ("created", "history", "hyperpaint_version", *OWN_ATTRS)
 
 LISTED = {"kind": "inline", "must_understand": False}
@@ -25,22 +25,22 @@ LISTED = {"kind": "inline", "must_understand": False}
 
 def groups_above(group: str) -> list[str]:
     """Return the ancestors of a group, the root first."""
-    parts = group.split("/") if group else []
-    return ["/".join(parts[:depth]) for depth in range(len(parts))]
+    names = group.split("/") if group else []
+    return ["/".join(names[:depth]) for depth in range(len(names))]
 
 
 def stamped(attrs: Mapping[Any, Any], action: str) -> dict[str, Any]:
-    """Return attributes with format, version, time and one more line of history."""
+    """Return attributes with format, version, time and a new line of history."""
     import datetime
 
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    line = f"{now} hyperpaint {version_of_program()}: {action}"
+    time = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    line = f"{time} hyperpaint {version_of_program()}: {action}"
     return {
         **{key: value for key, value in attrs.items() if key not in OWN_ATTRS},
         "Conventions": "CF-1.11",
         "hyperpaint_format": FORMAT_VERSION,
         "hyperpaint_version": version_of_program(),
-        "created": now,
+        "created": time,
         "history": "\n".join(text for text in (str(attrs.get("history", "")), line) if text),
     }
 
@@ -61,7 +61,7 @@ def group_document(attributes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def ensure_groups(groups: Iterable[str], location: Location) -> None:
-    """Write the metadata of groups where they are missing or damaged; contents stay."""
+    """Write the missing or damaged metadata of groups; their contents stay."""
     for group in groups:
         try:
             if location.metadata(group) is not None:
@@ -71,24 +71,24 @@ def ensure_groups(groups: Iterable[str], location: Location) -> None:
         location.write_json(group_document(stamped({}, "created")), group, METADATA)
 
 
-def set_attributes(group: str, wanted: Mapping[str, Any], location: Location) -> None:
+def set_attributes(group: str, attributes_to_set: Mapping[str, Any], location: Location) -> None:
     stored = location.attributes(group)
-    if not has_attributes(group, wanted, location):
-        attributes = {**stored, **stamped({**stored, **wanted}, "to_store")}
+    if not has_attributes(group, attributes_to_set, location):
+        attributes = {**stored, **stamped({**stored, **attributes_to_set}, "to_store")}
         location.write_json(group_document(attributes), group, METADATA)
 
 
-def has_attributes(group: str, wanted: Mapping[str, Any], location: Location) -> bool:
-    """Return whether a group exists with these attributes, apart from `VOLATILE_ATTRS`."""
+def has_attributes(group: str, expected: Mapping[str, Any], location: Location) -> bool:
+    """Return whether a group exists with the expected attributes, except `VOLATILE_ATTRS`."""
     if not location.has(group, METADATA):
         return False
-    stored, plain = location.attributes(group), group_document(wanted)["attributes"]
-    others = {key: value for key, value in plain.items() if key not in VOLATILE_ATTRS}
-    return all(key in stored and stored[key] == value for key, value in others.items())
+    stored, plain = location.attributes(group), group_document(expected)["attributes"]
+    lasting = {key: value for key, value in plain.items() if key not in VOLATILE_ATTRS}
+    return all(key in stored and stored[key] == value for key, value in lasting.items())
 
 
 def listed_documents(location: Location) -> dict[str, Any]:
-    """Return the metadata of nodes by path that the root lists; empty without a list."""
+    """Return the consolidated metadata of the root by path, empty if it has none."""
     try:
         root = location.read_json("", METADATA) or {}
     except IncompleteStoreError:
@@ -99,7 +99,7 @@ def listed_documents(location: Location) -> dict[str, Any]:
 
 
 def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the root's metadata with those of all nodes in it, as zarr consolidates them."""
+    """Return the root's metadata with those of all nodes, as consolidated by zarr."""
     listed = {}
     for path in sorted(documents, key=lambda path: (path.count("/"), path)):
         document = {key: value for key, value in documents[path].items() if key != "consolidated_metadata"}
@@ -113,51 +113,51 @@ def with_listed(root: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[s
 
 
 def check_above(groups: Iterable[str], location: Location, problems: Problems, *, overwrite: bool) -> None:
-    """Add the reasons why nothing can be written below ``groups`` to the problems.
+    """Add the reasons why no group can be written below ``groups`` to the problems.
 
-    With ``overwrite``, damaged metadata may be written anew.
+    ``overwrite``: whether damaged metadata may be replaced.
     """
     entries = location.entries("")
     file = location.local is not None and location.local.is_file()
-    # a store may lack the root's metadata but has a manifest
+    # a store without the root's metadata has a manifest
     if file or (entries and METADATA not in entries and MANIFEST_NODE not in entries):
         mend = "choose another path"
         problems.add("it exists and is not a Zarr v3 store", mend=mend, code="store-foreign")
         return
     parents = [] if location.local is None else location.local.absolute().parents
     if outer := [str(parent) for parent in parents if (parent / METADATA).is_file()]:
-        mend = "write a group of that, or choose another path"
-        problems.add(f"it lies in the store {outer[0]}", mend=mend, code="path-inside-store")
+        mend = "write a group of that store, or choose another path"
+        problems.add(f"it is inside the store {outer[0]}", mend=mend, code="path-inside-store")
         return
     for group in groups:
         try:
-            # a writer killed at its start leaves only its manifest
+            # a store with only a manifest was left by a writer that was killed at its start
             damaged = location.metadata(group) is None and not group and bool({*entries} - {MANIFEST_NODE})
         except IncompleteStoreError:
             damaged = True
         if damaged and not overwrite:
             problems.add(
                 f"the metadata of group {'/' + group!r} are missing or damaged",
-                mend="pass overwrite=True to write them anew; the groups in it stay",
-                option="pass --overwrite to write them anew; the groups in it stay",
+                mend="pass overwrite=True to replace them; the groups in it stay",
+                option="pass --overwrite to replace them; the groups in it stay",
                 code="metadata-damaged",
             )
 
 
 def occupant(group: str, content: str, location: Location, manifest: Manifest | None) -> str:
-    """Return the state of the place of a group; ``content``: of the group to be written there.
+    """Return what is stored at the path of a group; ``content``: content of the group to be written there.
 
-    ``""``: empty. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
-    ``"parent"``: holds other groups or foreign files. ``"array"``: it, or a group above, is an array. Any
+    ``""``: nothing. ``"same"``: this content, complete. ``"lacks chunks"``: this content, chunks missing.
+    ``"parent"``: other groups or files of other programs. ``"array"``: an array, there or at a parent. Any
     other text describes a group that only ``overwrite`` replaces.
     """
-    kinds = [location.kind(each) for each in (*groups_above(group)[1:], group)]
+    kinds = [location.kind(node) for node in (*groups_above(group)[1:], group)]
     if "array" in kinds:
         return "array"
     entries = [name for name in location.entries(group) if name != MANIFEST_NODE or group]
     if not kinds[-1] and not entries:
         return ""
-    stored, lacks = content_of(location, group, manifest), False
+    stored, lacks_chunks = content_of(location, group, manifest), False
     if stored == content:
         try:
             if manifest is None:
@@ -166,32 +166,32 @@ def occupant(group: str, content: str, location: Location, manifest: Manifest | 
                 check_entry(location, group, manifest)
             return "same"
         except StoreError:
-            lacks = True
-    # overwriting would lose everything but the group's arrays, damaged ones included
+            lacks_chunks = True
+    # only arrays of the group, also damaged ones, may be overwritten
     children = {name: location.kind(joined(group, name)) for name in location.folders(group)}
     children.pop("" if group else MANIFEST_NODE, None)
     arrays = {
         name
-        for name, kind in children.items()
-        if kind == "array" or (kind == "unreadable" and location.has(group, name, "c"))
+        for name, node_type in children.items()
+        if node_type == "array" or (node_type == "unreadable" and location.has(group, name, "c"))
     }
     if len(arrays) < len(children) or (group and location.strays(group)):
         return "parent"
     entry = manifest.groups.get(group) if manifest is not None else None
     added = sorted(arrays - set(entry.arrays)) if entry is not None else []
-    if lacks and added:
-        return f"lacks chunks, and holds {', '.join(added)}, which others added"
-    if lacks:
+    if lacks_chunks and added:
+        return f"lacks chunks, and contains {', '.join(added)} of other programs"
+    if lacks_chunks:
         return "lacks chunks"
     return "with other content" if stored else "was not written by this version of hyperpaint"
 
 
-#: Attributes in which xarray's adapters, its zarr wrapper and ours hold the wrapped array.
+#: Attributes of array wrappers of xarray and hyperpaint that refer to the wrapped array.
 _INNER = ("array", "_array", "variable", "_data")
 
 
 def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
-    """Return the variables that are read lazily from a group of a store or store object of zarr."""
+    """Return the names of variables that read lazily from a group of a store or store object of zarr."""
     return [
         str(name)
         for name, variable in dataset.variables.items()
@@ -202,7 +202,7 @@ def reads_from(dataset: xr.Dataset, location: Any, group: str) -> list[str]:
 def is_named_by_content(variable: xr.Variable) -> bool:
     """Return whether dask's name for a variable changes with the content of the Zarr arrays it reads.
 
-    Usual names follow the URL and the time of the root folder; those of `named_stores` follow the content.
+    Usual names depend on the URL and the time of the root folder, names of `named_stores` on the content.
     """
     return all(getattr(array.store_path.store, "content", "") for array in _zarr_arrays(variable))
 
@@ -213,7 +213,7 @@ def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:
     from dask.blockwise import Blockwise
 
     pending: list[Any] = [] if variable._in_memory else [variable]
-    # a graph: the values in its layers, without creating their tasks
+    # values in the layers of a graph, without creating their tasks
     if pending and dask.is_dask_collection(variable):
         pending = []
         for layer in variable.__dask_graph__().layers.values():  # type: ignore[union-attr]
@@ -221,7 +221,7 @@ def _zarr_arrays(variable: xr.Variable) -> Iterator[Any]:
                 pending += [layer.task, *(value for value, index in layer.indices if index is None)]
             else:
                 pending += getattr(layer, "mapping", {}).values()
-    # descend into wrappers
+    # search the wrappers for zarr arrays
     visited: set[int] = set()
     while pending:
         value = pending.pop()

@@ -1,11 +1,11 @@
 """Layout on disk: chunks, codec, fill values and encodings of every variable.
 
-One rule for every group, so that a chunk of `xarray.open_zarr` is the chunk of one task:
+All groups have the same rule, so that a chunk of `xarray.open_zarr` is the chunk of one task:
 
-* an array along the flight (`along_track` and at least one more dim) is cut every 32 whole lines; with
-  `"explore"`, a cube also into groups of bands; with `"web"`, into small tiles;
-* a map (`y`, `x`, ...) is cut in tiles of 128 x 128 cells, all bands;
-* means of blocks of a line (`coarse_y`, ...), for display, are cut every 128 rows and in groups of bands;
+* an array along the flight (`along_track` and one or more further dims) has chunks of 32 lines; with
+  `"explore"`, of 32 lines and a group of bands; with `"web"`, of small tiles;
+* a map (`y`, `x`, ...) has tiles of 128 x 128 cells with all bands;
+* means of blocks of a line (`coarse_y`, ...), for display, have chunks of 128 rows and a group of bands;
 * any other array is one chunk, unless it is larger than 64 MiB.
 """
 
@@ -21,20 +21,20 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import DEFAULT_CODEC
-from hyperpaint.base.errors import Problems, SchemaError, StoreError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.errors import Problems, StoreError
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK, TIME_UNITS
 
 # Cells along each side of a map tile: 18 MB of float32 at 272 bands.
 TILE = 128
 
-# Largest array without lines that is stored in one chunk [byte].
+# Maximum size of an array without lines that is stored as one chunk [byte].
 LARGEST_SINGLE_CHUNK = 64 * 2**20
 
-# Size of the chunks of a larger one [byte].
+# Size of the chunks of a larger array [byte].
 SPLIT_CHUNK = 16 * 2**20
 
-#: Fill value of small integers: above all 12- and 14-bit counts; as quality it sets every flag.
+#: Fill value of integers: larger than all 12- and 14-bit counts; as quality it sets every flag.
 _INTEGER_FILL = 65535
 
 # A chunk of a cube holds all bands ("cube"), so that one task computes on one chunk; an eighth of them
@@ -71,25 +71,27 @@ def storage_chunks(
     (272, 640)
     """
     sizes = dict(zip(dims, shape, strict=True))
-    # largest size along some dims; other dims are not cut
-    most: dict[Hashable, int] = {}
+    # maximum size of a chunk along some dims; along others it has the size of the array
+    max_sizes: dict[Hashable, int] = {}
     if layout == "web" and ({ALONG_TRACK, CROSS_TRACK} <= sizes.keys() or {"y", "x"} <= sizes.keys()):
-        most = dict.fromkeys((ALONG_TRACK, CROSS_TRACK, "y", "x"), WEB_CUBE if BAND in sizes else WEB_PLANE)
+        max_sizes = dict.fromkeys(
+            (ALONG_TRACK, CROSS_TRACK, "y", "x"), WEB_CUBE if BAND in sizes else WEB_PLANE
+        )
     elif ALONG_TRACK in sizes and len(dims) > 1:
-        most = {ALONG_TRACK: CHUNK_LINES}
+        max_sizes = {ALONG_TRACK: CHUNK_LINES}
         if layout == "explore" and {BAND, CROSS_TRACK} <= sizes.keys():
-            most[BAND] = -(-sizes[BAND] // BAND_GROUPS)
+            max_sizes[BAND] = -(-sizes[BAND] // BAND_GROUPS)
     elif "coarse_y" in sizes and BAND in sizes:
-        most = {"coarse_y": TILE, BAND: -(-sizes[BAND] // BAND_GROUPS)}
+        max_sizes = {"coarse_y": TILE, BAND: -(-sizes[BAND] // BAND_GROUPS)}
     elif "y" in sizes and "x" in sizes:
-        most = {"y": TILE, "x": TILE}
+        max_sizes = {"y": TILE, "x": TILE}
     elif len(dims) > 1 and math.prod(shape) * itemsize > LARGEST_SINGLE_CHUNK:
-        most = {dims[0]: SPLIT_CHUNK // (math.prod(shape[1:]) * itemsize)}
-    return tuple(max(1, min(size, most.get(dim, size))) for dim, size in zip(dims, shape, strict=True))
+        max_sizes = {dims[0]: SPLIT_CHUNK // (math.prod(shape[1:]) * itemsize)}
+    return tuple(max(1, min(size, max_sizes.get(dim, size))) for dim, size in zip(dims, shape, strict=True))
 
 
 def chunks_of(variable: xr.Variable) -> tuple[int, ...]:
-    """Return the storage chunk of a variable, in its layout (`with_layout`)."""
+    """Return the storage chunk of a variable in its layout (see `with_layout`)."""
     itemsize = variable.dtype.itemsize if variable.dtype.kind in "biufcmM" else 1
     return storage_chunks(variable.dims, variable.shape, itemsize, variable.encoding.get(_LAYOUT, "cube"))
 
@@ -98,16 +100,13 @@ _LAYOUT = "hyperpaint_layout"
 
 
 def layouts_of(dataset: xr.Dataset) -> dict[Hashable, Layout]:
-    """Return the layouts of the variables that have one (`with_layout`)."""
+    """Return the layouts of variables that are marked with one (see `with_layout`)."""
     return {name: v.encoding[_LAYOUT] for name, v in dataset.variables.items() if _LAYOUT in v.encoding}
 
 
 def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
-    """Return a dataset whose variables are marked for a layout; `SchemaError` for an unknown layout."""
-    if layout not in get_args(Layout):
-        raise SchemaError(
-            f"layout={layout!r}", expected=" or ".join(map(repr, get_args(Layout))), code="choice-unknown"
-        )
+    """Return a dataset whose variables are marked with a layout; `SchemaError` for an unknown layout."""
+    one_of(layout, get_args(Layout), "layout")
     marked = dataset.copy(deep=False)
     for variable in marked.variables.values():
         if layout != "cube" or _LAYOUT in variable.encoding:
@@ -118,9 +117,8 @@ def with_layout(dataset: xr.Dataset, layout: Layout) -> xr.Dataset:
 def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
     """Return dask chunks along one dim that start at multiples of the storage chunk.
 
-    Borders move down to the next multiple of ``step``; equal borders merge. Aligned chunks are returned
-    unchanged, so that nothing is recomputed or moved without need. ``pieces``: dask chunks along the
-    dim; ``step``: storage chunk along it.
+    Borders move down to the next multiple of ``step``, and equal borders merge; aligned chunks are returned
+    unchanged. ``pieces``: dask chunks along the dim; ``step``: storage chunk along it.
 
     Examples
     --------
@@ -133,14 +131,14 @@ def regroup(pieces: Sequence[int], step: int) -> tuple[int, ...]:
     if size == 0:
         return tuple(pieces)
     borders = {0, size, *(border // step * step for border in itertools.accumulate(pieces))}
-    return tuple(after - before for before, after in itertools.pairwise(sorted(borders)))
+    return tuple(end - start for start, end in itertools.pairwise(sorted(borders)))
 
 
 def fill_value(dtype: np.dtype[Any]) -> Any:
-    """Return the value of samples in a missing chunk: where possible one that is not valid data.
+    """Return the value that readers get for samples of a missing chunk; if possible, no valid data has it.
 
-    NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers; booleans
-    and strings have no such value, and only `hyperpaint.verify` detects their loss.
+    NaN for floats, NaT for times, 65535 (or the largest number of a smaller type) for integers. Booleans and
+    strings have no such value: only `hyperpaint.verify` detects their loss.
     """
     if dtype.kind in "fc":
         return dtype.type(np.nan)
@@ -155,9 +153,9 @@ def fill_value(dtype: np.dtype[Any]) -> Any:
 def encoding(dataset: xr.Dataset, codec: Codec = DEFAULT_CODEC) -> dict[Hashable, dict[str, Any]]:
     """Return the xarray encoding that `to_store` uses, for writers other than hyperpaint.
 
-    With it, `Dataset.to_zarr` into any Zarr v3 store (such as an icechunk session) uses chunks of 32 whole
-    lines, fill values that are not valid data, and the crc32c by which every later reader notices a
-    damaged chunk; Zarr's default has none.
+    With it, `Dataset.to_zarr` writes any Zarr v3 store (such as an icechunk session) with chunks of 32 lines,
+    fill values that are not valid data, and the crc32c by which readers detect a damaged chunk; the default
+    of Zarr has no checksum.
 
     Parameters
     ----------
@@ -197,7 +195,7 @@ def encoding_of(variable: xr.Variable, codec: Codec = DEFAULT_CODEC) -> dict[str
     if fill is not None:
         encoding["fill_value"] = fill
     if dtype.kind in "fc":
-        # NaN needs no `_FillValue`, which would cost each reader one more pass
+        # NaN needs no `_FillValue`, for which readers would search all values
         encoding["_FillValue"] = None
     elif dtype.kind == "M":
         encoding |= {"units": TIME_UNITS, "dtype": "int64"}
@@ -207,9 +205,9 @@ def encoding_of(variable: xr.Variable, codec: Codec = DEFAULT_CODEC) -> dict[str
 
 
 def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
-    """Return a dataset ready for storage: without old encodings, strings as objects, dask chunks aligned.
+    """Return a dataset without old encodings, with strings as objects and aligned dask chunks.
 
-    StoreError where names, dtypes or attributes cannot be stored; all are listed.
+    StoreError if names, dtypes or attributes cannot be stored; all are listed.
     """
     import dask.array as da
 
@@ -238,11 +236,12 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
                 code="type-wrong",
             )
         elif variable.dtype.kind == "O" and variable._in_memory:
-            wrong = {type(each).__name__ for each in np.ravel(variable.values) if not isinstance(each, str)}
-            if wrong:
-                kinds = ", ".join(sorted(wrong))
+            other_types = {
+                type(item).__name__ for item in np.ravel(variable.values) if not isinstance(item, str)
+            }
+            if other_types:
                 problems.add(
-                    f"{name!r} holds Python objects ({kinds})",
+                    f"{name!r} contains Python objects ({', '.join(sorted(other_types))})",
                     expected="text, or a numeric dtype",
                     code="type-wrong",
                 )
@@ -262,7 +261,7 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
             # the Zarr v3 specification has no fixed-length text
             replaced[name] = variable.astype(object)
         elif is_at_hand(variable) and isinstance(variable.data, da.Array) and variable.size:
-            # dask chunks that begin at storage chunks
+            # let dask chunks begin at storage chunks
             chunks = tuple(
                 regroup(pieces, step) if step < size else (size,)
                 for pieces, step, size in zip(
@@ -277,13 +276,13 @@ def prepare(dataset: xr.Dataset, group: str) -> xr.Dataset:
 def with_variables(
     dataset: xr.Dataset, variables: Mapping[Any, xr.Variable], coords: Collection[Hashable]
 ) -> xr.Dataset:
-    """Return a dataset with variables added or replaced; those named in ``coords`` become coordinates."""
+    """Return a dataset with variables added or replaced; names in ``coords`` become coordinates."""
     inner = {name: variable for name, variable in variables.items() if name not in coords}
     return dataset.assign_coords({n: v for n, v in variables.items() if n in coords}).assign(inner)
 
 
 def is_at_hand(variable: xr.Variable) -> bool:
-    """Return whether ``variable.data`` is free to access; a lazy file-backed array would be read."""
+    """Return whether access to ``variable.data`` reads no file."""
     import dask
 
     return dask.is_dask_collection(variable) or bool(variable._in_memory)
@@ -295,15 +294,15 @@ def _is_plain(value: Any, depth: int = 0) -> bool:
     if isinstance(value, Mapping):
         return depth <= 20 and all(isinstance(k, str) and _is_plain(v, depth + 1) for k, v in value.items())
     if isinstance(value, list | tuple):
-        return depth <= 20 and all(_is_plain(each, depth + 1) for each in value)
+        return depth <= 20 and all(_is_plain(item, depth + 1) for item in value)
     return value is None or isinstance(value, str | bool | int | float | np.bool | np.integer | np.floating)
 
 
 @functools.cache
 def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], bytes]:
-    # A function that makes a blosc frame of an array, by the package ``blosc`` or else numcodecs.
-    # Both make the same bytes; the first uses wider instructions of newer processors. Many tasks encode at
-    # once, one thread each.
+    # Function that encodes an array as a blosc frame, by the package ``blosc`` or else numcodecs.
+    # Both write the same bytes; ``blosc`` uses faster instructions of new processors. Tasks run in parallel,
+    # so that an encoder has one thread.
     import numcodecs.blosc
 
     try:
@@ -325,11 +324,11 @@ def _blosc(typesize: int, shuffle: int) -> Callable[[np.ndarray[Any, Any]], byte
 def encode_chunk(
     block: np.ndarray[Any, Any], chunk: tuple[int, ...], fill: Any, codec: Codec = DEFAULT_CODEC
 ) -> tuple[bytes, bytes]:
-    """Return a storage chunk as its bytes on disk: the blosc frame, and the crc32c that follows it.
+    """Return the bytes of a storage chunk on disk: the blosc frame, and the crc32c after it.
 
-    The bytes equal those of zarr-python with the codecs of `encoding_of`, without its copies and its single
-    event loop, which cost as much again as the compression. ``block`` is C-contiguous and little-endian; at
-    the far edge of an array, where it is smaller than ``chunk``, ``fill`` completes it.
+    The bytes equal those of zarr-python with the codecs of `encoding_of`, whose copies and event loop take as
+    much time as the compression. ``block`` is C-contiguous and little-endian; at the far edge of an array,
+    where it is smaller than ``chunk``, it is padded with ``fill``.
     """
     import google_crc32c
 

@@ -19,35 +19,35 @@ METADATA = "zarr.json"
 # Group of the root whose attributes are the manifest; see `manifest`.
 MANIFEST_NODE = "hyperpaint"
 
-# Largest metadata document [byte]: the root of a collect of 60 lines has 2 MB, one of 1000 lines 30.
+# Maximum size of a metadata document [byte]: the root of a collect of 60 lines has 2 MB, of 1000 lines 30 MB.
 MAX_METADATA_BYTES = 32 * 2**20
 
-# Most objects, lists and separators of a metadata document; each takes many times its size in memory.
+# Maximum number of brackets and commas in a metadata document; parsed values take many times their text.
 MAX_VALUES = 1_000_000
 
-# Deepest nesting of groups; `process` nests two.
+# Maximum nesting of groups; `process` nests two.
 MAX_DEPTH = 16
 
-# Largest number of groups and arrays of a store; a store of 1,600 flight lines has about as many.
+# Maximum number of groups and arrays of a store: about that of 1,600 flight lines.
 MAX_NODES = 50_000
 
 
 def clean_group(group: str | None) -> str:
-    """Return a group's path without outer slashes (the root is ``""``); StoreError for bad names."""
-    parts = [part for part in (group or "").split("/") if part]
-    wrong = any(part.startswith((".", "__")) or part == METADATA or "\\" in part for part in parts)
-    if wrong or parts[:1] == [MANIFEST_NODE]:
+    """Return a group's path without outer slashes (``""`` for the root); StoreError for invalid names."""
+    names = [name for name in (group or "").split("/") if name]
+    is_reserved = any(name.startswith((".", "__")) or name == METADATA or "\\" in name for name in names)
+    if is_reserved or names[:1] == [MANIFEST_NODE]:
         raise StoreError(
             f"group {group!r}",
-            expected="names between slashes, without a leading '.' or '__', the first of them not "
+            expected="names separated by slashes, without a leading '.' or '__', the first not "
             f"{MANIFEST_NODE!r}",
             code="group-name",
         )
-    return "/".join(parts)
+    return "/".join(names)
 
 
 def joined(*parts: str) -> str:
-    """Return a path of the parts that are not empty."""
+    """Return the parts that are not empty, separated by slashes."""
     return "/".join(part for part in parts if part)
 
 
@@ -58,14 +58,14 @@ class Location:
     url: str  # Argument for zarr and xarray
     root: str  # Path inside the file system ``fs``
     fs: Any
-    local: Path | None  # The folder, where the store is on a local disk
+    local: Path | None  # Folder of a store on a local disk; else None
 
     @classmethod
     def of(cls, path: str | os.PathLike[str]) -> Location:
         """Return the location for a path or a URL.
 
-        Raises `MissingExtraError`: The package for this kind of URL is not installed; its name is given.
-        Raises `StoreError`: The URL is of no known kind, or cannot be opened.
+        Raises `MissingExtraError`: The package for this kind of URL is not installed.
+        Raises `StoreError`: The kind of URL is unknown, or it cannot be opened.
         """
         from fsspec.core import url_to_fs  # type: ignore[import-untyped]
 
@@ -79,7 +79,7 @@ class Location:
                 code="type-wrong",
             ) from None
         if "::" in text or "\0" in text:
-            # dask:: would start a cluster, others copy or unpack files
+            # a chained URL can start a cluster (dask::), or copy or unpack files
             kind = "a chained URL" if "::" in text else "a name with a NUL character"
             raise StoreError(
                 f"{text!r:.200}: {kind}",
@@ -95,7 +95,7 @@ class Location:
                 mend="install that package with python -m pip install",
                 code="dependency-missing",
             ) from error
-        except Exception as error:  # each file system of fsspec has its own
+        except Exception as error:  # every file system of fsspec has its own classes
             raise StoreError(
                 f"{text:.200} cannot be opened: {error!s:.200}",
                 expected="a folder, or a URL that fsspec knows",
@@ -118,13 +118,13 @@ class Location:
         return bool(self.fs.exists(self.key(*parts)))
 
     def read(self, *parts: str, limit: int | None = MAX_METADATA_BYTES) -> bytes | None:
-        """Return a file's bytes; None where there is no file. `StoreError` above ``limit`` bytes."""
+        """Return a file's bytes, None if there is no file. `StoreError` above ``limit`` bytes."""
         key = self.key(*parts)
         try:
             if self.local is not None:
                 mode = os.stat(key).st_mode
-                if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # a pipe would wait for ever
-                    raise IncompleteStoreError(f"{key:.200} is no plain file", code="file-not-plain")
+                if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):  # reading a pipe would never end
+                    raise IncompleteStoreError(f"{key:.200} is not a regular file", code="file-not-plain")
             size = os.path.getsize(key) if self.local is not None else self.fs.size(key)
             if limit is not None and size > limit:
                 raise IncompleteStoreError(
@@ -141,7 +141,7 @@ class Location:
             ) from error
 
     def end_of(self, *parts: str) -> bytes:
-        """Return the last 4 bytes of a chunk, its crc32c; IncompleteStoreError without such a chunk."""
+        """Return the last 4 bytes of a chunk, its crc32c; IncompleteStoreError if the chunk is missing."""
         key = self.key(*parts)
         try:
             if self.local is None:
@@ -155,7 +155,7 @@ class Location:
             ) from error
 
     def read_json(self, *parts: str) -> dict[str, Any] | None:
-        """Return a JSON object; None without such a file, IncompleteStoreError where it is damaged."""
+        """Return a JSON object, None if there is no file; IncompleteStoreError for a damaged one."""
         raw = self.read(*parts)
         if raw is None:
             return None
@@ -176,19 +176,19 @@ class Location:
         return document
 
     def metadata(self, path: str) -> dict[str, Any] | None:
-        """Return the ``zarr.json`` of a node without consolidated metadata; None where there is no node."""
+        """Return the ``zarr.json`` of a node without consolidated metadata, None if there is no node."""
         document = self.read_json(path, METADATA)
         if document is not None:
             document.pop("consolidated_metadata", None)
             if not isinstance(document.get("attributes", {}), dict):
                 raise IncompleteStoreError(
-                    f"{self.key(path, METADATA)} is damaged: attributes are no object",
+                    f"{self.key(path, METADATA)} is damaged: attributes are not an object",
                     code="metadata-damaged",
                 )
         return document
 
     def kind(self, path: str) -> str:
-        """Return ``group``, ``array``, ``unreadable``, or nothing where there is no node."""
+        """Return ``group``, ``array``, ``unreadable``, or an empty text if there is no node."""
         try:
             document = self.metadata(path)
         except StoreError:
@@ -196,7 +196,7 @@ class Location:
         return "" if document is None else str(document.get("node_type"))
 
     def attributes(self, group: str) -> dict[str, Any]:
-        """Return the attributes of a group; empty where its metadata are missing or damaged."""
+        """Return the attributes of a group; empty if its metadata are missing or damaged."""
         try:
             return dict((self.metadata(group) or {}).get("attributes", {}))
         except StoreError:
@@ -212,13 +212,13 @@ class Location:
         for folder in path.parents[: len(path.relative_to(self.local).parts) - 1]:
             if folder.is_symlink():
                 raise StoreError(
-                    f"{folder} is a link; nothing is written through links inside a store",
+                    f"{folder} is a link; writers do not follow links inside a store",
                     code="link-refused",
                 )
-        fresh = not path.parent.exists()
+        is_new_folder = not path.parent.exists()
         path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(path, [content], durable=True)
-        if fresh:
+        if is_new_folder:
             sync(path.parent.parent)
 
     def write_files(self, files: Mapping[str, bytes]) -> None:
@@ -232,9 +232,9 @@ class Location:
             replace_file(self.local / path, [content], durable=False)
 
     def nodes(self) -> dict[str, str]:
-        """Return every node below the root: ``group``, ``array`` or ``unreadable``.
+        """Return ``group``, ``array`` or ``unreadable`` by the path of every node below the root.
 
-        `StoreError` where there are more than `MAX_NODES`, or groups more than `MAX_DEPTH` deep.
+        `StoreError` for more than `MAX_NODES`, or groups more than `MAX_DEPTH` deep.
         """
         kinds: dict[str, str] = {}
         pending = [""]
@@ -250,17 +250,17 @@ class Location:
                     raise StoreError(
                         f"{self.url}: more than {MAX_NODES} groups and arrays, or groups more than "
                         f"{MAX_DEPTH} deep ({path:.80})",
-                        mend="open a group by its own path",
+                        mend="open one group by its path",
                         code="nodes-too-many",
                     )
         return kinds
 
     def groups(self) -> list[str]:
-        """Return every group that holds arrays, sorted."""
+        """Return the groups with arrays, sorted."""
         return sorted({path.rpartition("/")[0] for path, kind in self.nodes().items() if kind == "array"})
 
     def entries(self, group: str) -> dict[str, bool]:
-        """Return the visible names in a group's folder, and whether each is a folder."""
+        """Return the visible names in a group's folder, and whether they are folders."""
         try:
             if self.local is not None:
                 with os.scandir(self.key(group)) as entries:
@@ -268,8 +268,7 @@ class Location:
             else:
                 details = self.fs.ls(self.key(group), detail=True)
                 listed = {
-                    each["name"].rstrip("/").rpartition("/")[2]: each["type"] == "directory"
-                    for each in details
+                    row["name"].rstrip("/").rpartition("/")[2]: row["type"] == "directory" for row in details
                 }
         except (FileNotFoundError, NotADirectoryError):
             return {}
@@ -277,7 +276,7 @@ class Location:
             raise StoreError(
                 f"{self.key(group):.200} cannot be listed: {error.strerror or error}", code="file-unreadable"
             ) from error
-        # without hidden and half-written files
+        # without hidden files and temporary files of writers
         return {
             name: folder
             for name, folder in listed.items()
@@ -304,12 +303,12 @@ class Location:
         return {joined(folder[len(top) + 1 :], name) for folder, _, names in os.walk(top) for name in names}
 
 
-#: Names of half-written files, ours and zarr's.
+#: Names of temporary files of hyperpaint and zarr.
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{1,32}|zarr\.[0-9a-f]{32}\.partial")
 
 
 def temporaries(folder: Path) -> Iterator[Path]:
-    """Yield the half-written files that a killed writer left in a group's folder."""
+    """Yield the temporary files that a killed writer left in a group's folder."""
     with os.scandir(folder) as entries:
         for entry in entries:
             if _TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
@@ -319,7 +318,7 @@ def temporaries(folder: Path) -> Iterator[Path]:
 def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
     """Write a file atomically; ``durable``: flush it, so that it survives a power failure.
 
-    Without ``durable`` the disk begins to write it at once, but is not waited for.
+    Without ``durable`` the disk begins to write at once, and the function does not wait for it.
     """
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}")
     try:
@@ -333,7 +332,7 @@ def replace_file(path: Path, parts: Sequence[bytes], *, durable: bool) -> None:
                 # Linux starts to write these pages; pages being written stay in memory
                 os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         os.replace(temporary, path)
-    except OSError:  # frees its space on a full disk
+    except OSError:  # free the space on a full disk
         temporary.unlink(missing_ok=True)
         raise
     if durable:

@@ -1,16 +1,14 @@
 """The manifest of a store: its groups, their contents, and checksums of their files.
 
-It is stored in the attributes of the group ``hyperpaint`` in the root, a plain Zarr group without arrays, and
-is written last. For every group it records
+It is stored in the attributes of the group ``hyperpaint`` in the root, a Zarr group without arrays, and is
+written last. For every group it records
 
 * ``content``: path, inputs and settings, equal to the group's attribute `CONTENT`;
-* ``metadata``: the crc32c of its ``zarr.json``, read as JSON, and those of its arrays;
-* for each array the number of its chunks, and a digest over their keys and the crc32c at the end
-  of each chunk.
+* ``metadata``: the crc32c of its ``zarr.json``, parsed as JSON, and those of its arrays;
+* for every array the number of its chunks, and a digest over their keys and their crc32c.
 
-A writer first records the groups it is about to publish (`Write`), so that a store whose writer
-was killed is known to be unfinished. All else can be derived from the files; only the
-order of events needs the manifest. Groups and arrays added by other programs are not in it.
+A writer first records the groups that it will publish (`Write`), so that a store whose writer was killed is
+recognised as unfinished. Groups and arrays of other programs are not in the manifest.
 """
 
 from __future__ import annotations
@@ -37,17 +35,17 @@ from .location import MANIFEST_NODE, METADATA, Location, clean_group, joined
 # Attribute of a group: its path, inputs and settings.
 CONTENT = "hyperpaint_content"
 
-# Attribute of a group: a digest over the entries of its arrays, valid before the manifest is written.
+# Attribute of a group: number of its arrays and digest over their entries, written before the manifest.
 SEAL = "hyperpaint_seal"
 
-# Attribute of groups of `process`: digest of inputs and parameters. Datasets derived by a user have other
-# inputs and are stored without it.
+# Attribute of groups of `process`: digest of inputs and parameters. Datasets that a user derives from them
+# are stored without it.
 INPUTS = "inputs_digest"
 
-# Attribute of a dataset that a run is about to store: the settings of the run.
+# Attribute of a dataset that a run will store: the settings of the run.
 SETTINGS = "hyperpaint_settings"
 
-# Attributes of a stored group that do not apply to datasets derived from it.
+# Attributes of a stored group that are not valid for datasets derived from it.
 OWN_ATTRS = (
     CONTENT,
     SEAL,
@@ -61,10 +59,10 @@ OWN_ATTRS = (
 # File of checksums in an array's folder in formats 1 and 2.
 OLD_RECORD = "hyperpaint-chunks.json"
 
-# Most unfinished writes, each of a killed writer.
+# Maximum number of unfinished writes, one per killed writer.
 MAX_WRITES = 100
 
-# Most chunks of an array: 32 million lines.
+# Maximum number of chunks of an array: 32 million lines.
 MAX_CHUNKS = 1_000_000
 
 MAX_MESSAGES = 20
@@ -81,23 +79,24 @@ class ArrayEntry(NamedTuple):
 
 
 class GroupEntry(NamedTuple):
-    """One group; a group around others has no content and no arrays."""
+    """Entry of one group; a parent of groups has an empty content and no arrays."""
 
     content: str
-    metadata: int
+    metadata: int  # crc32c of its ``zarr.json``
     arrays: Mapping[str, ArrayEntry]
-    attributes: Mapping[str, Any] = {}  # Of a group with arrays: xarray replaces them when it adds an array
+    # Of a group with arrays: recorded, since xarray replaces them when it adds an array
+    attributes: Mapping[str, Any] = {}
 
 
 class Write(NamedTuple):
-    """The groups that an unfinished writer is about to publish."""
+    """Groups that an unfinished writer will publish."""
 
     contents: Mapping[str, str]  # By group
-    command: str = ""  # On the command line, with ``{store}`` for the store's path
+    command: str = ""  # Command line of the run, with ``{store}`` for the store's path
 
     @property
     def source(self) -> list[str]:
-        """The first words of the command, which name the source of the store, without options."""
+        """First three words of the command: program, subcommand and input of the store."""
         try:
             return split(self.command)[:3]
         except ValueError:  # unbalanced quotes: not of hyperpaint
@@ -125,7 +124,7 @@ class Manifest:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], where: str) -> Manifest:
-        """Return the manifest of a ``zarr.json``; `IncompleteStoreError` where it is damaged or newer."""
+        """Return the manifest in a ``zarr.json``; `IncompleteStoreError` if it is damaged or newer."""
         try:
             attributes = document["attributes"]
             version, content = attributes["hyperpaint_format"], attributes["manifest"]
@@ -138,17 +137,17 @@ class Manifest:
                 for path, (text, crc, arrays, attrs) in content["groups"].items()
             }
             writes = tuple(
-                Write({name: str(each) for name, each in names.items()}, str(command))
+                Write({name: str(content_name) for name, content_name in names.items()}, str(command))
                 for names, command in content["writes"]
             )
-            # refuse names that lead out of the store
-            named = {*groups, *(name for write in writes for name in write.contents)}
+            # raise for names of paths outside the store
+            group_names = {*groups, *(name for write in writes for name in write.contents)}
             arrays = {name for entry in groups.values() for name in entry.arrays}
-            wrong = [name for name in named if clean_group(name) != name]
-            wrong += [name for name in arrays if "/" in name or clean_group(f"g/{name}") != f"g/{name}"]
-            wrong += [name for name in (*named, *arrays) if "\0" in name or len(name.encode()) > 1000]
-            if wrong:
-                raise ValueError(f"it names {wrong[0]!r:.40}, as no store does")
+            invalid = [name for name in group_names if clean_group(name) != name]
+            invalid += [name for name in arrays if "/" in name or clean_group(f"g/{name}") != f"g/{name}"]
+            invalid += [name for name in (*group_names, *arrays) if "\0" in name or len(name.encode()) > 1000]
+            if invalid:
+                raise ValueError(f"invalid name {invalid[0]!r:.40}")
             if len(writes) > MAX_WRITES:
                 raise ValueError(f"{len(writes)} writes have not ended")
             return cls(groups, writes, str(content["command"]))
@@ -162,7 +161,7 @@ class Manifest:
 
     @classmethod
     def read(cls, location: Location, *, ignore_damage: bool = False) -> Manifest | None:
-        """Return the manifest of a store; None without one, or with ``ignore_damage`` where it is damaged."""
+        """Return the manifest of a store, None if it has none, or a damaged one with ``ignore_damage``."""
         where = location.key(MANIFEST_NODE, METADATA)
         try:
             document = location.read_json(MANIFEST_NODE, METADATA)
@@ -176,25 +175,26 @@ class Manifest:
         location.write_json(self.document(), MANIFEST_NODE, METADATA)
 
     def allowed(self, group: str) -> set[str]:
-        """Return the valid contents of a group: the recorded one, and those of unfinished writes."""
+        """Return the valid contents of a group: that of its entry, and those of unfinished writes."""
         contents = {write.contents[group] for write in self.writes if group in write.contents}
         return (contents | ({self.groups[group].content} if group in self.groups else set())) - {""}
 
     def lacking(self, write: Write, contents: Callable[[str], str]) -> list[str]:
-        """Return the groups that an unfinished write has still to publish; ``contents`` of a group.
+        """Return the groups that an unfinished write has not published.
 
-        Empty where all are published, where all are unchanged, and for a write of one group.
+        ``contents``: function that returns the stored content of a group. Empty if all groups are published
+        or unchanged, and for a write of one group.
         """
         lacking = [name for name, content in write.contents.items() if contents(name) != content]
-        untouched = all(
+        is_unchanged = all(
             name in self.groups and contents(name) == self.groups[name].content for name in write.contents
         )
-        return [] if untouched or len(write.contents) == 1 else lacking
+        return [] if is_unchanged or len(write.contents) == 1 else lacking
 
     def settled(self, location: Location) -> Manifest:
         """Return the manifest without the writes that are finished or changed nothing.
 
-        Groups that such a write has published are recorded from the disk.
+        Entries of groups that such a write has published are computed from the files.
         """
         contents = functools.cache(lambda name: content_of(location, name, self))
         groups, writes = dict(self.groups), []
@@ -204,27 +204,27 @@ class Manifest:
                 continue
             for name, content in write.contents.items():
                 if contents(name) == content:
-                    with contextlib.suppress(IncompleteStoreError):  # it will be written again
+                    with contextlib.suppress(IncompleteStoreError):  # the group will be written again
                         groups[name] = entry_of(location, name)
         return replace(self, groups=groups, writes=tuple(writes))
 
 
 @dataclass(frozen=True)
 class StoreState:
-    """How the groups of a store agree with its manifest."""
+    """Differences of the groups of a store from its manifest."""
 
     faults: tuple[Problem, ...] = ()
     notes: tuple[str, ...] = ()
-    resume: str = ""  # Command that finishes the store, where known
+    resume: str = ""  # Command that finishes the store, empty if unknown
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """The faults, one line each."""
+        """The faults as lines of text."""
         return tuple(map(str, self.faults))
 
 
 def store_state(location: Location, groups: Iterable[str] | None = None) -> StoreState:
-    """Compare the manifest of a store with its groups; ``groups``: those with arrays, if listed already."""
+    """Compare the manifest of a store with its groups; ``groups``: groups with arrays, by default listed."""
     present = list(location.groups() if groups is None else groups)
     try:
         manifest = Manifest.read(location)
@@ -235,7 +235,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         return _state_without_manifest(location, {name: contents(name) for name in present})
     faults: list[Problem] = []
     notes, resume = [], ""
-    # writes that were cut short
+    # unfinished writes
     for write in manifest.writes:
         if not (lacking := manifest.lacking(write, contents)):
             continue
@@ -243,10 +243,14 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         if plain and len(write.command) <= MAX_MESSAGE_CHARS // 2:
             with contextlib.suppress(ValueError):  # unbalanced quotes
                 resume = join(location.url if word == "{store}" else word for word in split(write.command))
-        there = f"{len(write.contents) - len(lacking)} of {counted(len(write.contents), 'group')} are there"
-        named = ", ".join(f"/{name}" for name in lacking[:5]) + (" ..." if len(lacking) > 5 else "")
-        mend = f"to finish it: {resume}" if resume else "write it again as it was begun"
-        faults.append(Problem(f"unfinished: {there}, not yet: {named}", mend=mend, code="store-unfinished"))
+        progress = (
+            f"{len(write.contents) - len(lacking)} of {counted(len(write.contents), 'group')} are written"
+        )
+        missing_names = ", ".join(f"/{name}" for name in lacking[:5]) + (" ..." if len(lacking) > 5 else "")
+        mend = f"to finish it: {resume}" if resume else "run its writer again"
+        faults.append(
+            Problem(f"unfinished: {progress}, without {missing_names}", mend=mend, code="store-unfinished")
+        )
     # groups that differ from the manifest
     mend = "write it again" + (", or run its command with --overwrite" if manifest.command else "")
     for name, entry in manifest.groups.items():
@@ -273,7 +277,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         f"made by numerics {version}, this is {NUMERICS_VERSION}: --overwrite computes it again"
         for version in sorted(filter(None, versions))
     ]
-    # limited and printable: group names may hold any character
+    # limit the length, and replace unprintable characters of group names
     shown = [
         replace(
             fault,
@@ -282,27 +286,27 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
         for fault in faults[:MAX_MESSAGES]
     ]
     if len(faults) > MAX_MESSAGES:
-        more = counted(len(faults) - MAX_MESSAGES, "more problem")
-        shown.append(Problem(more, code="problems-omitted"))
+        omitted_text = counted(len(faults) - MAX_MESSAGES, "more problem")
+        shown.append(Problem(omitted_text, code="problems-omitted"))
     return StoreState(tuple(shown), tuple(notes), resume)
 
 
 def _state_without_manifest(location: Location, contents: Mapping[str, str]) -> StoreState:
     if any(content.startswith(f"/{name} ") for name, content in contents.items()):
         lost = Problem(
-            f"{location.url} has lost its manifest, the group {MANIFEST_NODE!r} of its root",
-            mend="write it again by the command that made it; complete groups stay",
+            f"the manifest of {location.url}, the group {MANIFEST_NODE!r} of its root, is missing",
+            mend="run the command that wrote the store again; complete groups stay",
             code="manifest-lost",
         )
         return StoreState((lost,))
     if any(contents.values()):
-        note = "a part of a store of hyperpaint, without its manifest"
+        note = "copied from a store of hyperpaint, without its manifest"
     elif any("hyperpaint_complete" in location.attributes(name) for name in contents):
-        note = "a store of hyperpaint 0.2 or older, or a part of one, without a manifest"
+        note = "written by hyperpaint 0.2 or older, without a manifest"
     else:
         note = "not written by hyperpaint"
     return StoreState(
-        (), (f"{note}: whether groups or chunks are missing or exchanged is unknown; all chunks were read",)
+        (), (f"{note}: missing or exchanged groups and chunks cannot be detected; all chunks were read",)
     )
 
 
@@ -310,7 +314,7 @@ def check_state(location: Location) -> None:
     """Raise IncompleteStoreError if a store is unfinished, or its groups differ from its manifest."""
     if faults := store_state(location).faults:
         raise IncompleteStoreError(
-            f"{location.url} is incomplete; hyperpaint.io.store.open_group(path, group) opens the others",
+            f"{location.url} is incomplete; hyperpaint.io.store.open_group(path, group) opens other groups",
             problems=faults,
         )
 
@@ -323,9 +327,9 @@ def content_text(group: str, identity: str, settings: str = "") -> str:
 
 
 def content_of(location: Location, group: str, manifest: Manifest | None = None) -> str:
-    """Return the content name of a group; empty where unknown or where there is no group.
+    """Return the content of a group as in its attribute, empty if it has none.
 
-    With a ``manifest``, a group whose attributes another program replaced keeps the recorded content.
+    ``manifest``: gives the content of a group whose attributes another program replaced.
     """
     entry = manifest.groups.get(group) if manifest is not None else None
     if entry is not None and attributes_replaced(location, group, entry):
@@ -336,7 +340,7 @@ def content_of(location: Location, group: str, manifest: Manifest | None = None)
 def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bool:
     """Return whether another program replaced all attributes of a group, as ``to_zarr(mode="a")`` does.
 
-    A damaged file would still hold `CONTENT` or its value.
+    In a damaged file `CONTENT` or its value would remain.
     """
     try:
         attributes = (location.metadata(group) or {}).get("attributes")
@@ -345,14 +349,14 @@ def attributes_replaced(location: Location, group: str, entry: GroupEntry) -> bo
         documents = {name: location.metadata(joined(group, name)) for name in entry.arrays}
     except StoreError:
         return False
-    # a group that was written anew by others has other arrays
+    # the arrays are unchanged: otherwise another program wrote a new group
     return bool(documents) and all(
         document_checksum(documents[name]) == array.metadata for name, array in entry.arrays.items()
     )
 
 
 def changed_attributes(location: Location, group: str, entry: GroupEntry) -> list[str]:
-    """Return the attributes of a group that changed since it was written; additions do not count."""
+    """Return the attributes of a group that changed since it was written; new attributes are ignored."""
     document = location.metadata(group) or {}
     attributes = document.get("attributes", {})
     changed = [key for key, value in entry.attributes.items() if attributes.get(key) != value]
@@ -361,7 +365,7 @@ def changed_attributes(location: Location, group: str, entry: GroupEntry) -> lis
 
 
 def numerics_of(content: str) -> int | None:
-    """Return the version of the numerics in a content or settings text; None without one."""
+    """Return the version of the numerics in a content or settings text, None if it has none."""
     match = _NUMERICS.search(content)
     return None if match is None else int(match[1])
 
@@ -382,15 +386,15 @@ def chunk_digest(group: str, name: str, chunks: Iterable[tuple[str, bytes]]) -> 
 
 
 def chunk_keys(document: Mapping[str, Any], name: str) -> list[str]:
-    """Return the keys of an array's chunks, in C order, from its ``zarr.json`` as `layout` writes it.
+    """Return the keys of an array's chunks, in C order, from its ``zarr.json``.
 
-    Raises `IncompleteStoreError`: the grid is missing, or has more than `MAX_CHUNKS` chunks.
+    Raises `IncompleteStoreError`: The grid is missing, or has more than `MAX_CHUNKS` chunks.
     """
     try:
         chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
         grid = [-(-int(size) // int(step)) for size, step in zip(document["shape"], chunk, strict=True)]
         if 0 <= math.prod(grid) <= MAX_CHUNKS:
-            return ["/".join(("c", *map(str, place))) for place in product(*map(range, grid))]
+            return ["/".join(("c", *map(str, position))) for position in product(*map(range, grid))]
     except (LookupError, TypeError, ValueError, ArithmeticError):
         pass
     raise IncompleteStoreError(
@@ -408,14 +412,14 @@ def seal_of(arrays: Mapping[str, ArrayEntry]) -> str:
 
 
 def entry_of(location: Location, group: str) -> GroupEntry:
-    """Return the entry of a group from its files, without arrays whose chunks do not end in a crc32c.
+    """Return the entry of a group from its files, without arrays whose chunks have no crc32c.
 
-    Raises `IncompleteStoreError`: chunks are missing, or the digest over the arrays differs from `SEAL`.
+    Raises `IncompleteStoreError`: Chunks are missing, or the digest over the arrays differs from `SEAL`.
     """
     entries = {}
     for name in location.folders(group):
         document = location.metadata(joined(group, name)) or {}
-        # arrays of other programs have no crc32c at the end of each chunk
+        # arrays of other programs have no crc32c
         if document.get("node_type") == "array" and "crc32c" in str(document.get("codecs"))[-40:]:
             keys = chunk_keys(document, joined(group, name))
             digest = chunk_digest(group, name, [(key, location.end_of(group, name, key)) for key in keys])
@@ -424,7 +428,7 @@ def entry_of(location: Location, group: str) -> GroupEntry:
     attributes = metadata.get("attributes", {}) if entries else {}
     if attributes.get(SEAL, seal_of(entries)) != seal_of(entries):
         raise IncompleteStoreError(
-            f"the arrays of {location.group_url(group)} are not those that were written",
+            f"the arrays of {location.group_url(group)} differ from those that were written",
             mend="write the group again",
             code="group-changed",
         )

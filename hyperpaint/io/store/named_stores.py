@@ -1,4 +1,4 @@
-"""Zarr stores whose dask name follows their content: a rewritten group gives other tasks."""
+"""Zarr stores with dask names from their content, so that a rewritten group has other task names."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""Virtual stores: groups whose cube stays in the camera's raw files, referenced slab by slab.
+"""Virtual stores: groups whose cube stays in the camera's raw files, with references to its slabs.
 
-A virtual store is a repository of icechunk, a folder; everything but the cube is stored in it. The root's
-attribute `RAW_FILES` lists the raw files of every group.
+A virtual store is a repository of icechunk, a folder, with all data except the cube. The root's attribute
+`RAW_FILES` lists the raw files of every group.
 
-Repositories may come from anyone, so none of their parts is trusted. Configuration, containers and
-credentials are ours. The list of raw files names files, but only the user says below which folders files may
-be read. Each reference is compared with the list and with the size of the file. Links in the folder are
-refused. References of kerchunk (JSON) are refused by name: their readers run templates.
+Repositories may be of unknown origin, so that nothing in them is trusted. Configuration, containers and
+credentials do not come from the repository. Raw files are only read below folders that the user allows.
+Every reference is compared with the list of raw files and with the size of the file. Links in the folder are
+errors. References of kerchunk (JSON) are errors, too, since their readers run templates.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ RAW_FILES = "raw_files"
 
 _FILL = 65535
 _MAX_JSON_BYTES = 2**26
-# Number of chunks checked at a time.
+# Number of chunks that are checked in parallel.
 MAX_PARALLEL_READS = 64
 _ZARR_2 = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")
-# a host without user and port (icechunk ignores ports), a path that all programs read alike
+# a host without user and port (icechunk ignores ports), and a path without characters of special meaning
 _REMOTE = re.compile(r"(s3|https?)://[A-Za-z0-9_.-]+(/(?!.*::)[^%?#\\]*)?")
 _AGAIN = "write it again: hyperpaint virtual COLLECT.toml --out STORE --overwrite"
 
@@ -65,18 +65,18 @@ Allow = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
 @dataclass(frozen=True)
 class RawFile:
-    """A raw file as it was when it was referenced."""
+    """State of a raw file when references to it were written."""
 
     url: str
-    size: int
-    changed_ns: int | None = None  #: When it was changed last; of a local file
-    etag: str | None = None  #: Identifies its content, where the server states it
+    size: int  #: [byte]
+    changed_ns: int | None = None  #: Time of the last change [ns]; None for a remote file
+    etag: str | None = None  #: ID of the content from the server; None if it has none
 
     @classmethod
     def of(cls, url: str) -> RawFile:
         """Return the present state of a file, read with the credentials of the environment.
 
-        Raises `StoreError`: it cannot be reached, or icechunk could not read it.
+        Raises `StoreError`: The file cannot be reached, or icechunk cannot read such URLs.
         """
         check_url(url)
         if url.startswith("file:"):
@@ -86,7 +86,7 @@ class RawFile:
                 raise StoreError(f"{url}: {error.strerror}", code="file-unreadable") from error
             if not stat.S_ISREG(status.st_mode):
                 raise StoreError(
-                    f"{url} is no plain file",
+                    f"{url} is not a regular file",
                     expected="a raw file",
                     mend="check the path",
                     code="file-not-plain",
@@ -99,7 +99,7 @@ class RawFile:
             info = fs.info(path)
             etag = info.get("ETag")
             return cls(url, int(info["size"]), etag=None if etag is None else str(etag).strip('"'))
-        except Exception as error:  # each file system of fsspec has its own
+        except Exception as error:  # every file system of fsspec has its own classes
             raise StoreError(
                 f"{url}: {type(error).__name__}: {error!s:.200}",
                 mend="check the URL and the credentials of the environment",
@@ -107,17 +107,17 @@ class RawFile:
             ) from error
 
     def difference(self) -> str:
-        """Return how the present file differs from this one; empty where it does not."""
+        """Return a description of how the present file differs from this state, empty if equal."""
         try:
-            now = RawFile.of(self.url)
+            present = RawFile.of(self.url)
         except StoreError as error:
             return str(error)
-        if self.size != now.size:
-            return f"{self.url}: {now.size} bytes, expected {self.size}"
-        if self.etag != now.etag:
-            return f"{self.url}: etag {now.etag!r:.100}, expected {self.etag!r:.100}"
-        if self.changed_ns != now.changed_ns:
-            times = [np.datetime64(each or 0, "ns") for each in (now.changed_ns, self.changed_ns)]
+        if self.size != present.size:
+            return f"{self.url}: {present.size} bytes, expected {self.size}"
+        if self.etag != present.etag:
+            return f"{self.url}: etag {present.etag!r:.100}, expected {self.etag!r:.100}"
+        if self.changed_ns != present.changed_ns:
+            times = [np.datetime64(time or 0, "ns") for time in (present.changed_ns, self.changed_ns)]
             return f"{self.url}: changed at {times[0]} UTC, expected {times[1]}"
         return ""
 
@@ -133,12 +133,12 @@ class VirtualCube:
     name: str
     dims: tuple[str, ...]  #: In the order of the files, lines first
     shape: tuple[int, ...]
-    lines: int  #: Of a slab
-    dtype: np.dtype[Any]  #: Byte order included
+    lines: int  #: Number of lines of a slab
+    dtype: np.dtype[Any]  #: With byte order
     attrs: Mapping[str, Any]
     files: tuple[RawFile, ...]
-    slabs: tuple[tuple[int, int, int], ...]  #: Number of a slab, of its file, and the byte where it begins
-    copies: Mapping[int, Array]  #: Values of slabs that are no run of bytes of one file
+    slabs: tuple[tuple[int, int, int], ...]  #: Index of the slab, index of its file, first byte in the file
+    copies: Mapping[int, Array]  #: Values of slabs that are not contiguous in one file, by index of the slab
 
     @property
     def chunk(self) -> tuple[int, ...]:
@@ -158,7 +158,7 @@ def summary_of(groups: Groups) -> dict[str, dict[str, Any]]:
 
 
 def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> None:
-    """Write groups (the cube's companions, and the cube as references) into a new repository of icechunk.
+    """Write groups into a new repository of icechunk: the cube as references, other variables as values.
 
     Raises `MissingExtraError`: icechunk is not installed; `StoreError`: it cannot read the raw files'
     locations.
@@ -170,11 +170,13 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
     config = _own_config([file.url for _, cube in groups.values() for file in cube.files])
     repository = icechunk.Repository.create(icechunk.local_filesystem_storage(str(folder)), config)
     session = repository.writable_session("main")
-    about = {**attrs, RAW_FILES: json.dumps(summary_of(groups), default=asdict)}
-    zarr.open_group(session.store, mode="a", attributes=about)
+    attributes = {**attrs, RAW_FILES: json.dumps(summary_of(groups), default=asdict)}
+    zarr.open_group(session.store, mode="a", attributes=attributes)
     for name, (dataset, cube) in groups.items():
-        rest = prepare(dataset, name)
-        rest.to_zarr(session.store, group=name, encoding=encoding(rest), consolidated=False, mode="a")
+        companions = prepare(dataset, name)
+        companions.to_zarr(
+            session.store, group=name, encoding=encoding(companions), consolidated=False, mode="a"
+        )
         array = zarr.open_group(session.store, path=name).create_array(
             cube.name,
             shape=cube.shape,
@@ -189,12 +191,12 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
         slabs, size = [], math.prod(cube.chunk) * cube.dtype.itemsize
         for number, file, offset in cube.slabs:
             raw, changed = cube.files[file], None
-            # icechunk reads the path as part of a URL: a percent sign or a hash in it would lead elsewhere
+            # quoted, since icechunk decodes percent signs and hashes of the path as parts of a URL
             url = f"file://{quote(_local_path(raw.url))}" if raw.url.startswith("file:") else raw.url
             if raw.changed_ns is not None:  # icechunk compares whole seconds
                 changed = datetime.datetime.fromtimestamp(-(-raw.changed_ns // 10**9), datetime.UTC)
             slabs.append(icechunk.VirtualChunkSpec([number, 0, 0], url, offset, size, raw.etag, changed))
-        # rejected references would be read as missing chunks
+        # icechunk returns rejected references; their chunks would be missing
         if session.store.set_virtual_refs(f"/{name}/{cube.name}", slabs):
             raise StoreError(
                 f"icechunk does not reach {cube.files[0].url}",
@@ -210,58 +212,57 @@ def write_icechunk(folder: Path, groups: Groups, attrs: Mapping[str, Any]) -> No
 def _icechunk() -> Any:
     with needs_extra("icechunk", "virtual", "a virtual store"):
         import icechunk
-    # icechunk warns of two writers on a local disk; here a repository is written once
+    # without the warning of two writers on a local disk: a repository is written once
     icechunk.set_logs_filter("error")
     return icechunk
 
 
 def check_url(url: str) -> None:
-    """Refuse a URL below which icechunk reads no raw files, or that icechunk and fsspec read differently."""
+    """Raise for a URL that icechunk cannot read, or that icechunk and fsspec parse differently."""
     if url.startswith("file:///"):
-        good = posixpath.normpath(_local_path(url)) == _local_path(url)
+        is_readable = posixpath.normpath(_local_path(url)) == _local_path(url)
     else:
-        good = _REMOTE.fullmatch(url) is not None and not {".", ".."} & set(url.split("/"))
-    if not (good and url.isprintable()):
+        is_readable = _REMOTE.fullmatch(url) is not None and not {".", ".."} & set(url.split("/"))
+    if not (is_readable and url.isprintable()):
         raise StoreError(
-            f"icechunk reads no raw files from {url!r:.200}",
+            f"icechunk cannot read raw files from {url!r:.200}",
             expected="a local path, or a URL with s3, or http or https without a port",
             code="url-unusable",
         )
 
 
 def _own_config(urls: Sequence[str]) -> Any:
-    # A configuration of icechunk with the containers of raw files, and no others.
-    # S3 is configured by the environment.
+    # Configuration of icechunk with only the containers of the raw files; S3 is configured by the environment
     icechunk = _icechunk()
     config = icechunk.RepositoryConfig.default()
     config.clear_virtual_chunk_containers()
     prefixes = set()
     for url in urls:
         check_url(url)
-        # the deepest folder that is spelled alike in paths and URLs
+        # the deepest parent folder whose path needs no quotes in a URL
         parts = url.split("/")[:-1]
         plain = itertools.takewhile(lambda part: quote(part) == part, parts[3:])
         prefixes.add("/".join([*parts[:3], *plain, ""]))
     for prefix in sorted(prefixes):
         if prefix.startswith("file:"):
-            place = icechunk.local_filesystem_store(_local_path(prefix))
+            storage = icechunk.local_filesystem_store(_local_path(prefix))
         elif prefix.startswith("http"):
-            place = icechunk.http_store({"allow_http": "true"} if prefix.startswith("http:") else {})
+            storage = icechunk.http_store({"allow_http": "true"} if prefix.startswith("http:") else {})
         else:
             endpoint = os.environ.get("AWS_ENDPOINT_URL")
-            place = icechunk.s3_store(
+            storage = icechunk.s3_store(
                 region=os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION") or "us-east-1",
                 endpoint_url=endpoint,
                 allow_http=str(endpoint).startswith("http:"),
                 force_path_style=endpoint is not None,
                 s3_compatible=endpoint is not None,
             )
-        config.set_virtual_chunk_container(icechunk.VirtualChunkContainer(prefix, place))
+        config.set_virtual_chunk_container(icechunk.VirtualChunkContainer(prefix, storage))
     return config
 
 
 def is_virtual(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path leads to a repository of icechunk.
+    """Return whether a path is a repository of icechunk.
 
     Examples
     --------
@@ -272,17 +273,17 @@ def is_virtual(path: str | os.PathLike[str]) -> bool:
 
 
 def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> None:
-    """Refuse references of kerchunk, a JSON file or a folder of parquet; their content is not used.
+    """Raise for references of kerchunk, a JSON file or a folder of parquet; their content is not used.
 
-    ``write``: the path is to be written, and its name decides.
+    ``write``: whether the path will be written, so that only its suffix is checked.
 
-    Raises `StoreError`: they are kerchunk references; parts that programs execute are named.
+    Raises `StoreError`: The path has kerchunk references; keys that programs execute are listed.
     """
-    place = Path(path)
-    file = place / ".zmetadata" if place.is_dir() else place
+    path = Path(path)
+    file = path / ".zmetadata" if path.is_dir() else path
     keys: set[str] = set()
     if write:
-        if place.suffix.lower() in (".json", ".parq", ".parquet"):
+        if path.suffix.lower() in (".json", ".parq", ".parquet"):
             keys = {"refs"}
     elif head_of(file, 64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{"):
         try:
@@ -291,28 +292,28 @@ def refuse_kerchunk(path: str | os.PathLike[str], *, write: bool = False) -> Non
             keys = {"refs"}
         except (ValueError, RecursionError):
             pass  # not JSON
-    of_zarr_2 = not place.is_dir() and any(key.endswith(_ZARR_2) for key in keys)
-    if of_zarr_2 or keys & {"refs", "gen", "templates", "record_size"}:
-        parts = "".join(
-            f", with `{part}`, which programs run" for part in sorted(keys & {"gen", "templates"})
+    is_zarr_2 = not path.is_dir() and any(key.endswith(_ZARR_2) for key in keys)
+    if is_zarr_2 or keys & {"refs", "gen", "templates", "record_size"}:
+        executed = "".join(
+            f", with `{key}`, which programs run" for key in sorted(keys & {"gen", "templates"})
         )
         raise StoreError(
-            f"{os.fspath(path)}: kerchunk references{parts}",
+            f"{os.fspath(path)}: kerchunk references{executed}",
             expected="a repository of icechunk, a folder",
-            mend="convert references that you trust with tools that you trust, such as virtualizarr, or "
-            "write a repository with `hyperpaint virtual COLLECT.toml --out lot.icechunk`",
+            mend="convert trusted references, for instance with virtualizarr, or write a repository with "
+            "`hyperpaint virtual COLLECT.toml --out lot.icechunk`",
             code="kerchunk-refused",
         )
 
 
 @contextlib.contextmanager
 def _own_errors(path: str | os.PathLike[str]) -> Iterator[None]:
-    # Turn errors of icechunk and zarr about a damaged or forged repository into IncompleteStoreError.
+    # Raise IncompleteStoreError for errors of icechunk and zarr in a damaged or forged repository
     try:
         yield
     except PaintError:
         raise
-    except Exception as error:  # each library has its own; icechunk names the cause in the last line
+    except Exception as error:  # both have their own classes; icechunk has the cause in the last line
         cause = str(error).rstrip("\n |`->").rpartition("\n")[2].strip(" |`->")
         raise IncompleteStoreError(
             f"{os.fspath(path)} is damaged: {type(error).__name__}: {cause:.300}",
@@ -326,8 +327,8 @@ def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[An
     refuse_kerchunk(path)
     if not is_virtual(path):
         raise StoreError(
-            f"{os.fspath(path)} is no virtual store",
-            expected="one of `hyperpaint virtual`",
+            f"{os.fspath(path)} is not a virtual store",
+            expected="a folder of `hyperpaint virtual`",
             code="store-unreadable",
         )
     for entry in Path(path).rglob("*"):
@@ -353,9 +354,9 @@ def _session(path: str | os.PathLike[str], urls: Sequence[str] = ()) -> tuple[An
 
 
 def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the inputs digest of every group, and its raw files, which are not read.
+    """Return the inputs digest and the raw files of every group, without reading the raw files.
 
-    Raises `StoreError`: there is no such store, it is damaged, or its list of raw files is invalid.
+    Raises `StoreError`: There is no such store, it is damaged, or its list of raw files is invalid.
     """
     import zarr
 
@@ -364,16 +365,16 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
         text = zarr.open_group(session.store, mode="r").attrs.get(RAW_FILES)
         if not isinstance(text, str):
             raise StoreError(
-                f"{os.fspath(path)} does not name its raw files",
+                f"{os.fspath(path)} has no list of raw files",
                 expected="a store of `hyperpaint virtual`",
-                mend="open others with icechunk and xarray.open_zarr",
+                mend="open it with icechunk and xarray.open_zarr",
                 code="raw-files-unnamed",
             )
         groups: dict[str, Any] = json.loads(text)
         for name, about in groups.items():
             if not name or clean_group(name) != name or not name.isprintable():
                 raise StoreError(
-                    f"{os.fspath(path)} names a group {name!r:.200}",
+                    f"{os.fspath(path)} has a group {name!r:.200}",
                     expected="a path such as 'flightlines/raw_0'",
                     mend=_AGAIN,
                     code="group-name",
@@ -395,57 +396,59 @@ def virtual_groups(path: str | os.PathLike[str]) -> dict[str, Any]:
 def outside(
     path: str | os.PathLike[str], groups: Mapping[str, Any], allow: Allow = ()
 ) -> tuple[list[str], list[str]]:
-    """Return the raw files that may not be read, and the folders and URLs to allow for them.
+    """Return the raw files that may not be read, and the folders and URLs that ``allow`` lacks for them.
 
-    Files may be read below the folder that holds the repository and below ``allow``, links resolved.
+    Files may be read below the parent folder of the repository and below ``allow``, after links are resolved.
     """
     home = os.path.dirname(os.path.realpath(path))
     prefixes = [] if home == os.path.dirname(home) else [f"file://{home}/"]  # not the root of the file system
-    for each in [allow] if isinstance(allow, str | os.PathLike) else allow:
-        text = os.fspath(each)
+    for folder_or_url in [allow] if isinstance(allow, str | os.PathLike) else allow:
+        text = os.fspath(folder_or_url)
         if "://" not in text or text.startswith("file://"):
             text = f"file://{os.path.realpath(_local_path(text))}"
         check_url(text)
         prefixes.append(text.rstrip("/") + "/")
-    refused, needed = [], []
-    places: dict[str, set[str]] = {}
+    refused, to_allow = [], []
+    folders_by_root: dict[str, set[str]] = {}
     for url in dict.fromkeys(raw.url for about in groups.values() for raw in about[RAW_FILES]):
         real = f"file://{os.path.realpath(_local_path(url))}" if url.startswith("file:") else url
         if not any(f"{real}/".startswith(prefix) for prefix in prefixes):
             refused.append(real)
             parts = real.split("/", 3)
-            places.setdefault("/".join(parts[:3]), set()).add(posixpath.dirname("/".join(["", *parts[3:]])))
-    for root, folders in places.items():
+            folders_by_root.setdefault("/".join(parts[:3]), set()).add(
+                posixpath.dirname("/".join(["", *parts[3:]]))
+            )
+    for root, folders in folders_by_root.items():
         common = posixpath.commonpath(folders)
         if root != "file://":
-            needed.append(f"{root}{common}".rstrip("/"))
-        else:  # the common folder, but not the root of the file system
-            needed += sorted(folders) if common == "/" else [common]
-    return refused, needed
+            to_allow.append(f"{root}{common}".rstrip("/"))
+        else:  # the common folder, unless it is the root of the file system
+            to_allow += sorted(folders) if common == "/" else [common]
+    return refused, to_allow
 
 
-async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence[str], place: str) -> None:
-    # Refuse a group with chunks outside the files of ``urls``; ``place`` names it in errors.
-    # The first and the last two bytes of each chunk are read: icechunk fails beyond the end of a file.
+async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence[str], store: str) -> None:
+    # Raise for a group with chunks outside the files of ``urls``; ``store``: path in errors.
+    # The first and last two bytes of every chunk are read, since icechunk fails beyond the end of a file.
     import zarr
     from zarr.abc.store import RangeByteRequest, SuffixByteRequest
     from zarr.core.buffer import default_buffer_prototype
 
     def error(fault: str, expected: str = "") -> IncompleteStoreError:
         return IncompleteStoreError(
-            f"{place}: /{name} {fault}", expected=expected, mend=_AGAIN, code="reference-wrong"
+            f"{store}: /{name} {fault}", expected=expected, mend=_AGAIN, code="reference-wrong"
         )
 
-    # icechunk lists the references of all groups: delete the others in memory, without a commit
-    own, above = repository.writable_session("main"), ""
-    for part in name.split("/"):
-        for other in [each async for each in own.store.list_dir(above)]:
-            if other not in (part, "zarr.json"):
-                await own.store.delete_dir(f"{above}{other}")
-        above += f"{part}/"
-    foreign = {unquote(url) for url in own.all_virtual_chunk_locations()} - set(urls)
+    # icechunk lists the references of all groups: delete other groups in memory, without a commit
+    scratch, parent = repository.writable_session("main"), ""
+    for child in name.split("/"):
+        for entry in [entry async for entry in scratch.store.list_dir(parent)]:
+            if entry not in (child, "zarr.json"):
+                await scratch.store.delete_dir(f"{parent}{entry}")
+        parent += f"{child}/"
+    foreign = {unquote(url) for url in scratch.all_virtual_chunk_locations()} - set(urls)
     if foreign:
-        raise error(f"refers to {min(foreign)!r:.200}", "a raw file that the root names")
+        raise error(f"refers to {min(foreign)!r:.200}", "a raw file in the list of the root")
     limit = asyncio.Semaphore(MAX_PARALLEL_READS)
 
     async def check(key: str, size: int | None) -> None:
@@ -453,25 +456,25 @@ async def _check_chunks(repository: Any, session: Any, name: str, urls: Sequence
             length = await session.store.getsize(key)
             if size is not None and length != size:
                 raise error(f"has {length} bytes in {key}", str(size))
-            some = min(2, length)
-            for part in (RangeByteRequest(0, some), SuffixByteRequest(some)) if some else ():
-                content = await session.store.get(key, default_buffer_prototype(), part)
-                if content is None or len(content) != some:  # offsets near 2**64 wrap around
+            count = min(2, length)
+            for request in (RangeByteRequest(0, count), SuffixByteRequest(count)) if count else ():
+                content = await session.store.get(key, default_buffer_prototype(), request)
+                if content is None or len(content) != count:  # offsets near 2**64 wrap around
                     raise error(f"lacks bytes in {key}")
 
     group = await zarr.api.asynchronous.open_group(session.store, path=name, mode="r")
     async for _, array in group.arrays():
         path = f"{name}/{array.basename}"
-        places = [tuple(at) async for at in session.chunk_coordinates(f"/{path}")]
-        kinds = [await session.chunk_type_async(f"/{path}", at) for at in places]
+        positions = [tuple(at) async for at in session.chunk_coordinates(f"/{path}")]
+        kinds = [await session.chunk_type_async(f"/{path}", at) for at in positions]
         size = None
         if _icechunk().ChunkType.VIRTUAL in kinds:
-            # slabs of raw files hold plain samples, and none is missing
+            # references must cover all chunks, with samples that are not encoded
             size = math.prod(array.chunks) * array.dtype.itemsize
             codecs = [type(codec).__name__ for codec in array.metadata.codecs]
-            if codecs != ["BytesCodec"] or len(places) != math.prod(array.cdata_shape):
+            if codecs != ["BytesCodec"] or len(positions) != math.prod(array.cdata_shape):
                 raise error(f"has chunks of {array.basename} that `hyperpaint virtual` does not write")
-        keys = [f"{path}/{array.metadata.encode_chunk_key(at)}" for at in places]
+        keys = [f"{path}/{array.metadata.encode_chunk_key(at)}" for at in positions]
         await asyncio.gather(*(check(key, size) for key in keys))
 
 
@@ -483,36 +486,35 @@ def open_virtual(
     allow: Allow = (),
     **kwargs: Any,
 ) -> xr.Dataset:
-    """Open a flight line whose cube stays in the raw files, as `hyperpaint virtual` writes it, lazily.
+    """Open a flight line of `hyperpaint virtual`, whose cube stays in the raw files, lazily.
 
-    A store may come from anyone, and names the files that are read as counts. So a raw file is read only if
-    it lies below the folder that holds the store, or below a folder or URL of ``allow``, after links are
-    resolved; if the store lists it, with its present size and time of change (or etag); and if every
-    reference lies inside it. Only for URLs of ``allow`` is the network read, and are credentials of the
-    environment used.
+    A store of unknown origin could refer to any file of this computer. A raw file is therefore only read if
+    its path, after links are resolved, is below the parent folder of the store, or below a folder or URL of
+    ``allow``; if the store lists it with its present size and time of change (or etag); and if all references
+    are inside it. The network and credentials of the environment are used for URLs of ``allow`` only.
 
     Parameters
     ----------
     path
         A repository of icechunk, a folder.
     group
-        Such as ``"flightlines/raw_0"``; may be omitted where there is one.
+        Group such as ``"flightlines/raw_0"``; may be omitted if there is only one.
     allow
-        More folders, or URLs (s3, http, https), below which raw files may be read; one or several. S3
-        takes region, endpoint and keys from the environment.
+        One or several further folders or URLs (s3, http, https) below which raw files may be read. For S3,
+        region, endpoint and keys come from the environment.
     **kwargs
 
     Returns
     -------
     xarray.Dataset
-        As one of `hyperpaint.open_collect`, with one dask chunk to a slab of the file.
+        A flight line as from `hyperpaint.open_collect`, with one dask chunk per slab of the file.
 
     Raises
     ------
     StoreError
-        There is no such store or group; raw files lie elsewhere (the message says what to allow), are
-        missing, or differ from those referenced, all of which are listed; references lead to other files or
-        beyond the end of one; the store is damaged, holds links, or is references of kerchunk.
+        There is no such store or group; raw files are in other folders (the message lists them), are missing,
+        or have changed, all of which are listed; references point to other files or beyond the end of a
+        file; the store is damaged, contains links, or consists of kerchunk references.
     MissingExtraError
         icechunk is not installed.
 
@@ -538,15 +540,15 @@ def open_virtual(
             expected=f"one of {', '.join(groups)}",
             code="group-unknown",
         )
-    # raw files: all are allowed, and are the files that the record describes
-    refused, needed = outside(path, groups, allow)
+    # all raw files must be allowed, and unchanged
+    refused, to_allow = outside(path, groups, allow)
     if refused:
-        shown = needed[0] if len(needed) == 1 else needed
-        options = " ".join(f"--allow {shlex.quote(each)}" for each in needed)
+        argument = to_allow[0] if len(to_allow) == 1 else to_allow
+        options = " ".join(f"--allow {shlex.quote(location)}" for location in to_allow)
         raise StoreError(
-            f"{os.fspath(path)} refers to raw files elsewhere ({len(refused)}, such as {refused[0]!r})",
+            f"{os.fspath(path)} refers to {len(refused)} raw files in other folders, such as {refused[0]!r}",
             expected=f"files below {os.path.dirname(os.path.realpath(path))}",
-            mend=f"pass allow={shown!r} if these are your raw files",
+            mend=f"pass allow={argument!r} if these are your raw files",
             option=f"pass {options} if these are your raw files",
             code="raw-file-not-allowed",
         )
@@ -556,10 +558,10 @@ def open_virtual(
             problems.add(difference, mend=_AGAIN, code="raw-file-changed")
     problems.raise_if_any()
     urls = [raw.url for raw in groups[name][RAW_FILES]]
-    # references: each lies in one of these files
+    # every reference must be inside one of these files
     with _own_errors(path):
         repository, session = _session(path, urls)
-        # in a thread of its own: a notebook has a running loop
+        # in a separate thread, since a notebook has a running event loop
         with ThreadPoolExecutor(1) as thread:
             checked = _check_chunks(repository, session, name, urls, os.fspath(path))
             thread.submit(asyncio.run, checked).result()

@@ -1,8 +1,8 @@
 """Any Zarr that xarray opens, checked before a value is decoded.
 
-The reader is `xarray.open_zarr`. Metadata are checked first: codecs that run code are refused by
-name, and sizes that exceed memory. A group in its store's manifest must be unchanged
-and have all its chunks; each carries a crc32c, which zarr checks as it reads.
+The reader is `xarray.open_zarr`. Metadata are checked first: codecs that run code, and sizes that exceed
+memory, are errors. A group in its store's manifest must be unchanged and have all its chunks; zarr compares
+the crc32c of a chunk with its bytes during reading.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ from .manifest import (
     entry_of,
 )
 
-# Largest group that is loaded at once [byte].
+# Maximum size of a group that `load_group` reads into memory [byte].
 MAX_LOADED_BYTES = 2**30
-# Largest decoded chunk [byte]; `layout` stays below a tenth of it for any camera.
+# Maximum size of a decoded chunk [byte]; chunks of `layout` have less than a tenth of it for any camera.
 MAX_CHUNK_BYTES = 2**30
-# Largest array with one dim, or chunk of texts or times, which xarray loads on opening [byte].
+# Maximum size of an array with one dim, or of a chunk of texts or times, which xarray loads on opening [B].
 MAX_INDEX_BYTES = 64 * 2**20
 # Memory of a text [byte].
 TEXT_BYTES = 32
-# A loaded group that declares more than SMALL_BYTES must have a thousandth of them on disk.
+# Maximum size that any files may declare [byte], and maximum ratio of declared size to file size above it.
 SMALL_BYTES, MAX_RATIO = 64 * 2**20, 1000
 # Parts of the names of codecs that run code from a file.
 CODE_CODECS = ("pickle",)
@@ -84,7 +84,7 @@ def list_groups(path: Any) -> list[str]:
     check_metadata(location, "")
     if location is not None and is_format_3(location):
         return location.groups()
-    # format 2, or a store object of zarr: level by level
+    # format 2, or a store object of zarr: zarr lists the members of every group
     with_arrays: list[str] = []
     pending, nodes = [""], 0
     while pending:
@@ -92,7 +92,7 @@ def list_groups(path: Any) -> list[str]:
         check_metadata(location, name)
         try:
             members = dict(zarr.open_group(source, path=name, mode="r", use_consolidated=False).members())
-        except Exception as error:  # zarr and file systems each have their own
+        except Exception as error:  # zarr and every file system have their own classes
             raise StoreError(
                 f"{path} is not a Zarr store ({type(error).__name__}: {error!s:.200})",
                 expected="a folder, zip file or URL with a zarr.json or .zgroup",
@@ -105,21 +105,21 @@ def list_groups(path: Any) -> list[str]:
         if nodes > MAX_NODES or name.count("/") >= MAX_DEPTH:
             raise StoreError(
                 f"{path}: more than {MAX_NODES} nodes, or groups more than {MAX_DEPTH} deep",
-                mend="open a group by its own path",
+                mend="open one group by its path",
                 code="nodes-too-many",
             )
     return sorted(with_arrays)
 
 
 def is_format_3(location: Location) -> bool:
-    """Return whether a place is a Zarr 3 store; one of ours may have lost its root's metadata."""
+    """Return whether a location is a Zarr 3 store, also a hyperpaint store without its root's metadata."""
     return location.has(METADATA) or location.has(MANIFEST_NODE, METADATA)
 
 
 def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
     """Return whether a group is in its store's manifest, with unchanged metadata and all chunk files.
 
-    No chunk is read: `hyperpaint.verify` does.
+    Chunks are not read; `hyperpaint.verify` reads them.
     """
     try:
         location, name = place_of(path)[0] or Location.of(path), clean_group(group)
@@ -144,31 +144,31 @@ def open_store(path: Any, group: None = None, **kwargs: Any) -> Any: ...
 def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
     """Open a group lazily, like `xarray.open_zarr`, or all of a collect's store.
 
-    Any Zarr that xarray opens is accepted. Where the store has a manifest, the groups in it must be finished
-    and unchanged, and the chunks of the opened group must exist. zarr checks the crc32c of every chunk as it
-    is read; `hyperpaint.verify` finds chunks that were exchanged as a whole. Groups and variables added by
-    other programs are opened as well.
+    Any Zarr that xarray opens is accepted. If the store has a manifest, the groups in it must be finished and
+    unchanged, and the chunks of the opened group must exist. zarr checks the crc32c of every chunk during
+    reading; `hyperpaint.verify` also finds valid chunks of another array or time. Groups and variables that
+    other programs added are opened as well.
 
     Parameters
     ----------
     path
         Folder, zip file or URL of the store, or a store object of zarr, such as that of an icechunk session.
     group
-        Group inside it, ``""`` for the root; by default the root, or all groups where that holds no arrays.
+        Group in the store, ``""`` for the root; by default the root, or all groups if the root has no arrays.
     **kwargs
 
     Returns
     -------
     xarray.Dataset or xarray.DataTree
-        With one dask chunk to a storage chunk, or to those of all bands, unless ``chunks`` says otherwise. A
-        tree of all groups where they were asked for.
+        A dataset with one dask chunk per storage chunk, or per all bands of a slab, unless ``chunks`` is
+        given. A tree if all groups are opened.
 
     Raises
     ------
     IncompleteStoreError
         The store or the group differs from its manifest.
     StoreError
-        There is no such store or group (those that exist are listed); or it has codecs that run code, or
+        There is no such store or group (existing groups are listed); or it has codecs that run code, or
         declares sizes that exceed memory.
     MissingExtraError
         The package for this kind of URL is not installed.
@@ -197,7 +197,7 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         groups = sorted({*groups, *(name for name, entry in recorded if entry.arrays)})
     if groups and "" not in groups:
         problems = Problems(
-            f"{path} has unusable groups; open_store(path, group) opens the others",
+            f"{path} has unusable groups; open_store(path, group) opens other groups",
             IncompleteStoreError,
         )
         opened = {}
@@ -210,10 +210,11 @@ def open_store(path: Any, group: str | None = None, **kwargs: Any) -> Any:
         return xr.DataTree.from_dict(opened)
     name = clean_group(group)
     if location is not None and (manifest := Manifest.read(location)) is not None:
-        # a running or interrupted run has not written all its groups
+        # an error if a running or interrupted run has not written all its groups
         writes = [write for write in manifest.writes if name in write.contents]
         if any(
-            manifest.lacking(write, lambda each: content_of(location, each, manifest)) for write in writes
+            manifest.lacking(write, lambda group_name: content_of(location, group_name, manifest))
+            for write in writes
         ):
             check_state(location)
     return open_group(path, name, **kwargs)
@@ -244,7 +245,7 @@ def open_group(path: Any, group: str, **kwargs: Any) -> xr.Dataset:
                 opened.attrs = recorded | opened.attrs
             return opened
         except (StoreError, OSError):
-            # if the group was replaced meanwhile, open the new one
+            # if a writer replaced the group since the checks, open the new group
             if attempt or content_of(location, name) == content:
                 raise
     raise AssertionError
@@ -261,14 +262,14 @@ def check_entry(location: Location, group: str, manifest: Manifest) -> None:
         state = "differs from the manifest" if location.has(group, METADATA) else "was deleted"
         raise IncompleteStoreError(f"{where} {state}", mend=mend, code="group-changed")
     if entry is None or content != entry.content:
-        entry_of(location, group)  # published but not yet recorded: all chunks must exist
+        entry_of(location, group)  # the group is published but not yet in the manifest: all chunks must exist
         return
     problems = Problems(f"{where} is not as it was written; {mend}", IncompleteStoreError)
     if attributes_replaced(location, group, entry):
         text = f"{where}: another program replaced its attributes; the manifest's are used"
         warnings.warn(PaintWarning(text, code="attributes-replaced"), stacklevel=4)
-    elif others := changed_attributes(location, group, entry):
-        problems.add(f"attributes differ from the manifest: {', '.join(others)}", code="attributes-changed")
+    elif changed := changed_attributes(location, group, entry):
+        problems.add(f"attributes differ from the manifest: {', '.join(changed)}", code="attributes-changed")
     files = location.files(group)
     for name, array in entry.arrays.items():
         document = location.metadata(joined(group, name))
@@ -301,9 +302,9 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
 
     (location, source), name = place_of(path), clean_group(group)
     check_metadata(location, name)
-    # a local list of all metadata may be outdated after a kill at the very end
+    # consolidated metadata of a local store may be outdated, if its writer was killed before the end
     is_remote = isinstance(source, str) and "://" in source
-    # verify notes files of other programs
+    # zarr warns of files of other programs, which `verify` reports
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Object at .* is not recognized")
         try:
@@ -317,7 +318,7 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
                 if getattr(array.metadata, "dimension_names", None) == (ALONG_TRACK, BAND, CROSS_TRACK)
                 and array.chunks[1:] != array.shape[1:]
             }
-            # one task a slab, also for cubes that are cut into bands or tiles
+            # one task per slab, also for cubes with chunks of some bands or of tiles
             if cut and "chunks" not in options:
                 options["chunks"] = {BAND: -1, CROSS_TRACK: -1}
             source = _named(source, node, arrays)
@@ -329,26 +330,26 @@ def open_unverified(path: Any, group: str | None = None, **kwargs: Any) -> xr.Da
             raise
         except FileNotFoundError as error:
             try:
-                text = f"groups found: {', '.join('/' + each for each in list_groups(path)) or 'none'}"
-            except StoreError as other:
-                text = str(other)
+                text = f"groups found: {', '.join('/' + group for group in list_groups(path)) or 'none'}"
+            except StoreError as list_error:
+                text = str(list_error)
             raise StoreError(
                 f"there is no group {'/' + name!r} of {path}; {text}", code="group-unknown"
             ) from error
-        except Exception as error:  # zarr, file systems and xarray's decoding each have their own
+        except Exception as error:  # zarr, file systems and xarray's decoding have their own classes
             text = f"{type(error).__name__}: {error!s:.200}"
             raise StoreError(f"{path}/{name} cannot be opened: {text}", code="store-unreadable") from error
     if COARSE in opened.variables:
         stamp_means(opened[COARSE], opened)
     if isinstance(path, str | os.PathLike):
         opened.encoding["source"] = os.fspath(path)
-    for key in OWN_ATTRS:  # they do not apply to derived datasets
+    for key in OWN_ATTRS:  # not valid for datasets derived from the group
         opened.attrs.pop(key, None)
     return opened
 
 
 def load_group(path: Any, group: str | None = None) -> xr.Dataset:
-    """Load a small group completely; one in a manifest must be unchanged.
+    """Read all of a small group into memory; a group in a manifest must be unchanged.
 
     Raises
     ------
@@ -363,7 +364,7 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
         files = [file.stat() for file in (Path(path), *Path(path, clean_group(group)).rglob("*"))]
         if not all(stat.S_ISREG(file.st_mode) or stat.S_ISDIR(file.st_mode) for file in files):
             raise StoreError(
-                f"{path} has a pipe or device in it", expected="plain files", code="file-not-plain"
+                f"{path} contains a pipe or device", expected="regular files", code="file-not-plain"
             )
         limit = min(limit, max(SMALL_BYTES, MAX_RATIO * sum(file.st_size for file in files)))
     if opened.nbytes > limit:
@@ -372,7 +373,7 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
         )
     try:
         opened.load()
-    except Exception as error:  # each codec has its own
+    except Exception as error:  # every codec has its own classes
         raise StoreError(
             f"{path} cannot be read: {type(error).__name__}: {error!s:.200}", code="store-unreadable"
         ) from error
@@ -383,7 +384,7 @@ def load_group(path: Any, group: str | None = None) -> xr.Dataset:
 
 
 def place_of(path: Any) -> tuple[Location | None, Any]:
-    """Return the location of a folder, zip file or URL (else None), and the argument for zarr."""
+    """Return the location of a path or URL (None for a store object of zarr), and the argument for zarr."""
     import zarr
 
     if isinstance(path, zarr.abc.store.Store | zarr.storage.StorePath):
@@ -399,11 +400,7 @@ def place_of(path: Any) -> tuple[Location | None, Any]:
 
 
 def is_zarr(path: Any) -> bool:
-    """Return whether a place is to be opened as Zarr.
-
-    True for a URL, a store object, a name that ends in ``.zarr``, and a folder or zip file with Zarr
-    metadata.
-    """
+    """Return whether a path is a URL, store object, ``.zarr``, or a folder or zip file with Zarr metadata."""
     if not isinstance(path, str | os.PathLike):
         return not isinstance(path, Sequence) and place_of(path)[0] is None
     text = os.fsdecode(path)
@@ -418,10 +415,10 @@ def is_zarr(path: Any) -> bool:
 
 
 def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
-    # A store object for a group of ours that dask names by content, not by path and time.
+    # Store object with dask names from its content, not from path and time, for a group of hyperpaint
     content, seal = node.attrs.get(CONTENT), str(node.attrs.get(SEAL))
-    added = seal.partition(" ")[0] != str(len(arrays))  # arrays of other programs may change unnoticed
-    if content is None or added or not isinstance(source, str):
+    has_foreign = seal.partition(" ")[0] != str(len(arrays))  # arrays that are not part of the content
+    if content is None or has_foreign or not isinstance(source, str):
         return source
     from .named_stores import NamedFsspecStore, NamedLocalStore
 
@@ -431,9 +428,9 @@ def _named(source: Any, node: Any, arrays: Mapping[str, Any]) -> Any:
 
 
 def check_metadata(location: Location | None, group: str) -> None:
-    """Refuse metadata documents of a group and its arrays that would fill the memory when parsed.
+    """Raise for metadata documents of a group and its arrays that would fill the memory when parsed.
 
-    Behind a URL only the group's own document is checked; for a store object none.
+    At a URL only the document of the group is checked; for a store object none.
     """
     if location is None:
         return
@@ -460,7 +457,7 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
                 continue
             if not os.path.isfile(location.key(key)):
                 raise StoreError(
-                    f"{location.key(key)} is no plain file", expected="metadata", code="file-not-plain"
+                    f"{location.key(key)} is not a regular file", expected="metadata", code="file-not-plain"
                 )
             yield key, os.path.getsize(location.key(key))
     elif hasattr(location.fs, "zip"):
@@ -479,22 +476,20 @@ def _documents(location: Location, group: str) -> Iterator[tuple[str, int]]:
                 yield key, location.fs.size(location.key(key)) or 0
 
 
-def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
-    """Refuse arrays whose codecs run code, or that declare sizes beyond any memory; all problems are listed.
+def check_arrays(subject: str, arrays: Mapping[str, Any]) -> None:
+    """Check zarr arrays by name, without reading a value.
 
-    ``arrays``: of zarr, by name; no value of them is read.
-
-    Raises `StoreError`: arrays must not be read.
+    Raises `StoreError`: Codecs run code, or sizes exceed memory; all problems are listed.
     """
-    problems = Problems(f"{where} will not be read", StoreError)
+    problems = Problems(f"{subject} cannot be read safely", StoreError)
     chunks = index_bytes = 0
     for name, array in arrays.items():
         metadata = array.metadata
-        # codecs: of format 3 in a list, of format 2 a compressor and filters
-        named = repr([getattr(metadata, key, None) for key in ("codecs", "compressor", "filters")])
-        if bad := [word for word in CODE_CODECS if word in named.lower()]:
+        # format 3 has a list of codecs, format 2 a compressor and filters
+        codec_names = repr([getattr(metadata, key, None) for key in ("codecs", "compressor", "filters")])
+        if code_codecs := [word for word in CODE_CODECS if word in codec_names.lower()]:
             problems.add(
-                f"{name}: codec {bad[0]!r}, which runs code that the file brings along",
+                f"{name}: codec {code_codecs[0]!r}, which runs code in the file",
                 code="codec-runs-code",
             )
         dtype = np.dtype(array.dtype)
@@ -505,7 +500,7 @@ def check_arrays(where: str, arrays: Mapping[str, Any]) -> None:
                 expected="numbers, times or text",
                 code="type-wrong",
             )
-        # sizes; for shards of the inner chunks, which are read one by one
+        # sizes; of shards, zarr reads the inner chunks one by one
         item = TEXT_BYTES if is_text else dtype.itemsize
         limit = MAX_INDEX_BYTES if is_text or "since" in str(array.attrs.get("units")) else MAX_CHUNK_BYTES
         if math.prod(array.chunks) * item > limit:

@@ -1,18 +1,18 @@
-"""The staging folder beside a local store, with the lock of its one writer.
+"""The staging folder beside a local store, with the lock of its single writer.
 
-``.partial-<store>/`` holds
+``.partial-<store>/`` contains
 
-* ``hyperpaint``: the mark of the owner; a folder without it belongs to other programs and is never touched;
+* ``hyperpaint``: a file by which writers recognise the folder; a folder without it is never changed;
 * ``lock``: the process that writes, see `locked`;
 * ``build-<group>-<content>-<attempt>``: a group under construction, a small Zarr store;
 * ``replaced-<group>``: the old group, between the two renames that replace it;
 * ``discarded-<number>``: a folder that is being removed.
 
-Linux exchanges the names of a finished group and the old one in one step, on most local disks, so that one of
-them is always in place. Elsewhere that takes two renames.
+Linux exchanges the names of a finished group and the old group in one step, on most local disks, so that one
+of them is always at the group's path. Other systems need two renames.
 
 The next writer first repairs the state that a killed writer left. It resumes builds of the same group and
-content, and removes all others. It refuses links, and names that lead out of the store.
+content, and removes other builds. Links, and names of paths outside the store, are errors.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from .location import MANIFEST_NODE, clean_group, sync, temporaries
 _ROOT = "%root"
 # Time to wait for a lock without a process record [s]; filelock takes it over after 2 s.
 _PATIENCE_S = 3.0
-# An older empty lock was left by a power failure [s]: a writer fills its lock at once.
+# Age from which an empty lock was left by a power failure [s]: a writer fills its lock at once.
 _EMPTY_AGE_S = 30.0
 _MAX_LOCK_BYTES = 1024
 _TRIES = 20
@@ -65,11 +65,11 @@ class Staging:
         self.folder = store.parent / f".partial-{store.name}"
 
     def build(self, group: str, content: str) -> Path:
-        """Return a new folder name for a group; no other attempt writes there."""
+        """Return a new folder for building a group, which no other attempt uses."""
         return self.folder / f"build-{_quoted(group)}-{content}-{uuid.uuid4().hex[:12]}"
 
     def leftovers(self, group: str, content: str) -> list[Path]:
-        """Return the builds of a group with the same content that earlier attempts left."""
+        """Return the builds of a group with a content from earlier attempts."""
         return [entry.path for entry in self._builds() if (entry.group, entry.content) == (group, content)]
 
     def discard_others(self, group: str, content: str) -> None:
@@ -80,22 +80,23 @@ class Staging:
     def close(self, build: Path, group: str, content: str) -> Path:
         """Rename a build, and return its new name.
 
-        A cluster repeats the task of a worker that dies, even after the run has ended. Such a task then finds
-        no folder to write to.
+        A cluster may repeat the task of a worker that died after the run has ended. With the new name such a
+        task does not find the folder.
         """
         closed = self.build(group, content)
         os.rename(build, closed)
         return closed
 
     def publish(self, build: Path, group: str) -> None:
-        """Move a finished group to its place; the old group stays there if that fails."""
-        target = self._place(group)
+        """Move a finished group to its path; if that fails, the old group stays there."""
+        target = self._path(group)
         target.parent.mkdir(parents=True, exist_ok=True)
         old = None
         if not target.exists():
             os.rename(build, target)
         else:
-            # in one step, from a name that the next writer removes: after a kill the old group has that name
+            # exchange from a name of the form `discarded-`: if this process is killed after the exchange, the
+            # old group has this name, and the next writer removes it
             old, exchanged = _to_discard(self.folder), False
             inode = os.stat(build).st_ino
             os.rename(build, old)
@@ -104,7 +105,7 @@ class Staging:
             finally:  # an interruption may come after the exchange
                 if not exchanged and os.stat(old).st_ino == inode:
                     os.rename(old, build)
-            # in two steps where the system cannot exchange names
+            # two renames if the system cannot exchange names
             if not exchanged:
                 old = self.folder / f"replaced-{_quoted(group)}"
                 try:
@@ -121,28 +122,28 @@ class Staging:
         if old is not None:
             discard(old)
 
-    def recover(self, wanted: Collection[str] = ()) -> None:
-        """Repair the state that a killed writer left, and keep builds of the groups ``wanted``.
+    def recover(self, kept_groups: Collection[str] = ()) -> None:
+        """Repair the state that a killed writer left, and keep builds of ``kept_groups``.
 
-        Raises `StoreError`: the folder holds links, or names that lead out of the store.
+        Raises `StoreError`: The folder contains links, or names of paths outside the store.
         """
         for entry in self._entries():
-            if entry.kind == "replaced":  # killed between two renames
-                target = self._place(entry.group)
+            if entry.kind == "replaced":  # the writer was killed between two renames
+                target = self._path(entry.group)
                 if not target.exists():
                     target.parent.mkdir(parents=True, exist_ok=True)
                     os.rename(entry.path, target)
                     continue
-            if entry.kind != "build" or entry.group not in wanted:
+            if entry.kind != "build" or entry.group not in kept_groups:
                 discard(entry.path)
-        above = {name for group in wanted for name in groups_above(group)}
-        for folder in {self.store, self.store / MANIFEST_NODE, *(self.store / name for name in above)}:
+        parents = {name for group in kept_groups for name in groups_above(group)}
+        for folder in {self.store, self.store / MANIFEST_NODE, *(self.store / name for name in parents)}:
             if folder.is_dir() and not folder.is_symlink():
                 for leftover in temporaries(folder):
                     leftover.unlink(missing_ok=True)
 
     def _entries(self) -> list[_Entry]:
-        # The entries with names of writers, sorted; links and invalid group names are refused.
+        # Sorted entries with names that writers give; links and invalid group names are errors
         try:
             paths = [] if self.folder.is_symlink() else sorted(self.folder.iterdir())
         except (FileNotFoundError, NotADirectoryError):
@@ -151,7 +152,7 @@ class Staging:
         for path in (self.folder, *paths):
             if path.is_symlink():
                 raise StoreError(
-                    f"{path} is a link, which no writer left there",
+                    f"{path} is a link, which no writer creates",
                     mend="look at it, then remove it",
                     code="link-refused",
                 )
@@ -160,12 +161,12 @@ class Staging:
                 continue
             name = match["new"] if match["old"] is None else match["old"]
             group = "" if name in (None, _ROOT) else unquote(name)
-            good = name is None
+            is_valid = name is None
             with contextlib.suppress(StoreError):
-                good = good or (clean_group(group) == group and _quoted(group) == name)
-            if not good:
+                is_valid = is_valid or (clean_group(group) == group and _quoted(group) == name)
+            if not is_valid:
                 raise StoreError(
-                    f"{path} names no group, and no writer left it there",
+                    f"{path} contains no valid group name, and no writer creates it",
                     mend="look at it, then remove it",
                     code="staging-foreign",
                 )
@@ -175,30 +176,30 @@ class Staging:
     def _builds(self) -> list[_Entry]:
         return [entry for entry in self._entries() if entry.kind == "build"]
 
-    def _place(self, group: str) -> Path:
-        # The place of a group; links along the path are refused.
-        place = self.store
-        for part in group.split("/") if group else ():
-            place = place / part
-            if place.is_symlink():
+    def _path(self, group: str) -> Path:
+        # Folder of a group; links along the path are errors
+        path = self.store
+        for name in group.split("/") if group else ():
+            path = path / name
+            if path.is_symlink():
                 raise StoreError(
-                    f"{place} is a link", expected="plain files and folders in a store", code="link-refused"
+                    f"{path} is a link", expected="plain files and folders in a store", code="link-refused"
                 )
-        return place
+        return path
 
 
 def discard(build: Path) -> None:
     """Remove a build, or a replaced group.
 
-    It is renamed first. Tasks that dask still runs after the error of another one then find no folder
-    to write to, and no half-removed folder has the name of a complete one.
+    The folder is renamed first, so that tasks that dask still runs after an error do not find it, and that a
+    folder which is partly removed does not have the name of a build.
     """
     discarded = _to_discard(build.parent)
     with contextlib.suppress(OSError):
         os.rename(build, discarded)
     for path in (discarded, build):
         shutil.rmtree(path, ignore_errors=True)
-        with contextlib.suppress(OSError):  # a file in the place of a group
+        with contextlib.suppress(OSError):  # the path may be a file
             path.unlink(missing_ok=True)
 
 
@@ -212,13 +213,13 @@ def _quoted(group: str) -> str:
 
 @contextlib.contextmanager
 def locked(lock: Path, store: Path) -> Iterator[None]:
-    """Hold the lock of a store; its folder is created, and removed at the end if empty.
+    """Lock a store; the folder of the lock is created, and removed at the end if empty.
 
-    `filelock.SoftFileLock` writes the process, its start and its host into the file, and takes over the lock
-    of a process that has died; a file without such a record it takes over after 2 s without a change.
+    `filelock.SoftFileLock` writes the process, its start and its host into the file, and replaces the lock of
+    a process that has died, or a lock without such a record that did not change for 2 s.
 
-    Raises `StoreError`: another writer holds the lock, on this host or on one that cannot be asked; or the
-    lock or its folder belong to another program.
+    Raises `StoreError`: Another writer has the lock, on this host or on another, whose processes cannot be
+    checked; or the lock or its folder belong to another program.
     """
     import filelock
 
@@ -229,26 +230,26 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
         lock.parent.mkdir(parents=True, exist_ok=True)
         try:
             holder.acquire(timeout=_PATIENCE_S if holder.pid is None else 0.0)
-        except FileNotFoundError:  # the writer before us has just removed the folder
+        except FileNotFoundError:  # the previous writer has just removed the folder
             continue
         except filelock.Timeout:
             pass
         break
     if not holder.is_locked:
-        process, host, since = "unknown", "unknown", "just now"
-        with contextlib.suppress(OSError):  # it has just finished
+        process, host, start = "unknown", "unknown", "just now"
+        with contextlib.suppress(OSError):  # the other writer may have just finished
             with open(lock, encoding="utf-8", errors="replace") as file:
                 process, host, *_ = [*file.read(400).splitlines(), process, host]
-            since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(os.lstat(lock).st_mtime))
+            start = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(os.lstat(lock).st_mtime))
         raise StoreError(
-            f"{store} is being written by process {process[:80]} on {host[:80]} since {since}",
-            mend=f"wait for it to finish, or delete {lock} once you know that it has died",
+            f"{store} is being written by process {process[:80]} on {host[:80]} since {start}",
+            mend=f"wait until it has finished, or delete {lock} if this process no longer exists",
             code="store-locked",
         )
     mark = lock.with_name(_MARK)
     try:
         mark.write_bytes(_MARK_TEXT)
-        # a power failure would otherwise leave both empty, without owner and process
+        # flushed, since a power failure could otherwise leave both files empty
         for path in (lock, mark, lock.parent):
             sync(path)
         yield
@@ -262,35 +263,35 @@ def locked(lock: Path, store: Path) -> Iterator[None]:
 
 
 def _check_folder(lock: Path, store: Path) -> None:
-    # Refuse a lock that no writer left, and a folder of another program.
-    # The mark shows that a folder is ours. A power failure may leave an empty mark or an empty lock, nothing
-    # else.
+    # Raise for a lock that is not of a writer, and for a folder of another program.
+    # A folder of hyperpaint contains the mark. After a power failure the mark or the lock may be empty, and
+    # are then the only files.
     folder = lock.parent
     if folder.is_symlink():
         raise StoreError(
-            f"{folder} is a link, which no writer left there",
+            f"{folder} is a link, which no writer creates",
             mend="look at it, then remove it",
             code="link-refused",
         )
     try:
-        there = {path.name: path.lstat() for path in folder.iterdir()}
-    except (FileNotFoundError, NotADirectoryError):  # the writer before us removes it
+        files = {path.name: path.lstat() for path in folder.iterdir()}
+    except (FileNotFoundError, NotADirectoryError):  # the previous writer removes it
         return
-    mark = there.get(_MARK)
+    mark = files.get(_MARK)
     text = head_of(folder / _MARK, 200) if mark is not None and stat.S_ISREG(mark.st_mode) else None
-    status = there.pop(lock.name, None)
+    status = files.pop(lock.name, None)
     if status is not None and (not stat.S_ISREG(status.st_mode) or status.st_size > _MAX_LOCK_BYTES):
         raise StoreError(
             f"{lock} is a link, a folder, a pipe or a file of {status.st_size} bytes",
-            expected="the file that a writer leaves there",
+            expected="a small file of a writer",
             mend=f"delete it once no process writes {store}",
             code="lock-foreign",
         )
-    if there and text != _MARK_TEXT and (text != b"" or len(there) > 1):
-        named = ", ".join(sorted(there)[:3]) + (" ..." if len(there) > 3 else "")
+    if files and text != _MARK_TEXT and (text != b"" or len(files) > 1):
+        file_names = ", ".join(sorted(files)[:3]) + (" ..." if len(files) > 3 else "")
         raise StoreError(
-            f"{folder} is not of hyperpaint, which builds there: it holds {named}",
-            mend="move it away, or choose another path for the store; nothing in it was touched",
+            f"{folder}, the staging folder of the store, contains files of other programs: {file_names}",
+            mend="move it away, or choose another path for the store; nothing in it was changed",
             code="staging-foreign",
         )
     if status is not None and not status.st_size and time.time() - status.st_mtime > _EMPTY_AGE_S:
@@ -298,23 +299,23 @@ def _check_folder(lock: Path, store: Path) -> None:
 
 
 @contextlib.contextmanager
-def staging(store: Path, wanted: Collection[str] = ()) -> Iterator[Staging]:
+def staging(store: Path, kept_groups: Collection[str] = ()) -> Iterator[Staging]:
     """Open the staging folder of a store, as its only writer.
 
-    Builds of the groups ``wanted``, which are about to be written, are kept.
+    ``kept_groups``: groups that will be written, whose builds are kept.
 
     Raises `StoreError`: see `locked` and `Staging.recover`.
     """
     stage = Staging(store)
     with locked(stage.folder / "lock", store):
-        stage.recover(wanted)
+        stage.recover(kept_groups)
         yield stage
 
 
 def clear_up(store: Path) -> None:
-    """Remove the staging folder of a writer that was killed at its very end.
+    """Remove the staging folder that a writer left which was killed after its last group.
 
-    Nothing is done while another writer is at work, or where a build can be resumed.
+    The folder stays if another writer is active, or if a build can be resumed.
     """
     folder = Staging(store).folder
     with contextlib.suppress(StoreError, OSError):

@@ -1,8 +1,8 @@
-"""Compute maps in stages, so that slabs shared by tiles leave memory early.
+"""Compute maps in stages, so that slabs needed by several tiles leave memory early.
 
-If one task makes several variables of a map, dask computes the variables one after another, and holds every
-slab of the flight line until the last. Here the tiles of one row (or column, of a map that is wider than
-high) are a stage. Results that a later stage needs are passed on, so that nothing is computed twice.
+If one task computes several variables of a map, dask computes the variables one after another, and keeps all
+slabs of the flight line in memory until the last. Here the tiles of one row (or of one column, if a map is
+wider than high) are a stage. Results that a later stage needs are passed on, so that every task runs once.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ Key = Any
 def in_stages(
     get: Callable[..., Any], graph: Mapping[Key, Any], stage_of: Mapping[Key, int]
 ) -> Iterator[tuple[Key, Any]]:
-    """Yield wanted keys and their values, stage by stage.
+    """Yield the keys of a graph in ``stage_of`` and their values, stage by stage.
 
-    ``get`` is a scheduler of dask; ``stage_of`` maps the wanted keys to their stages.
+    ``get``: scheduler of dask; ``stage_of``: stages by key.
 
     Examples
     --------
@@ -36,28 +36,33 @@ def in_stages(
     from dask.core import get_deps
 
     dependencies, dependents = get_deps(dict(graph))
-    # the first and the last stage that needs a task
-    first: dict[Key, int] = {}
+    # first and last stage that needs the value of a key
+    first_stage: dict[Key, int] = {}
     for target, stage in sorted(stage_of.items(), key=lambda item: item[1]):
         pending = [target]
         while pending:
             key = pending.pop()
-            if key not in first:
-                first[key] = stage
+            if key not in first_stage:
+                first_stage[key] = stage
                 pending.extend(dependencies[key])
-    last = {key: max((first[each] for each in dependents[key] if each in first), default=0) for key in first}
+    last_stage = {
+        key: max(
+            (first_stage[dependent] for dependent in dependents[key] if dependent in first_stage), default=0
+        )
+        for key in first_stage
+    }
     by_stage: dict[int, list[Key]] = {}
-    for key, stage in first.items():
+    for key, stage in first_stage.items():
         by_stage.setdefault(stage, []).append(key)
     carried: dict[Key, Any] = {}
     for stage in sorted(by_stage):
         tasks = by_stage[stage]
-        wanted = [key for key in tasks if key in stage_of]
-        later = [key for key in tasks if last[key] > stage]
-        values = get({key: graph[key] for key in tasks} | carried, [*wanted, *later])
-        yield from zip(wanted, values, strict=False)
-        carried = {key: node for key, node in carried.items() if last[key] > stage}
+        targets = [key for key in tasks if key in stage_of]
+        shared = [key for key in tasks if last_stage[key] > stage]
+        values = get({key: graph[key] for key in tasks} | carried, [*targets, *shared])
+        yield from zip(targets, values, strict=False)
+        carried = {key: node for key, node in carried.items() if last_stage[key] > stage}
         carried |= {
-            key: DataNode(key, value) for key, value in zip(later, values[len(wanted) :], strict=True)
+            key: DataNode(key, value) for key, value in zip(shared, values[len(targets) :], strict=True)
         }
         del values

@@ -53,9 +53,9 @@ class StoreReport:
     chunks
         Number of chunks read.
     problems
-        One line each, ending in its code; empty where all is well.
+        One line per problem with its code at the end; empty for a valid store.
     notes
-        Parts that could not be checked, and additions by other programs.
+        Groups and arrays that could not be checked, and additions by other programs.
     resume
         Command that finishes an unfinished store; empty if unknown.
     """
@@ -69,7 +69,7 @@ class StoreReport:
 
     @property
     def ok(self) -> bool:
-        """True where nothing is wrong."""
+        """Whether there are no problems."""
         return not self.problems
 
     def __str__(self) -> str:
@@ -83,9 +83,8 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     """Read every chunk of a store and compare it with the store's manifest.
 
     Finds groups that are unfinished, deleted, exchanged or changed; chunks that are missing, damaged,
-    exchanged or stale; and metadata that were changed. Groups and variables that others added are read too,
-    and noted. Of a Zarr store without a manifest all chunks are read, which finds damaged ones where they
-    have checksums.
+    exchanged or outdated; and changed metadata. Groups and variables that other programs added are read, and
+    listed in the notes. In a Zarr store without a manifest, damaged chunks are found if they have checksums.
 
     Parameters
     ----------
@@ -95,7 +94,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     Returns
     -------
     StoreReport
-        With every problem found; ``report.ok`` where there is none.
+        Report with all problems; ``report.ok`` is True if there are none.
 
     Raises
     ------
@@ -114,8 +113,8 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     """
     import zarr
 
-    found, source = place_of(path)
-    location = found or Location.of(path)
+    opened_location, source = place_of(path)
+    location = opened_location or Location.of(path)
     check_metadata(location, "")
     if location.has("snapshots") and location.has("manifests"):
         raise StoreError(
@@ -132,7 +131,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             for group in list_groups(path)
             for name in zarr.open_group(source, path=group, mode="r", use_consolidated=False).array_keys()
         }
-    groups = sorted({name.rpartition("/")[0] for name, kind in nodes.items() if kind == "array"})
+    groups = sorted({name.rpartition("/")[0] for name, node_type in nodes.items() if node_type == "array"})
     state = store_state(location, groups)
     problems, notes = list(state.problems), list(state.notes)
     try:
@@ -147,18 +146,18 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
     problems += _metadata_problems(location, "", manifest.groups.get(""))
     if manifest.groups:
         problems += _listing_problems(location, nodes, manifest)
-        for group in ("", *(name for name, kind in nodes.items() if kind == "group")):
+        for group in ("", *(name for name, node_type in nodes.items() if node_type == "group")):
             strays = [name for name in location.strays(group) if joined(group, name) not in manifest.groups]
-            places = [joined(group, name) for name in strays[:MAX_MESSAGES]]
-            notes += [f"/{place}: neither a group nor an array" for place in places]
+            stray_paths = [joined(group, name) for name in strays[:MAX_MESSAGES]]
+            notes += [f"/{stray_path}: neither a group nor an array" for stray_path in stray_paths]
     chunks = 0
     for group in dict.fromkeys((*manifest.groups, *groups)):
         entry = manifest.groups.get(group)
-        # the state reports groups that another write published
+        # a group with the content of another write is reported by `store_state`
         replaced = entry is not None and attributes_replaced(location, group, entry)
         content = content_of(location, group, manifest)
         current = entry is not None and entry.content == content
-        if not current and content in manifest.allowed(group):  # published, but its writer has not finished
+        if not current and content in manifest.allowed(group):  # its writer has not yet written the manifest
             try:
                 entry, current = entry_of(location, group), True
             except StoreError as error:
@@ -168,22 +167,22 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
             notes.append(f"/{group}: another program replaced its attributes; open_store knows them")
         elif entry is not None and current and group:
             problems += _metadata_problems(location, group, entry)
-        there = [name for name in location.folders(group) if nodes.get(joined(group, name)) == "array"]
-        for name in dict.fromkeys((*recorded, *there)):
-            where = joined(group, name)
+        array_names = [name for name in location.folders(group) if nodes.get(joined(group, name)) == "array"]
+        for name in dict.fromkeys((*recorded, *array_names)):
+            array_path = joined(group, name)
             if recorded and name not in recorded:
-                notes.append(f"/{where}: added by another program, not in the manifest")
+                notes.append(f"/{array_path}: added by another program, not in the manifest")
             try:
                 if name in recorded:
-                    count, wrong = _recorded_chunks(location, group, name, recorded[name])
+                    count, faults = _recorded_chunks(location, group, name, recorded[name])
                 else:
-                    count, wrong = _other_chunks(location, source, where)
+                    count, faults = _other_chunks(location, source, array_path)
                 chunks += count
-                problems += wrong
+                problems += faults
             except StoreError as error:
-                problems.append(f"/{where}: {error!s:.400}")
+                problems.append(f"/{array_path}: {error!s:.400}")
     if _stamp(location) != begin:
-        problems.insert(0, "/: was written to meanwhile; run verify again [store-locked]")
+        problems.insert(0, "/: a writer changed the store during the check; run verify again [store-locked]")
     return StoreReport(
         location.url,
         tuple(groups),
@@ -195,7 +194,7 @@ def verify(path: str | os.PathLike[str]) -> StoreReport:
 
 
 def _stamp(location: Location) -> bytes | None:
-    # The bytes of the manifest, which change whenever a writer begins or ends.
+    # Bytes of the manifest, which every writer changes at its start and end
     try:
         return location.read(MANIFEST_NODE, METADATA)
     except StoreError:
@@ -203,11 +202,11 @@ def _stamp(location: Location) -> bytes | None:
 
 
 def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Manifest) -> Iterator[str]:
-    # Differences between the root's list of all metadata and the manifest.
+    # Differences between the consolidated metadata of the root and the manifest
     try:
         root, listed = location.read_json("", METADATA) or {}, listed_documents(location)
     except StoreError:
-        return  # reported already
+        return  # reported by `_metadata_problems`
     head = root.get("consolidated_metadata")
     if not isinstance(head, dict) or not head.items() >= LISTED.items():
         yield "/: the root has no list of all metadata; run the writer again [listing-missing]"
@@ -215,84 +214,88 @@ def _listing_problems(location: Location, nodes: Mapping[str, str], manifest: Ma
     missing = [name for name in listed if name not in nodes and name.partition("/")[0] != MANIFEST_NODE]
     for name in missing[:MAX_MESSAGES]:
         yield f"/{name[:200]}: listed in the root's metadata but missing [listing-wrong]"
-    wanted = {}
+    expected = {}
     for group, entry in manifest.groups.items():
-        # a killed writer may have published another group under this name
+        # skip a group that a killed writer replaced by one with other content
         if not entry.content or content_of(location, group, manifest) == entry.content:
             if group and not attributes_replaced(location, group, entry):
-                wanted[group] = entry.metadata
-            wanted |= {joined(group, name): array.metadata for name, array in entry.arrays.items()}
-    for name in filter(nodes.get, wanted):
+                expected[group] = entry.metadata
+            expected |= {joined(group, name): array.metadata for name, array in entry.arrays.items()}
+    for name in filter(nodes.get, expected):
         document = listed.get(name)
-        plain = dict(document) if isinstance(document, dict) else {}
-        below = plain.pop("consolidated_metadata", {**LISTED, "metadata": {}})
-        if document_checksum(plain) != wanted[name] or below != {**LISTED, "metadata": {}}:
+        listed_document = dict(document) if isinstance(document, dict) else {}
+        inner_list = listed_document.pop("consolidated_metadata", {**LISTED, "metadata": {}})
+        if document_checksum(listed_document) != expected[name] or inner_list != {**LISTED, "metadata": {}}:
             yield f"/{name}: the root's list of all metadata differs; run the writer again [listing-wrong]"
 
 
 def _metadata_problems(location: Location, group: str, entry: GroupEntry | None) -> Iterator[str]:
-    # The problems of a group's metadata: unreadable, missing, or different from the manifest.
+    # Problems of a group's metadata: unreadable, missing, or different from the manifest
     try:
         document = location.metadata(group)
-        if entry is not None and document is None and not entry.content:  # others are reported by the state
+        if entry is not None and document is None and not entry.content:  # else reported by `store_state`
             yield f"/{group}: its metadata are missing [metadata-missing]"
         changed = [] if entry is None or document is None else changed_attributes(location, group, entry)
         if changed:
-            named = ", ".join(changed)[:200]
-            yield f"/{group}: attributes differ from those written: {named} [attributes-changed]"
+            names = ", ".join(changed)[:200]
+            yield f"/{group}: attributes differ from those written: {names} [attributes-changed]"
     except StoreError as error:
         yield f"/{group}: {error!s:.200}"
 
 
 def _recorded_chunks(location: Location, group: str, name: str, array: Any) -> tuple[int, list[str]]:
-    # The number of chunks of an array, and how they differ from its manifest entry.
-    where = joined(group, name)
-    document = location.metadata(where)
+    # Number of chunks of an array, and their differences from its manifest entry
+    array_path = joined(group, name)
+    document = location.metadata(array_path)
     if document is None or document_checksum(document) != array.metadata:
         changed = "metadata differ from those written [metadata-changed]"
-        return 0, [f"/{where}: {'the array is missing [array-missing]' if document is None else changed}"]
-    keys = chunk_keys(document, where)
+        return 0, [
+            f"/{array_path}: {'the array is missing [array-missing]' if document is None else changed}"
+        ]
+    keys = chunk_keys(document, array_path)
     problems = [
-        f"/{where}/{stray}: not a chunk of this array [chunk-foreign]"
-        for stray in sorted(location.files(where) - {*keys, METADATA, OLD_RECORD})[:MAX_MESSAGES]
+        f"/{array_path}/{stray}: not a chunk of this array [chunk-foreign]"
+        for stray in sorted(location.files(array_path) - {*keys, METADATA, OLD_RECORD})[:MAX_MESSAGES]
     ]
 
     def end(key: str) -> bytes | str:
-        encoded = location.read(where, key, limit=MAX_CHUNK_BYTES)
+        encoded = location.read(array_path, key, limit=MAX_CHUNK_BYTES)
         if encoded is None:
             return "the chunk is missing [chunk-missing]"
         return "the chunk is damaged [chunk-damaged]" if whole_chunk(encoded) is None else encoded[-4:]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         ends = dict(zip(keys, pool.map(end, keys), strict=True))
-    wrong = [f"/{where}/{key}: {state}" for key, state in ends.items() if isinstance(state, str)]
-    if not wrong and chunk_digest(group, name, ends.items()) != array.digest:  # type: ignore[arg-type]
-        wrong = [f"/{where}: chunks differ from those written: exchanged, stale or altered [chunk-changed]"]
-    return len(keys), problems + wrong
+    faults = [f"/{array_path}/{key}: {state}" for key, state in ends.items() if isinstance(state, str)]
+    if not faults and chunk_digest(group, name, ends.items()) != array.digest:  # type: ignore[arg-type]
+        faults = [
+            f"/{array_path}: chunks differ from those written: exchanged, stale or altered [chunk-changed]"
+        ]
+    return len(keys), problems + faults
 
 
-def _other_chunks(location: Location, source: Any, where: str) -> tuple[int, list[str]]:
-    # The number of chunks of an array without a manifest entry, and the unreadable ones.
+def _other_chunks(location: Location, source: Any, array_path: str) -> tuple[int, list[str]]:
+    # Number of chunks of an array without a manifest entry, and its unreadable chunks
     import zarr
 
     try:
-        array: Any = zarr.open_array(source, path=where, mode="r")
+        array: Any = zarr.open_array(source, path=array_path, mode="r")
     except Exception as error:  # zarr raises many classes of errors
-        return 0, [f"/{where}: {type(error).__name__}: {error!s:.200} [array-unreadable]"]
-    check_arrays(location.url, {where: array})
+        return 0, [f"/{array_path}: {type(error).__name__}: {error!s:.200} [array-unreadable]"]
+    check_arrays(location.url, {array_path: array})
 
     def state(index: tuple[int, ...]) -> str:
-        place = tuple(slice(i * step, (i + 1) * step) for i, step in zip(index, array.chunks, strict=True))
+        region = tuple(slice(i * step, (i + 1) * step) for i, step in zip(index, array.chunks, strict=True))
         try:
-            np.asarray(array[place])
+            np.asarray(array[region])
         except Exception as error:  # a damaged chunk may raise anything that a codec raises
             cause = f"{type(error).__name__}: {error!s:.200}"
-            return f"/{where}: chunk {index} cannot be read: {cause} [chunk-damaged]"
+            return f"/{array_path}: chunk {index} cannot be read: {cause} [chunk-damaged]"
         return ""
 
     positions = list(
         np.ndindex(*(-(-size // max(step, 1)) for size, step in zip(array.shape, array.chunks, strict=True)))
     )
-    large = array.nbytes > MAX_CHUNK_BYTES // 8 * len(positions)  # one by one
-    with ThreadPoolExecutor(1 if large else os.cpu_count()) as pool:
+    is_large = array.nbytes > MAX_CHUNK_BYTES // 8 * len(positions)  # chunks are read one by one
+    with ThreadPoolExecutor(1 if is_large else os.cpu_count()) as pool:
         return len(positions), [text for text in pool.map(state, positions) if text]

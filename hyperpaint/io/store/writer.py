@@ -1,7 +1,7 @@
 """`to_store` and `whole_run`: the one writer of Zarr stores.
 
-A group is built beside its store, flushed, and moved to its place; the manifest is written last. `whole_run`
-writes the groups of a run, which is unfinished until all of them are in place.
+A group is built beside its store, flushed, and moved to its path; the manifest is written last. `whole_run`
+writes the groups of a run; the store is unfinished until all of them are at their paths.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.constants import DEFAULT_CODEC
-from hyperpaint.base.errors import IncompleteStoreError, Problems, SchemaError, StoreError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.errors import IncompleteStoreError, Problems, StoreError
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import FORMAT_VERSION, has_own_means
 from hyperpaint.base.units import takes_quantities
 
@@ -85,52 +85,50 @@ def to_store(
 ) -> Any:
     """Write a dataset, or a tree of them, into a Zarr v3 store.
 
-    Cubes are stored in chunks of 32 whole lines, every chunk with a checksum (blosc lz4 + shuffle, then
+    Cubes are stored in chunks of 32 complete lines, every chunk with a checksum (blosc lz4 + shuffle, then
     crc32c). `xarray.open_zarr(path, group=...)` opens the result unchanged: counts as uint16, reflectance
     as float32, times to the nanosecond.
 
-    A group is built beside the store, in ``.partial-<store>``, and moved to its place when complete. It is
-    exchanged with the group it replaces in one step where the system can (Linux, most local
-    disks), else by two renames. Other groups are never touched. The store's manifest, which lists every group
-    with checksums of its metadata and chunks, is written last. A run that is killed, or ends on a full disk,
-    leaves the store unchanged. The next run with the same content keeps finished blocks with right
-    checksums, and computes only the others. Every file and folder is flushed to the disk before the
-    group is moved to its place: a group in its place survives a power cut, if the disk keeps the data it has
-    confirmed.
+    A group is built beside the store, in ``.partial-<store>``, and moved to its path when complete. If it
+    replaces a group, both are exchanged in one step if the system can (Linux, most local disks), else by two
+    renames. Other groups are never changed. The store's manifest, which lists every group with checksums of
+    its metadata and chunks, is written last. A run that is killed, or stops at a full disk, leaves the store
+    unchanged. The next run with the same content keeps finished blocks with valid checksums, and computes
+    only the missing blocks. All files and folders of a group are flushed to the disk before it is moved, so
+    that a group at its path survives a power failure, if the disk keeps the data it has confirmed.
 
     Free disk and memory are checked before anything is written, without reading a value.
 
-    Behind a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: the group is written in
-    place and always from the start, with its metadata and the manifest last, and the caller must ensure a
-    single writer. Into a store object of zarr, such as that of an icechunk session, xarray writes the group
-    in the same encoding but without a manifest: such stores have their own transactions.
+    At a URL (``memory://``, ``s3://`` ...) nothing can be renamed or locked: the group is written at its path
+    and always from the start, with its metadata and the manifest last, and the caller must ensure a single
+    writer. To a store object of zarr, such as that of an icechunk session, xarray writes the group in the
+    same encoding but without a manifest, since such stores have transactions.
 
     Parameters
     ----------
     data
-        A Dataset becomes one group; every node of a DataTree that holds variables becomes one. Lazy arrays
-        are computed block by block, with the scheduler in force; a cluster must see the same file system.
+        A Dataset becomes one group; so does every node of a DataTree with variables. Lazy arrays are computed
+        block by block with the current scheduler; a cluster must have access to the same file system.
     path
         Folder, a URL of fsspec, or a writable store object of zarr.
     group
         Group inside the store, such as ``"flightlines/raw_0"``; by default its root.
     overwrite
-        Replace groups that exist. Without it, a finished group of the same content is kept (rewritten if
-        one of its chunks is missing), any other is refused. Damaged metadata of the groups above are
-        rewritten too; complete groups stay.
+        Replace existing groups, and damaged metadata of their parents. By default a finished group of the
+        same content is kept (rewritten if a chunk is missing), and a group of other content is an error.
     progress
     source_token
-        Identifies the content: equal tokens, equal content. By default derived from the arrays: dask's names
-        of lazy ones, the values of others. Arrays read lazily without dask, or from a Zarr store not opened
-        by `open_store`, have no name that follows their content and are always rewritten. Pass a token for
-        them, or where names do not follow the data, such as a digest of the files and parameters.
+        Text that identifies the content, such as a digest of files and parameters: equal tokens mean equal
+        content. By default it is computed from dask's names of lazy arrays and the values of other arrays.
+        Arrays that are lazy without dask, or from a Zarr store not opened by `open_store`, have no name that
+        depends on their content, and are always rewritten without a token.
     codec
     layout
-        ``"cube"``: a chunk of a cube holds all bands, one task computes on one chunk. ``"explore"``: an
-        eighth of the bands, so that a picture of one band reads an eighth of the cube; it has eight times the
-        files, and plain `xarray.open_zarr` eight times the tasks (`open_store` one a slab). ``"web"``: all
-        bands of 16 x 16 pixels, so that a spectrum reads some 100 kB, see `hyperpaint.report.write_site`.
-        A complete group is not rewritten for another layout.
+        ``"cube"``: a chunk of a cube contains all bands, and a task computes one chunk. ``"explore"``: an
+        eighth of the bands, so that a picture of one band reads an eighth of the cube; there are eight times
+        as many files, and eight times as many tasks of `xarray.open_zarr` (one per slab of `open_store`).
+        ``"web"``: all bands of 16 x 16 pixels, so that a spectrum reads some 100 kB, see
+        `hyperpaint.report.write_site`. A complete group is not rewritten for another layout.
 
     Returns
     -------
@@ -140,9 +138,9 @@ def to_store(
     Raises
     ------
     StoreError
-        The group exists, is being written, feeds the data, or cannot be written; or names, dtypes or
-        attributes cannot be stored; all problems of the call are listed. Or disk or memory would not suffice,
-        or ran out; the figure needed is given. The store is unchanged.
+        The group exists, is being written, is a source of the data, or cannot be written; or names, dtypes or
+        attributes cannot be stored; all problems are listed. Or disk or memory is too small; the message has
+        the size needed. The store is unchanged.
     IncompleteStoreError
         The manifest of the store is damaged, or another process removed the group while it was written.
     SchemaError
@@ -167,12 +165,12 @@ def to_store(
     location = Location.of(path)
     contents = {job.group: job.content for job in jobs}
     with errors_of_the_system(location, {job.group: job.dataset for job in jobs}):
-        # groups that are read must not be replaced
+        # raise for a group that would be replaced while the data are read from it
         problems = Problems(f"cannot write {location.url}", StoreError)
-        for job, other in itertools.product(jobs, jobs):
-            if names := reads_from(job.dataset, location, other.group):
+        for job, target in itertools.product(jobs, jobs):
+            if names := reads_from(job.dataset, location, target.group):
                 problems.add(
-                    f"group {'/' + other.group!r} would be overwritten while {', '.join(names)} "
+                    f"group {'/' + target.group!r} would be overwritten while {', '.join(names)} "
                     f"{'is' if len(names) == 1 else 'are'} read from it",
                     mend="write to another group or path, or .load() the dataset first",
                     code="source-overwritten",
@@ -194,14 +192,14 @@ def to_store(
 @dataclass(frozen=True)
 class Job:
     group: str
-    dataset: xr.Dataset  # As `layout.prepare` returns it
-    token: str  # Names all that is stored: equal tokens, equal content
-    settings: str = ""  # Of the run that writes it
+    dataset: xr.Dataset  # From `layout.prepare`
+    token: str  # Identifies the content: equal tokens, equal content
+    settings: str = ""  # Settings of the run that writes it
     codec: layout.Codec = DEFAULT_CODEC
 
     @property
     def content(self) -> str:
-        """Content in the manifest: the group's path, its inputs or values, and the run's settings."""
+        """Content in the manifest: group's path, digest of its inputs or values, and the run's settings."""
         return content_text(self.group, str(self.dataset.attrs.get(INPUTS) or self.token), self.settings)
 
     @property
@@ -213,7 +211,7 @@ class Job:
         return str(tokenize(self.token, version_of_program(), self.codec, *layouts))
 
 
-# --- one writer at work ------------------------------------------------------------------------------------
+# --- the writer of a store ---------------------------------------------------------------------------------
 
 
 class _StoreWriter:
@@ -313,7 +311,7 @@ class _StoreWriter:
         return dict(root)
 
     def announce(self, group: str) -> None:
-        # Create the groups above; before the first group is published, record all that are to be written.
+        # Create the parents of a group; before the first group is published, record all groups of the write
         if not self._announced:
             replace(self._manifest, writes=(*self._manifest.writes, self._write)).write(self._location)
             self._announced = True
@@ -322,27 +320,29 @@ class _StoreWriter:
         self._ensured.update(missing)
 
     def finish(self) -> None:
-        # List all metadata in the root, and write the manifest.
+        # Write the consolidated metadata of the root, and the manifest
         location, manifest = self._location, self._manifest
         listed = listed_documents(location)
-        there = [name for name in self._write.contents if location.has(name, METADATA)]
+        published = [name for name in self._write.contents if location.has(name, METADATA)]
         present = [name for name in manifest.groups if location.has(name, METADATA)]
-        around = dict.fromkeys(
-            each for name in (*self._write.contents, *self._attrs, *present) for each in groups_above(name)
+        parents = dict.fromkeys(
+            parent
+            for name in (*self._write.contents, *self._attrs, *present)
+            for parent in groups_above(name)
         )
-        ensure_groups(around, location)
-        for group, wanted in self._attrs.items():
-            set_attributes(group, wanted, location)
-        # entries of written groups, of existing ones, and of groups around others
+        ensure_groups(parents, location)
+        for group, attributes in self._attrs.items():
+            set_attributes(group, attributes, location)
+        # entries of written groups, of groups that existed before, and of parents
         entries = dict(self._entries)
-        for name in there:
+        for name in published:
             old = manifest.groups.get(name)
             if name not in entries:
                 content = self._write.contents[name]
                 entries[name] = (
                     old if old is not None and old.content == content else entry_of(location, name)
                 )
-        for name in dict.fromkeys((*around, *self._attrs)):
+        for name in dict.fromkeys((*parents, *self._attrs)):
             if name not in entries:
                 document = self._documents[name] = location.metadata(name) or {}
                 previous = manifest.groups.get(name, GroupEntry("", 0, {}))
@@ -351,12 +351,12 @@ class _StoreWriter:
                     previous if previous.arrays else previous._replace(metadata=document_checksum(document))
                 )
         groups = {**manifest.groups, **entries}
-        # the list of all metadata: of other groups as they were listed, where these are still there
+        # consolidated metadata of all groups; those of other groups are copied if they are up to date
         documents = dict(self._documents)
         recorded = {name: entry.metadata for name, entry in groups.items()} | {
-            joined(name, array): each.metadata
+            joined(name, array): array_entry.metadata
             for name, entry in groups.items()
-            for array, each in entry.arrays.items()
+            for array, array_entry in entry.arrays.items()
         }
         for name, document in listed.items():
             plain = {key: value for key, value in document.items() if key != "consolidated_metadata"}
@@ -365,17 +365,17 @@ class _StoreWriter:
                 documents[name] = plain
         for name in recorded:
             if name not in documents:
-                with contextlib.suppress(IncompleteStoreError):  # damaged: reported by verify
+                with contextlib.suppress(IncompleteStoreError):  # `verify` reports damaged metadata
                     documents |= {name: node} if (node := location.metadata(name)) is not None else {}
         root = documents.pop("", None) or group_document(stamped({}, "created"))
         location.write_json(with_listed(root, documents), METADATA)
-        lacking = len(there) < len(self._write.contents)
-        writes = (*manifest.writes, self._write) if lacking else manifest.writes
+        is_incomplete = len(published) < len(self._write.contents)
+        writes = (*manifest.writes, self._write) if is_incomplete else manifest.writes
         replace(manifest, groups=groups, writes=writes).write(location)
-        if lacking or (self._write.command and writes):
+        if is_incomplete or (self._write.command and writes):
             check_state(location)
-        if lacking:
-            missing = sorted(set(self._write.contents) - set(there))
+        if is_incomplete:
+            missing = sorted(set(self._write.contents) - set(published))
             raise IncompleteStoreError(
                 f"{location.url}: another process removed /{missing[0]} while it was written",
                 mend="run the writer again",
@@ -395,32 +395,34 @@ def _writer(
 ) -> Iterator[_StoreWriter]:
     """Open a store as its only writer.
 
-    ``contents``: all groups of this write; ``pending``: those still to be written, whose finished blocks are
-    kept; ``attrs``: attributes of groups without arrays; ``command``: of a run. A run drops earlier
-    unfinished writes of the same command, and with ``overwrite`` manifest entries of deleted groups.
+    ``contents``: contents of all groups of this write; ``pending``: groups that must be written, whose
+    finished blocks are kept; ``attrs``: attributes of groups without arrays; ``command``: command of a run,
+    which removes earlier unfinished writes of the same command from the manifest, and with ``overwrite`` the
+    entries of deleted groups.
     """
     with contextlib.ExitStack() as stack:
         stage = None
         if location.local is not None:
             location.local.parent.mkdir(parents=True, exist_ok=True)
             stage = stack.enter_context(staging(real_folder(location.local), pending))
-        # another writer may have finished groups while we waited
+        # another writer may have finished groups while this one waited for the lock
         pending = pending_groups(contents, location, overwrite=overwrite, around=attrs)
         manifest = Manifest.read(location, ignore_damage=overwrite)
-        # a new store, or a lost manifest: groups whose content names their own path are kept
+        # without a manifest, groups are kept whose content has their path, which copied groups do not have
         if manifest is None:
             groups = {}
             for name in location.groups() if location.has("") else ():
                 if content_of(location, name).startswith(f"/{name} "):
-                    with contextlib.suppress(IncompleteStoreError):  # it is written again
+                    with contextlib.suppress(IncompleteStoreError):  # the group is written again
                         groups[name] = entry_of(location, name)
             manifest = Manifest(groups)
         manifest = manifest.settled(location)
         write = Write(contents, command)
         writes = tuple(
-            each
-            for each in manifest.writes
-            if not (command and each.source == write.source) and not each.contents.keys() <= contents.keys()
+            write_record
+            for write_record in manifest.writes
+            if not (command and write_record.source == write.source)
+            and not write_record.contents.keys() <= contents.keys()
         )
         groups = dict(manifest.groups)
         if command and overwrite and (Write({}, manifest.command).source == write.source):
@@ -430,14 +432,16 @@ def _writer(
 
 
 def _is_done(location: Location, contents: Mapping[str, str], attrs: Mapping[str, Any]) -> bool:
-    # Whether the manifest and the root list all these groups, with nothing left to do.
+    # Whether the manifest and the consolidated metadata have all groups, so that nothing must be written
     manifest = Manifest.read(location, ignore_damage=True)
     if manifest is None or any(set(write.contents) & set(contents) for write in manifest.writes):
         return False
-    named = all(
+    is_recorded = all(
         name in manifest.groups and manifest.groups[name].content == c for name, c in contents.items()
     )
-    if not (named and all(has_attributes(group, wanted, location) for group, wanted in attrs.items())):
+    if not (
+        is_recorded and all(has_attributes(group, expected, location) for group, expected in attrs.items())
+    ):
         return False
     listed = listed_documents(location)
     return all(joined(name, array) in listed for name in contents for array in manifest.groups[name].arrays)
@@ -459,10 +463,10 @@ def _discarded_unless_mendable(*folders: Path) -> Iterator[None]:
 
 
 class WholeRun:
-    """Writes the groups of a run, all named at its start; created by `whole_run`.
+    """Writer of the groups of a run, which are all declared at its start; created by `whole_run`.
 
-    A group is published while the next is written, in one thread, one at a time. Groups share no file: a
-    killed run leaves at most two unfinished.
+    One thread publishes a group while the next is written. Groups have no file in common, so that a killed
+    run leaves two unfinished groups or fewer.
     """
 
     def __init__(self, writer: _StoreWriter | None, location: Location, codec: layout.Codec) -> None:
@@ -476,7 +480,7 @@ class WholeRun:
 
         Progress bars go to stderr, so that stdout holds results only.
         """
-        assert self._writer is not None  # a run without pending groups writes none
+        assert self._writer is not None  # without pending groups this method is not called
         if (
             self._placing is None or self._placing.done()
         ):  # raise an earlier error before computing this group
@@ -484,19 +488,19 @@ class WholeRun:
         settings = str(dataset.attrs.get(SETTINGS, ""))
         token = _token(dataset, str(dataset.attrs.get(INPUTS)))
         job = Job(group, layout.prepare(dataset, group), token, settings, self._codec)
-        shown = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
-        with shown, errors_of_the_system(self._location, {group: dataset}):
+        output = contextlib.redirect_stdout(sys.stderr) if progress else contextlib.nullcontext()
+        with output, errors_of_the_system(self._location, {group: dataset}):
             place = self._writer.begin(job, progress=progress)
         self.settle()
         self._placed = {group: dataset}
-        if thread_space():  # a thread would take the memory of a computing one
+        if thread_space():  # a further thread would take the memory of a computing thread
             with errors_of_the_system(self._location, self._placed):
                 place()
         else:
             self._placing = self._pool.submit(place)
 
     def settle(self) -> None:
-        """Wait until every group is published; raise the error of one that failed."""
+        """Wait until every group is published; raise the error of a failed group."""
         with errors_of_the_system(self._location, self._placed):
             if self._placing is not None:
                 self._placing.result()
@@ -513,7 +517,7 @@ class WholeRun:
         self._pool.shutdown()
         failure = None if self._placing is None else self._placing.exception()
         if failure is not None and ending is not None and failure is not ending:
-            ending.add_note(f"before that, a group could not be put in its place: {failure}")
+            ending.add_note(f"before that, a group could not be published: {failure}")
         if interruption is not None:
             raise interruption
 
@@ -529,14 +533,14 @@ def whole_run(
     overwrite: bool,
     codec: layout.Codec = DEFAULT_CODEC,
 ) -> Iterator[WholeRun]:
-    """Hold a store for a run, and write its manifest if the run succeeds; a complete store is left unchanged.
+    """Lock a store for a run, and write its manifest if the run succeeds; a complete store stays unchanged.
 
-    ``contents``: of every group of the run, see `run_contents`; ``pending``: those that it will write;
-    ``attrs``: of the root; ``command``: finishes an interrupted run, with ``{store}`` for the path;
+    ``contents``: contents of all groups of the run, see `run_contents`; ``pending``: groups that it will
+    write; ``attrs``: of the root; ``command``: finishes an interrupted run, with ``{store}`` for the path;
     ``codec``: of `to_store`.
 
-    Raises `StoreError`: another writer is at work, or the store cannot be written. `IncompleteStoreError`:
-    groups of this run, or of another unfinished one, are missing at the end.
+    Raises `StoreError`: Another writer is active, or the store cannot be written. `IncompleteStoreError`:
+    Groups of this run, or of another unfinished run, are missing at the end.
     """
     location = Location.of(path)
     root = {"": dict(attrs)}
@@ -549,7 +553,7 @@ def whole_run(
                 writer = stack.enter_context(
                     _writer(location, contents, list(pending), root, command=command, overwrite=overwrite)
                 )
-                if len(pending) > 1 and not location.has(METADATA):  # so that verify tells how to resume
+                if len(pending) > 1 and not location.has(METADATA):  # so that `verify` shows how to resume
                     writer.announce(next(iter(contents)))
         run = WholeRun(writer, location, codec)
         with contextlib.closing(run):
@@ -561,7 +565,7 @@ def whole_run(
 
 
 def run_contents(groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
-    """Return the contents of the groups of a run, each with its `INPUTS` and perhaps its `SETTINGS`."""
+    """Return the contents of the groups of a run, from their `INPUTS` and, if they have any, `SETTINGS`."""
     return {
         name: content_text(name, str(group.attrs[INPUTS]), str(group.attrs.get(SETTINGS, "")))
         for name, group in groups.items()
@@ -574,10 +578,10 @@ def run_contents(groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
 def _write_arrays(
     job: Job, place: Location, leftovers: list[Path], *, progress: bool
 ) -> tuple[dict[str, bytes], dict[str, dict[str, bytes]]]:
-    """Write the arrays of a group, except chunks that a leftover has.
+    """Write the arrays of a group, and take finished chunks from builds of earlier runs (``leftovers``).
 
-    Return the files that xarray made, of which the group's own metadata are not yet written, and for each
-    array the crc32c of each chunk, by key.
+    Return the files from xarray, of which the metadata of the group are not yet written; and by array the
+    crc32c of every chunk, by key.
     """
     dataset = job.dataset.copy(deep=False)
     dataset.attrs = {**stamped(job.dataset.attrs, "to_store"), CONTENT: job.content}
@@ -589,7 +593,7 @@ def _write_arrays(
             place.local.mkdir(parents=True, exist_ok=True)
         place.write_files({key: raw for key, raw in files.items() if key != METADATA})
         targets = {name: chunks.Target.of(name, v, place, job.codec) for name, v in streamed.items()}
-        # blocks that an earlier attempt finished
+        # chunks that an earlier run finished
         finished: dict[str, dict[tuple[int, ...], int]] = {name: {} for name in targets}
         for leftover in leftovers:
             for name, target in targets.items():
@@ -616,8 +620,8 @@ def _write_arrays(
 
 
 def _written_by_xarray(dataset: xr.Dataset, streamed: list[str], codec: layout.Codec) -> dict[str, bytes]:
-    # The files of a group, as zarr makes them in memory: metadata, and values not streamed.
-    # On a disk each of some hundred small files would wait for zarr's threads.
+    # Files of a group, written by zarr in memory: metadata, and values of small arrays.
+    # On a disk, zarr's threads would write some hundred small files slowly.
     from zarr.storage import MemoryStore
 
     files: dict[str, Any] = {}
@@ -635,7 +639,7 @@ def _write_to_store_object(
     import zarr
 
     groups: list[str] = []
-    with contextlib.suppress(Exception):  # a new store; each kind raises its own error
+    with contextlib.suppress(Exception):  # a new store; every kind of store has its own classes
         groups = list(zarr.open_group(store, mode="r", use_consolidated=False).group_keys())
     problems = Problems(f"cannot write {store}", StoreError)
     for job in jobs:
@@ -646,12 +650,13 @@ def _write_to_store_object(
             )
         if not job.group and groups and overwrite:
             problems.add(
-                f"its root holds groups, which would be lost: {', '.join(groups[:5])}", code="group-occupied"
+                f"its root contains groups, which would be lost: {', '.join(groups[:5])}",
+                code="group-occupied",
             )
     problems.raise_if_any()
     try:
-        for group, wanted in attrs.items():
-            zarr.open_group(store, path=group, mode="a").attrs.update(stamped(wanted, "to_store"))
+        for group, attributes in attrs.items():
+            zarr.open_group(store, path=group, mode="a").attrs.update(stamped(attributes, "to_store"))
         for job in jobs:
             encoding = layout.encoding(job.dataset, job.codec)
             dataset = job.dataset.assign_attrs(stamped(job.dataset.attrs, "to_store"))
@@ -661,7 +666,7 @@ def _write_to_store_object(
         raise StoreError(
             f"{store}: {error}", mend="pass overwrite=True to replace it", code="store-exists"
         ) from error
-    except Exception as error:  # zarr and each kind of store have their own
+    except Exception as error:  # zarr and every kind of store have their own classes
         raise StoreError(
             f"{store} cannot be written: {type(error).__name__}: {error!s:.200}",
             expected="a folder, a URL, or a writable store object of zarr, as icechunk's session.store",
@@ -673,7 +678,7 @@ def _write_to_store_object(
 
 
 def real_folder(local: Path) -> Path:
-    """Return the folder with links resolved: renames must stay on one disk."""
+    """Return a folder after links are resolved, since renames must stay on one disk."""
     return Path(os.path.realpath(local))
 
 
@@ -684,16 +689,17 @@ def _plan(
     if isinstance(data, xr.Dataset):
         nodes = {group: data}
     else:
-        # the tree itself, whose path is ".", is stored as ``group``
-        paths = {f"{group}/{part.relative_to(data)}": part for part in data.subtree}
+        # the root of the tree, whose path is ".", is stored as ``group``
+        paths = {f"{group}/{subtree_node.relative_to(data)}": subtree_node for subtree_node in data.subtree}
         nodes = {
-            path.removesuffix("/.").strip("/"): part.to_dataset(inherit=False) for path, part in paths.items()
+            path.removesuffix("/.").strip("/"): subtree_node.to_dataset(inherit=False)
+            for path, subtree_node in paths.items()
         }
     jobs, attrs = [], {}
     for name, node in nodes.items():
         if "coarse_reflectance" in node.variables and not has_own_means(node):
             node = node.drop_vars("coarse_reflectance")  # computed from earlier reflectance
-        # inputs inherited from another group
+        # drop the digest of inputs that a derived dataset got from another group
         if INPUTS in node.attrs and (source_token is None or node.attrs[INPUTS] != source_token):
             node = node.copy(deep=False)
             del node.attrs[INPUTS]
@@ -707,8 +713,7 @@ def _plan(
 
 
 def check_codec(codec: str) -> None:
-    if codec not in get_args(layout.Codec):
-        raise SchemaError(f"codec={codec!r}", expected="'compact' or 'fast'", code="choice-unknown")
+    one_of(codec, get_args(layout.Codec), "codec")
 
 
 def _token(dataset: xr.Dataset, source_token: str | None) -> str:
@@ -727,55 +732,55 @@ def _token(dataset: xr.Dataset, source_token: str | None) -> str:
 
 
 def _content(variable: xr.Variable) -> Any:
-    # A stand-in for a variable's values that changes with them.
+    # Value for the token of a variable, which changes with the variable's content
     if layout.is_at_hand(variable) and is_named_by_content(variable):
         # dask's names of text arrays are ambiguous
         is_text = variable.dtype.kind in "OT" and variable._in_memory
         return json.dumps(variable.values.tolist(), default=str) if is_text else variable.data
     if variable.size == 1:
         return variable.values
-    # the content of a lazy file-backed array is unknown without reading it, and its dask name stays the same
-    # when a Zarr store is rewritten
+    # a random text: the content of a lazy array from a file is unknown without reading it, and its dask name
+    # does not change when a Zarr store is rewritten
     return uuid.uuid4().hex
 
 
 def pending_groups(
     contents: Mapping[str, str], location: Location, *, overwrite: bool, around: Iterable[str] = ()
 ) -> list[str]:
-    """Return the groups of ``contents`` still to be written; refuse those that would damage others.
+    """Return the groups of ``contents`` that must be written; raise if other groups or files would be lost.
 
-    ``around``: groups without arrays that are written too.
+    ``around``: groups without arrays that are written, too.
     """
     problems = Problems(f"cannot write {location.url}", StoreError)
-    above = dict.fromkeys(each for name in (*contents, *around) for each in groups_above(name))
-    check_above(above, location, problems, overwrite=overwrite)
+    parents = dict.fromkeys(parent for name in (*contents, *around) for parent in groups_above(name))
+    check_above(parents, location, problems, overwrite=overwrite)
     try:
         manifest = Manifest.read(location, ignore_damage=overwrite)
     except IncompleteStoreError as error:
         problems.add_error(location.url, error)
         manifest = None
-    pending, there = [], location.has("")
-    lost = store_state(location).faults if manifest is None and there and not len(problems) else ()
+    pending, exists = [], location.has("")
+    lost = store_state(location).faults if manifest is None and exists and not len(problems) else ()
     if lost and not overwrite:
         problems.add(
             lost[0].found,
-            mend="pass overwrite=True to make it again",
-            option="pass --overwrite",
+            mend="pass overwrite=True to write it again",
+            option="pass --overwrite to write it again",
             code=lost[0].code,
         )
     for group, content in contents.items():
-        state = occupant(group, content, location, manifest) if there else ""
+        state = occupant(group, content, location, manifest) if exists else ""
         if state == "same":
             continue
         if state == "parent":
             problems.add(
-                f"group {'/' + group!r} holds other groups, files or folders, which would be lost",
+                f"group {'/' + group!r} contains other groups, files or folders, which would be lost",
                 mend="choose another group, or move them away first",
                 code="group-occupied",
             )
         elif state == "array":
             problems.add(
-                f"{'/' + group!r} or a group above it is an array",
+                f"{'/' + group!r} or a parent of it is an array",
                 mend="choose another group",
                 code="group-occupied",
             )
@@ -797,7 +802,7 @@ def check_room(
     tokens: Mapping[str, str],
     codec: layout.Codec = DEFAULT_CODEC,
 ) -> None:
-    """Refuse groups (name to dataset for `to_store`) that together do not fit on a store's disk.
+    """Raise if groups, datasets by name, together need more than the free space of a store's disk.
 
     ``tokens``: their source tokens.
     """
@@ -816,7 +821,7 @@ def _check_disk(jobs: list[Job], location: Location) -> None:
 
 
 def _check_room(jobs: list[Job], location: Location) -> int | None:
-    # Refuse groups that exceed disk or memory; return the number of threads that fit, None for any.
+    # Raise for groups that exceed disk or memory; return the possible number of threads, None for any
     _check_disk(jobs, location)
     if computing.client_in_force() is not None:
         return None  # the workers have their own memory

@@ -560,7 +560,7 @@ def detect(
     if "wavelength_shift" in line.variables:
         variables["reflectance"] = to_nominal(line)["reflectance"]
     paints, bands, other_paints = _spectra(line, variables["wavelength"].values, library, others)
-    # blocks of 32 whole lines
+    # blocks of 32 complete lines
     cube = variables["reflectance"].transpose(*CUBE)
     cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1}).data
     if "quality" in line.variables:

@@ -166,8 +166,8 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     """Return the coating between the layers of a library's paints and their reflectance.
 
     Takes ``library``: its reflectance may have the attribute ``mirror_reflection``; ``k1``, ``k2``: see
-    `Interface`; ``mirrored``: mirrored light in the reflectance [1], a number, or one a band. By default 0
-    where the library declares mirrored light excluded, or holds it as ``specular_reflectance``; else k1.
+    `Interface`; ``mirrored``: mirrored light in the reflectance [1], one number, or one per band; by default
+    0 if the library declares mirrored light excluded, or has a ``specular_reflectance``; else k1.
 
     Raises `SchemaError`: a value is no reflectance, or the attribute is invalid; all are listed.
     """
@@ -183,7 +183,9 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     values = np.asarray(mirrored, np.float64)
     if values.shape not in ((), (library.sizes[BAND],)):
         problems.add(
-            f"mirrored= has shape {values.shape}", expected="a number or one a band", code="length-mismatch"
+            f"mirrored= has shape {values.shape}",
+            expected="one number, or one per band",
+            code="length-mismatch",
         )
     elif not ((values >= 0.0) & (values < 1.0)).all():
         problems.add(

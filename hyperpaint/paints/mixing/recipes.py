@@ -56,7 +56,7 @@ def mix_paints(
         Reflectance of the coat for light from outside, and for diffuse light from inside [1]; the defaults
         are for an index of 1.5. Not used by "linear".
     mirrored
-        Part of the library's reflectance that the coat mirrors [1], a number or one a band. By default 0
+        Part of the library's reflectance that the coat mirrors [1], one number, or one per band. By default 0
         where the library excludes it (attribute ``mirror_reflection``), else k1. Outdoors it is about k1
         times the diffuse fraction of the light.
 

@@ -43,11 +43,12 @@ class StrengthRules:
     min_share
         Minimum share of the pixels' variance in the first component [1]: below, it is noise.
     max_misfit
-        Maximum part of the component that the two amounts do not explain [1].
+        Maximum part of the component that the fit of its two terms does not explain [1].
     max_u
         Maximum standard uncertainty of a reported strength [1].
     slope_deg
-        Zenith angles to both sides of the zenith for the slope of the sky [degree]: twice a usual lean.
+        Zenith angle of the two directions between which the slope of sky radiance is taken [degree]: twice a
+        usual lean, since a part mirrors the sky at twice its lean.
     first_order
         Relative uncertainty of the strength from terms of higher order [1]: from simulated mirroring body
         parts with leans of 2.5 degrees (tests).

@@ -231,10 +231,12 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
         direct = 1.0 - np.array(
             [np.nanmean(row[good]) if np.isfinite(row[good]).any() else 0.0 for row in split]
         )
-    zenith, view, turn = (library[name].values for name in ("sun_zenith", "view_zenith", "relative_azimuth"))
+    sun_zenith, view_zenith, relative_azimuth = (
+        library[name].values for name in ("sun_zenith", "view_zenith", "relative_azimuth")
+    )
     variables = {
-        "aspecular_angle": (SIGNATURE, aspecular_angle(zenith, view, turn)),
-        "aspecular_range": (SIGNATURE, 2.0 * lean_range(contrast, zenith, direct)),
+        "aspecular_angle": (SIGNATURE, aspecular_angle(sun_zenith, view_zenith, relative_azimuth)),
+        "aspecular_range": (SIGNATURE, 2.0 * lean_range(contrast, sun_zenith, direct)),
         "flop": ((SIGNATURE, BAND), np.array([flop.spectrum for flop in flops], np.float32)),
     }
     return library.assign(

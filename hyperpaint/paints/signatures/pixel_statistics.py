@@ -121,7 +121,7 @@ def chosen_members(along: Array, across: Array, max_members: int, seed: int) -> 
     """Return a random selection of pixels (member,), in order: the pixels with the smallest hashes.
 
     The hash depends only on a pixel's position and the seed, so that the selection does not depend on chunks
-    or the number of regions. If one of the pixels is missing, another one replaces it, and the others stay.
+    or the number of regions. If a pixel is missing, one other pixel replaces it.
 
     Takes ``along``, ``across`` (pixel,): positions in the line; ``max_members``: number of selected pixels;
     ``seed``: seed of the hash.

@@ -415,10 +415,10 @@ def difference_of(piece: Piece, picture: Picture, relative: Floats) -> Differenc
     if chosen.sum() < FINISHES.min_px:
         return None
     sky = FOOTPRINTS.mirrored * diffuse * picture.model.zenith_radiance
-    seen = picture.channels[piece.window][chosen].astype(np.float64) - sky
+    body = picture.channels[piece.window][chosen].astype(np.float64) - sky
     low, high = np.quantile(relative[chosen], [0.25, 0.75])
-    difference = seen[relative[chosen] >= high].mean(axis=0) - seen[relative[chosen] <= low].mean(axis=0)
-    spectrum, direct = seen.mean(axis=0), 1.0 - diffuse
+    difference = body[relative[chosen] >= high].mean(axis=0) - body[relative[chosen] <= low].mean(axis=0)
+    spectrum, direct = body.mean(axis=0), 1.0 - diffuse
     coloured, flat = np.linalg.lstsq(np.stack([spectrum * direct, direct], axis=1), difference, rcond=None)[0]
     coloured_mean, flat_mean = float(coloured * (spectrum * direct).mean()), float(flat * direct.mean())
     contrast = float(np.linalg.norm(difference)) / max(float(np.linalg.norm(spectrum)), 1e-9)

@@ -44,7 +44,7 @@ JOININGS = tuple(
 
 
 class Scene(NamedTuple):
-    """The whole picture, prepared for footprints."""
+    """The picture of all pixels, prepared for footprints."""
 
     channels: Array  #: (line, column, channel): Reflectance [1].
     sky: Array  #: (channel,): Sky mirrored by a level clear coat, in reflectance [1].

@@ -173,9 +173,9 @@ def propose_regions(
       along its sides, or is longer than any bonnet. It is level in its middle; a window longer than any
       windscreen contains a sunroof, and the roof is level beside it.
     * Across, the roof is level halfway between its edges. Its brightness there is the value of a smooth
-      surface through the logarithm of its brightness nearby; glint lies above the surface. Used are pixels
-      with a brightness within 3 % of this value, or within 6 to 12 % where these are too few; of these the
-      largest connected set. ``glint`` and ``adjacency`` do not apply to a roof: brightness shows glint, and
+      surface through the logarithm of its brightness nearby; glint lies above the surface. The largest
+      connected set of pixels with a brightness within 3 % of this value is used, or within 6 to 12 % if that
+      is too small. ``glint`` and ``adjacency`` do not apply to a roof: brightness shows glint, and
       no neighbour is higher.
     * The uncertainty of its level follows from the uncertainty of that place and from an unknown lean of 0.5
       degrees across the car and 0.8 along it (parking areas are drained), times the change of light over its
@@ -192,8 +192,8 @@ def propose_regions(
       to 45 degrees, and the change has its own colour. Else it is "unknown": far from the sun's mirror image
       flakes look like solid paint. A signature of paint with flakes holds for this sun and view only.
     * Another part of a car may lean by 7 degrees or more, and is used only where the car's roof is certain
-      but has no usable pixels, and its own level is certain enough. Used are pixels without glint, shadow or
-      light from coloured neighbours, with a brightness within 3 % of the part's median. Its colour and
+      but has no usable pixels, and the part's level is certain enough. Pixels without glint, shadow or light
+      from coloured neighbours are used, with a brightness within 3 % of the part's median. Its colour and
       brightness must agree with the roof, and differ from the ground.
     * Black paint is distinguished from windows by still darker windows, and a black roof by paint beyond both
       its windows, or by a bonnet before the windscreen and windows along it.

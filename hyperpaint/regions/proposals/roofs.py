@@ -114,7 +114,7 @@ def _roof_along(car: Footprint, glass: Bools, level: Floats, frame: _Frame) -> R
         section = car.area & (frame.along >= run.start) & (frame.along < run.stop)
         inside = section & (np.abs(frame.across - sides.centre) < ROOFS.used_width * sides.half)
         # the sides of a car at the picture's edge must be visible
-        if inside.any() and not (car.cut and not sides.seen):
+        if inside.any() and not (car.cut and not sides.are_visible):
             line, column = (
                 car.centre
                 + (along - 0.5 * frame.length) * frame.axis
@@ -242,7 +242,7 @@ class _Sides(NamedTuple):
     centre: float  #: Position halfway between them.
     half: float  #: Half the distance between them.
     unsure: float  #: Maximum error of the centre [pixel].
-    seen: bool  #: Whether both sides are visible.
+    are_visible: bool  #: Whether both sides are visible.
 
 
 def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run) -> _Sides:
@@ -256,8 +256,8 @@ def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run
     if np.isnan(left_side) or np.isnan(right_side):
         left_side, right_side = (_edge(glass & section, sign, frame, run) for sign in (-1, 1))
         unsure = ROOFS.unsure_window_px
-    both_seen = bool(np.isfinite(left_side) and np.isfinite(right_side))
-    if not both_seen:
+    are_visible = bool(np.isfinite(left_side) and np.isfinite(right_side))
+    if not are_visible:
         unsure = ROOFS.unsure_width * half_width
     if np.isnan(left_side) and np.isnan(right_side):
         left_side = right_side = ROOFS.roof_width
@@ -265,7 +265,7 @@ def _sides(car: Footprint, glass: Bools, level: Floats, frame: _Frame, run: _Run
         2 * ROOFS.roof_width - opposite if np.isnan(side) else side
         for side, opposite in ((left_side, right_side), (right_side, left_side))
     )
-    return _Sides(0.5 * (right_side - left_side), 0.5 * (right_side + left_side), unsure, both_seen)
+    return _Sides(0.5 * (right_side - left_side), 0.5 * (right_side + left_side), unsure, are_visible)
 
 
 def _step(level: Floats, car: Footprint, sign: int, frame: _Frame, run: _Run) -> float:

@@ -90,7 +90,9 @@ def run_full(number: int, folder: Path, expected: dict[str, bytes], total: int, 
         status, said = ended(child(store, path, log, at, share, total - pages * PAGE_BYTES))
         made.notes["stopped" if status == REFUSED else "written in what was left"] += 1
         if status == REFUSED:
-            if "No space left" not in said or not re.search(r"may take \d+ MiB in all, .* make room", said):
+            if "No space left" not in said or not re.search(
+                r"may take \d+ MiB in all, .* free disk space", said
+            ):
                 made.wrong.append(f"full {number}: said {said!r:.300}")
             if looks_finished(path):
                 made.wrong.append(f"full {number}: looks finished")

@@ -306,7 +306,7 @@ def test_bad_elements_at_both_ends_of_every_member__leave_the_centre(tmp_path: P
     assert made.curves.values.tolist() == [5, 5, 1]
     emissivity = strict_ems(tmp_path / "out/emissivity/paint_2.ems")[2]
     np.testing.assert_allclose(1 - emissivity[0], paints["reflectance"].values[2], atol=1e-6)
-    assert "the centre stands for them" in (tmp_path / "out/README.txt").read_text()
+    assert "the centre is the only curve" in (tmp_path / "out/README.txt").read_text()
 
 
 def test_holes_of_the_centre_are_no_less_refused(tmp_path: Path) -> None:

@@ -464,7 +464,7 @@ def test_a_limit_in_force_holds_for_every_plan_and_ends(monkeypatch: pytest.Monk
         with budget.planned("a line", a_thread=100 * 10**6, fixed=400 * 10**6):
             assert taken == [5]  # 1.1 x (400 + 5 x 100) MB
         with pytest.raises(StoreError, match="memory-short"):
-            budget.planned("a line", a_thread=1, least=10**9).__enter__()
+            budget.planned("a line", a_thread=1, min_bytes=10**9).__enter__()
     assert budget.process_limit(100 * 10**6) == pytest.approx(before, rel=0.2)
     with pytest.raises(SchemaError, match="size-unreadable"):
         budget.memory_limit("much").__enter__()

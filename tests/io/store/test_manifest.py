@@ -117,7 +117,7 @@ def test_a_run_that_was_cut_short_is_unfinished(stop: int, tmp_path: Path) -> No
     path = tmp_path / "lot.zarr"
     run(path, stop=stop)
     said = problems(path)
-    assert f"unfinished: {stop} of 3 groups are there" in said
+    assert f"unfinished: {stop} of 3 groups are written" in said
     assert f"to finish it: hyperpaint process lot.toml --out {path}" in said
     assert hp.verify(path).resume == f"hyperpaint process lot.toml --out {path}"
     with pytest.raises(IncompleteStoreError, match="store-unfinished"):
@@ -237,7 +237,7 @@ def test_a_half_written_tree_is_finished_by_itself_alone(
     hp.to_store(line(9), store, "other")
     for _ in range(2):
         said = problems(store)
-        assert "unfinished: 1 of 2 groups are there, not yet: /sig/b; write it again" in said
+        assert "unfinished: 1 of 2 groups are written, without /sig/b; run its writer again" in said
         assert "lot.toml" not in said
         # other groups are what they were
         for group in (LINES[0], "other"):
@@ -330,7 +330,7 @@ def test_what_is_written_while_a_store_is_read_is_said(store: Path, monkeypatch:
         return found
 
     monkeypatch.setattr(verification, "store_state", state_and_run)
-    assert "was written to meanwhile" in hp.verify(store).problems[0]
+    assert "a writer changed the store" in hp.verify(store).problems[0]
 
 
 def _interrupt(*_: object) -> None:
@@ -382,7 +382,7 @@ def test_a_huge_list_in_the_root_is_not_read(store: Path) -> None:
 def test_a_lost_manifest_is_told_and_made_again(store: Path) -> None:
     before = manifest(store)
     shutil.rmtree(store / "hyperpaint")
-    assert "lost its manifest" in hp.verify(store).problems[0]
+    assert "is missing" in hp.verify(store).problems[0]
     assert hp.open_store(store, LINES[0]).counts.values[0, 0, 0] == 98
     with pytest.raises(StoreError, match="manifest-lost"):
         hp.to_store(line(7), store, "signatures")
@@ -424,7 +424,7 @@ def test_a_part_of_a_store_opens_and_says_so(store: Path, tmp_path: Path) -> Non
     shutil.copytree(store / "flightlines", tmp_path / "flightlines")
     report = hp.verify(tmp_path / "flightlines")
     assert report.ok
-    assert "a part of a store of hyperpaint" in report.notes[0]
+    assert "copied from a store of hyperpaint" in report.notes[0]
     assert report.chunks == 3
 
 
