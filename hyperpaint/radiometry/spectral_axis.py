@@ -294,7 +294,7 @@ def smooth(
     array = convert(dataset["reflectance"], "1")
     is_cube = set(schema.CUBE) == set(array.dims)
     source = line_chunked(array) if is_cube else array
-    options: dict[str, Any] = {"cube": is_cube, "window": window}
+    options: dict[str, Any] = {"is_cube": is_cube, "window": window}
     if method != "box":
         options["polynomials"] = _window_polynomials(window, order, array.sizes[schema.BAND])
     arrays = [source.chunk({schema.BAND: -1}) if source.chunks else source]
