@@ -64,16 +64,10 @@ class LampLines:
     @classmethod
     def empty(cls, steps: int, columns: int) -> LampLines:
         """Return lines without any fit."""
-        shape = (steps, columns)
-        arrays = {field.name: np.full(shape, np.nan) for field in fields(cls)}
-        return cls(
-            **arrays
-            | {
-                "covariance": np.full((*shape, 4, 4), np.nan),
-                "trusted": np.zeros(shape, np.bool_),
-                "completed": np.zeros(shape, np.bool_),
-            }
-        )
+        lamp_lines = cls(*(np.full((steps, columns), np.nan) for _ in fields(cls)))
+        lamp_lines.covariance = np.full((steps, columns, 4, 4), np.nan)
+        lamp_lines.trusted, lamp_lines.completed = np.zeros((2, steps, columns), np.bool_)
+        return lamp_lines
 
     def store(self, step: int, window: Window, fits: Fits, bands: int) -> None:
         """Store the fits of one step."""
@@ -133,11 +127,30 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         windows.append(window)
         tick()
     _check_monotone(lab, windows)
-    _check_flux(lab, windows)
+    # lit columns without flux or capture fraction
+    missing_flux = [
+        f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
+        for step, window in enumerate(windows)
+        if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
+    ]
+    if missing_flux:
+        raise refused(
+            f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
+            mend="measure it there",
+            code="flux-missing",
+        )
+    # one highest count that repeats along a column
     if lab.saturation is None:
-        _warn_of_clipping(np.where(bad, -np.inf, highest))
-    noise, noise_source = _noise_model(lab, tally, scatter)
-    return SweepData(windows, rows, noise, noise_source)
+        highest = np.where(bad, -np.inf, highest)
+        is_highest = highest >= highest.max() - _COUNT_TOLERANCE
+        if (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any():
+            text = (
+                f"saturation_count is missing, and the highest count {highest.max():g} repeats in "
+                f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
+                "give saturation_count"
+            )
+            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=3)
+    return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
 
 
 def binned(signal: Floats, *values: Floats) -> Floats:
@@ -170,37 +183,6 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
         ), "as stated"
     # scatter includes the noise of the dark
     return NoiseModel(float(np.median(scatter)) if scatter else 0.0, 0.0), FROM_SCATTER
-
-
-def _check_flux(lab: LabSweep, windows: list[Window | None]) -> None:
-    # Refuse lit columns whose flux or capture fraction is zero or NaN.
-    missing_flux = [
-        f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
-        for step, window in enumerate(windows)
-        if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
-    ]
-    if missing_flux:
-        raise refused(
-            f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
-            mend="measure it there",
-            code="flux-missing",
-        )
-
-
-def _warn_of_clipping(highest: Floats) -> None:
-    # Warn if one highest count repeats along a column (band, cross_track).
-    top = float(highest.max())
-    is_highest = highest >= top - _COUNT_TOLERANCE
-    if (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any():
-        warnings.warn(
-            PaintWarning(
-                f"saturation_count is missing, and the highest count {top:g} repeats in "
-                f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
-                "give saturation_count",
-                code="saturation-missing",
-            ),
-            stacklevel=4,
-        )
 
 
 def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
