@@ -116,9 +116,17 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         Variables, dims, units or values are missing or impossible; all problems are listed.
     """
     problems = Problems(_REFUSAL, SchemaError)
-    arrays = _variables(sweep, absolute, problems)
-    steps = sweep.sizes.get(STEP, 0)
-    columns = sweep.sizes.get(CROSS_TRACK, 0)
+    needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
+    optional = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
+    arrays, faults = find(sweep, [*needed, *optional], SWEEP_VARIABLES)
+    problems.extend(faults)
+    for name in [name for name, array in arrays.items() if array.dtype.kind not in "iuf"]:
+        problems.add(
+            f"{name!r} has dtype {arrays.pop(name).dtype}",
+            expected=f"{SWEEP_VARIABLES[name].dtype}",
+            code="type-wrong",
+        )
+    steps, columns = sweep.sizes.get(STEP, 0), sweep.sizes.get(CROSS_TRACK, 0)
     if sweep.sizes and steps < MIN_STEPS:
         problems.add(f"{steps} steps", expected=f"at least {MIN_STEPS}", code="steps-too-few")
     values = {
@@ -140,9 +148,8 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
             code="value-out-of-range",
         )
     if "read_noise" in values and not (np.isfinite(values["read_noise"]) & (values["read_noise"] >= 0)).all():
-        worst = float(values["read_noise"].min())
         problems.add(
-            f"'read_noise' is {worst:g} in places",
+            f"'read_noise' is {float(values['read_noise'].min()):g} in places",
             expected="finite and at least zero",
             code="value-out-of-range",
         )
@@ -155,23 +162,8 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         )
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
-    if dark is None:
-        raise refused("'dark_counts' give no dark", code="dark-invalid")
+    assert dark is not None  # otherwise there is a problem
     return _assembled(arrays, values, dark, (steps, columns), shape == "triangle")
-
-
-def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[str, xr.DataArray]:
-    needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
-    optional_names = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
-    arrays, faults = find(sweep, [*needed, *optional_names], SWEEP_VARIABLES)
-    problems.extend(faults)
-    wrong_types = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}
-    for name, array in wrong_types.items():
-        problems.add(
-            f"{name!r} has dtype {array.dtype}", expected=f"{SWEEP_VARIABLES[name].dtype}", code="type-wrong"
-        )
-        del arrays[name]
-    return arrays
 
 
 def _check_order(values: dict[str, Floats], problems: Problems) -> None:
@@ -216,21 +208,22 @@ def _check_positive(
         wavelengths_text = "" if wavelength is None else f" ({listed(wavelength[steps], 'nm')})"
         steps_text = f" at {steps.size} of {len(values)} steps{wavelengths_text}"
         mend = "measure it, or leave these steps out with sweep.isel(step=...)"
-    first_value = values[is_invalid].ravel()[0]
     problems.add(
-        f"{name!r} is {first_value:g}{steps_text}", expected=expected, mend=mend, code="value-out-of-range"
+        f"{name!r} is {values[is_invalid].ravel()[0]:g}{steps_text}",
+        expected=expected,
+        mend=mend,
+        code="value-out-of-range",
     )
 
 
 def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: Problems) -> DarkModel | None:
     if "dark_counts" not in arrays:
         return None
-    dark = arrays["dark_counts"]
-    by_step = STEP in dark.dims
-    exposure = values.get("exposure_time")
+    dark, exposure = arrays["dark_counts"], values.get("exposure_time")
     dark_exposure = values.get("dark_exposure_time", exposure)
     if exposure is None or dark_exposure is None:
         return None
+    by_step = STEP in dark.dims
     if by_step:
         dark_exposure = np.broadcast_to(dark_exposure, dark.sizes[STEP])
     elif dark_exposure.ndim:
@@ -280,9 +273,6 @@ def _assembled(
     def scalar(name: str) -> float | None:
         return float(np.nanmedian(values[name])) if name in values else None
 
-    by_column = any(
-        name in arrays and CROSS_TRACK in arrays[name].dims for name in ("flux", "capture_fraction")
-    )
     return LabSweep(
         counts=arrays["counts"],
         variance=arrays.get("counts_variance"),
@@ -299,6 +289,8 @@ def _assembled(
         electrons_per_count=scalar("electrons_per_count"),
         read_noise=scalar("read_noise"),
         absolute=all(name in arrays for name in _ABSOLUTE),
-        by_column=by_column,
+        by_column=any(
+            name in arrays and CROSS_TRACK in arrays[name].dims for name in ("flux", "capture_fraction")
+        ),
         band_shift_time=scalar("band_shift_time") or 0.0,
     )
