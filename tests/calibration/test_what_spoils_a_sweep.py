@@ -89,8 +89,8 @@ def test_a_dark_model_reaches_as_far_as_it_is_known() -> None:
     model = fit_dark_model(dark, exposure)
     assert model.spread == pytest.approx(2.0, rel=0.05)
     assert model.leverage(0.05) == pytest.approx(1 / 8)
-    assert model.reaches(0.05)
-    assert not model.reaches(0.055)  # to 70 counts
+    assert model.is_valid_at(0.05)
+    assert not model.is_valid_at(0.055)  # to 70 counts
 
 
 # --- elements
