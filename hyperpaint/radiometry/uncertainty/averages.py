@@ -106,8 +106,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     cubes = [region[name].transpose(*other_dims, *mean_dims).values.astype(np.float64) for name in names]
     shape = cubes[0].shape[: len(other_dims)]
     value, random, systematic = (cube.reshape(-1, *cube.shape[len(other_dims) :]) for cube in cubes)
-    pixels = tuple(range(1, value.ndim))
-    is_valid = np.isfinite(value)
+    is_valid, pixels = np.isfinite(value), tuple(range(1, value.ndim))
     n = is_valid.sum(axis=pixels)
     divisor = np.where(n > 0, n, np.nan)
     mean, mean_square, mean_systematic = (
@@ -159,8 +158,7 @@ def _errors_of(region: xr.Dataset, mean_dims: Sequence[str], cubes: Sequence[Flo
     # Return the errors of the mean by source; None where they cannot be separated.
     if set(mean_dims) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(schema.CUBE):
         return None
-    line = line_errors(region)
-    if line is None:
+    if (line := line_errors(region)) is None:
         return None
     order = [mean_dims.index(dim) for dim in (ALONG_TRACK, CROSS_TRACK)]
     value, random = (cube.transpose(0, *(1 + axis for axis in order)) for cube in cubes[:2])

@@ -77,10 +77,6 @@ COMPONENTS = {
     "stray light": ("stray_light_u",),
 }
 
-_COMMON = {
-    "gain": "radiance_gain_u_systematic",
-    "linearity": "linearity_u",
-}
 MAX_HARMONICS = 20
 
 
@@ -151,7 +147,9 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
     is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
     floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
     masked = attrs.get(MASKED, masked_elements(line) if "masked" in line.variables else 0)
-    sources = {name: of(variable) for name, variable in _COMMON.items() if variable in values}
+    sources = {
+        name: of(COMPONENTS[name][0]) for name in ("gain", "linearity") if COMPONENTS[name][0] in values
+    }
     if "irradiance_u_systematic" in values:
         channels = line[schema.IRRADIANCE_WAVELENGTH].values
         band_values = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
@@ -221,9 +219,8 @@ def _light_errors(line: xr.Dataset) -> LightErrors:
     neighbours = line_light(
         line["time"].values, arrays[schema.IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
     )
-    noise = matched_noise(arrays)
     weight = np.nan_to_num(neighbours.weight)
-    return LightErrors(neighbours.before, neighbours.after, weight, noise.level, noise.covariance)
+    return LightErrors(neighbours.before, neighbours.after, weight, *matched_noise(arrays))
 
 
 def rounding_variance(variance: Array) -> Floats:
