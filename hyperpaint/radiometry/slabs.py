@@ -246,7 +246,7 @@ def _in_slabs(values: Array, lines: int) -> da.Array:
     return da.Array(slabs, name, chunks, meta=values[:0])
 
 
-_NO_CUBE = np.empty((0, 0, 0), np.float32)
+NO_CUBE = np.empty((0, 0, 0), np.float32)
 
 
 def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> None:
@@ -322,7 +322,7 @@ def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Arra
     is_certain = plan.error_terms is None
     cube = np.empty(counts.shape, np.float32)
     quality = np.empty((counts.shape[0], counts.shape[2]), np.uint16)
-    cubes = (_NO_CUBE, _NO_CUBE) if is_certain else (np.empty_like(cube), np.empty_like(cube))
+    cubes = (NO_CUBE, NO_CUBE) if is_certain else (np.empty_like(cube), np.empty_like(cube))
     out = SlabOutputs(cube, quality, *cubes)
     calibrate_lines(plan, np.ascontiguousarray(counts), int(plan.starts[block_id[0]]), out)
     return out[:2] if is_certain else tuple(out)
