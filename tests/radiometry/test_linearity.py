@@ -48,7 +48,7 @@ def test_kernel_against_plain_numpy(smile: int, kind: str, on_raw: bool) -> None
     out = np.empty(p["counts"].shape, np.float32)
     quality = np.empty((out.shape[0], out.shape[2]), np.uint16)
     none = np.empty((0, 0, 0), np.float32)
-    p["detector"] = curve.as_kernel_takes_it(FULL)
+    p["detector"] = curve.detector_model(FULL)
     calibrate(p, SlabOutputs(out, quality, none, none))
     far = np.isfinite(expected) & (np.abs(raw - dark) > 1.0)
     # tables are known at 8192 places: a kink between two of them is cut by some hundredths of a count
