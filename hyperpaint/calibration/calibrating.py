@@ -16,6 +16,7 @@ from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import label
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.kernels.line_fits import GAUSSIAN
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, Linearity, linearity_of
 
 from .calibration_dataset import Result, responses_of_lines
@@ -35,8 +36,7 @@ from .steps import (
     FROM_SCATTER,
     LampLines,
     SweepData,
-    fit_with_deconvolution,
-    fit_without_deconvolution,
+    fit_steps,
     read_lines,
 )
 from .wavelength_map import WavelengthMap, fit_wavelength_map
@@ -185,14 +185,13 @@ def calibrate(
     if dark:
         text = f"no lamp line above the noise at {listed(dark, 'nm')}: left out"
         warnings.warn(PaintWarning(text, code="steps-dark"), stacklevel=2)
-    first_lines, fits = fit_without_deconvolution(lab, sweep_data, tick)
+    first_lines, fits = fit_steps(lab, sweep_data, GAUSSIAN, tick)
     _check_trusted(sweep_data, first_lines, fits)
     rough_map = _map(first_lines, lab, lab.wavelength, smile_degree)
     # fits with every line shape; the best shape is fitted again without deviant elements
     shapes = {name: code for name, code in SHAPES.items() if srf_shape in (None, name)}
     by_shape = {
-        name: fit_with_deconvolution(lab, sweep_data, rough_map, code, fits, tick)
-        for name, code in shapes.items()
+        name: fit_steps(lab, sweep_data, code, tick, (rough_map, fits))[0] for name, code in shapes.items()
     }
     common = np.logical_and.reduce([lines.trusted for lines in by_shape.values()])
     misfit = {
@@ -209,7 +208,7 @@ def calibrate(
         for window in windows:
             if window is not None:
                 window.leave_out(bad)
-        lamp_lines = fit_with_deconvolution(lab, sweep_data, rough_map, SHAPES[shape], fits, lambda: None)
+        lamp_lines, _ = fit_steps(lab, sweep_data, SHAPES[shape], lambda: None, (rough_map, fits))
     # deviations of elements, and where noise is unknown the noise, with which lamp lines are fitted again
     has_noise = sweep_data.noise_source != FROM_SCATTER
     differences, noise_slope = element_differences(
@@ -224,7 +223,7 @@ def calibrate(
             warnings.warn(PaintWarning(text, code="noise-missing"), stacklevel=2)
         noise = replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
         sweep_data = replace(sweep_data, noise=noise)
-        lamp_lines = fit_with_deconvolution(lab, sweep_data, rough_map, SHAPES[shape], fits, lambda: None)
+        lamp_lines, _ = fit_steps(lab, sweep_data, SHAPES[shape], lambda: None, (rough_map, fits))
     saturated_steps = [
         f"{w:g} nm ({int(window.saturated.sum())} of {window.saturated.size} lit columns)"
         for w, window in zip(lab.wavelength, windows, strict=True)

@@ -292,7 +292,7 @@ def _wings(distance: Floats, share: Floats, at: Ints) -> Floats:
         exponent = np.maximum(reach - sign * at, 0.0) * (sign * at >= 0) * rise
         is_hidden = (np.abs(at) < reach) & (sign * at >= 0)
         wing = np.where(is_hidden, max(level[0], 0.0) * np.exp(exponent), wing)
-    return np.maximum(wing, 0.0)
+    return np.asarray(np.maximum(wing, 0.0))
 
 
 # -- Structure of the responsivity between the lamp lines of a sweep: fringes and etalons that the steps miss.

@@ -135,12 +135,9 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         if name not in ("counts", "counts_variance", "dark_counts")
     }
     _check_order(values, problems)
-    for name in _POSITIVE:
-        if name in values:
-            high = 1.0 if name == "capture_fraction" else np.inf
-            _check_positive(
-                name, arrays[name].dims, values[name], high, values.get("step_wavelength"), problems
-            )
+    for name in (name for name in _POSITIVE if name in values):
+        high, wavelength = 1.0 if name == "capture_fraction" else np.inf, values.get("step_wavelength")
+        _check_positive(name, arrays[name].dims, values[name], high, wavelength, problems)
     if not (np.isfinite(shift := values.get("band_shift_time", np.zeros(()))) & (shift >= 0)).all():
         problems.add(
             f"'band_shift_time' is {float(shift):g} s",

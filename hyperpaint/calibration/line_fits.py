@@ -270,7 +270,23 @@ def fit_window(
     # weights from the noise of single counts favour low counts: weights follow the model if there is one
     min_variance = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
     variance = noise.variance(model, frames) + min_variance
-    fits, is_used = _fit_twice(window, values, variance, parameters, shape, light)
+    # fit in place, and again without the worst outlier
+    is_used, start_values = is_finite.copy(), parameters.copy()
+    for is_last in (False, True):
+        parameters[:] = np.where(np.isfinite(parameters), parameters, start_values)
+        samples = LineSamples(values, np.where(is_used, 1.0 / variance, 0.0), window.first, light.width)
+        fits = fitted(samples, shape, light.triangular, parameters)
+        if is_last:
+            break
+        model = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
+        residual = np.where(is_used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
+        amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))[:, None]
+        # a dead element distorts the fit of its neighbours, so only the worst sample is left out
+        is_outlier = residual > np.maximum(8.0 * np.sqrt(variance), _MAX_DEVIATION_SHARE * amplitude)
+        is_outlier &= residual >= residual.max(axis=1, keepdims=True)
+        if not is_outlier.any():
+            break
+        is_used &= ~is_outlier
     # sum over all bands, of which the part beyond the edge of the array or on bad elements is taken from the
     # fit. Where bands are more than half a lamp line's width apart, their sum is a little more or less than
     # the light, depending on its position between them; the profile corrects this.
@@ -296,32 +312,6 @@ def fit_window(
         degrees=np.maximum(is_used.sum(axis=1) - 4.0, 1.0),
         converged=fits.converged & np.isfinite(area) & (parameters[:, AREA] > 0),
     )
-
-
-def _fit_twice(
-    window: Window, values: Floats, variance: Floats, parameters: Floats, shape: int, light: Light
-) -> tuple[LineFits, Bools]:
-    # Fit in place, and again without the worst outlier; return the fits and which samples are used.
-    is_used = np.isfinite(window.values)
-    start_values = parameters.copy()
-    for is_last in (False, True):
-        parameters[:] = np.where(np.isfinite(parameters), parameters, start_values)
-        samples = LineSamples(values, np.where(is_used, 1.0 / variance, 0.0), window.first, light.width)
-        fits = fitted(samples, shape, light.triangular, parameters)
-        if is_last:
-            break
-        model = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
-        residual = np.where(is_used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
-        amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))
-        worst = residual.max(axis=1, keepdims=True)
-        # a dead element distorts the fit of its neighbours, so only the worst sample is left out
-        is_outlier = (
-            residual > np.maximum(8.0 * np.sqrt(variance), _MAX_DEVIATION_SHARE * amplitude[:, None])
-        ) & (residual >= worst)
-        if not is_outlier.any():
-            break
-        is_used &= ~is_outlier
-    return fits, is_used
 
 
 def _start(window: Window, light: Light) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
+from hyperpaint.kernels.line_fits import CENTRE, WIDTH
 from hyperpaint.radiometry.linear_counts import Linearity
 from hyperpaint.radiometry.stray_light import smear_of
 
@@ -206,38 +206,28 @@ def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
         )
 
 
-def fit_without_deconvolution(
-    lab: LabSweep, sweep_data: SweepData, tick: Tick
-) -> tuple[LampLines, list[Fits | None]]:
-    """Return Gaussian fits of the lamp lines without deconvolution, which give their centres."""
-    lamp_lines = LampLines.empty(lab.shape[0], lab.shape[2])
-    fits_of_steps: list[Fits | None] = []
-    for step, window in enumerate(sweep_data.windows):
-        fits = None
-        if window is not None:
-            light = Light(np.zeros(len(window.columns)), False)
-            fits = fit_window(window, sweep_data.noise, float(lab.frames[step]), GAUSSIAN, light)
-            lamp_lines.store(step, window, fits, lab.shape[1])
-        fits_of_steps.append(fits)
-        tick()
-    return lamp_lines, fits_of_steps
-
-
-def fit_with_deconvolution(
+def fit_steps(
     lab: LabSweep,
     sweep_data: SweepData,
-    wavelength_map: WavelengthMap,
     shape: int,
-    first_fits: list[Fits | None],
     tick: Tick,
-) -> LampLines:
-    """Return fits of the camera's response convolved with the monochromator's line."""
+    first: tuple[WavelengthMap, list[Fits | None]] | None = None,
+) -> tuple[LampLines, list[Fits | None]]:
+    """Return fits of the lamp lines, and by step.
+
+    Without ``first``, the monochromator's line is not deconvolved: such fits give the centres. With a
+    wavelength map and first fits, they are fits of the camera's response convolved with that line.
+    """
     lamp_lines = LampLines.empty(lab.shape[0], lab.shape[2])
-    for step, (window, start) in enumerate(zip(sweep_data.windows, first_fits, strict=True)):
-        if window is not None and start is not None:
-            spacing = wavelength_map.spacing(start.parameters[:, CENTRE], window.columns)
-            light = Light(np.asarray(lab.width[step] / spacing), lab.triangular)
+    fits_of_steps: list[Fits | None] = [None] * lab.shape[0]
+    for step, window in enumerate(sweep_data.windows):
+        if window is not None:
+            light, start = Light(np.zeros(len(window.columns)), False), None
+            if first is not None and (start := first[1][step]) is not None:
+                spacing = first[0].spacing(start.parameters[:, CENTRE], window.columns)
+                light = Light(np.asarray(lab.width[step] / spacing), lab.triangular)
             fits = fit_window(window, sweep_data.noise, float(lab.frames[step]), shape, light, start)
             lamp_lines.store(step, window, fits, lab.shape[1])
+            fits_of_steps[step] = fits
         tick()
-    return lamp_lines
+    return lamp_lines, fits_of_steps

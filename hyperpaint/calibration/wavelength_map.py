@@ -90,36 +90,22 @@ def fit_wavelength_map(
         weight = 1.0 / (uncertainty**2 + min_uncertainty**2)
         weight /= weight.mean()
 
-    def criterion(surface: WavelengthMap) -> float:
-        # Bayesian information criterion, with a lower limit for rounding of counts
-        fit = band.size * 2.0 * np.log(surface.residual + 1e-6)
-        return float(fit + surface.coefficients.size * np.log(band.size))
-
-    trials = [
-        _robust_surface(band, column, wavelength, sizes, (degree, min(trial, max(n_columns - 1, 0))), weight)
-        for trial in degrees
-    ]
-    return min(trials, key=criterion)
-
-
-def _robust_surface(
-    band: Floats,
-    column: Floats,
-    wavelength: Floats,
-    sizes: tuple[int, int],
-    degrees: tuple[int, int],
-    prior: Floats,
-) -> WavelengthMap:
     bands, columns = sizes
     u, v = 2.0 * band / max(bands - 1, 1) - 1.0, 2.0 * column / max(columns - 1, 1) - 1.0
-    terms = np.asarray(chebyshev.chebvander2d(u, v, list(degrees)), np.float64)
-    coefficients, is_inlier = _robust_fit(terms, wavelength, prior, tolerance=1e-7)
-    freedom = max(is_inlier.sum() - terms.shape[1], 1)
-    rms = float(np.sqrt(((wavelength - terms @ coefficients)[is_inlier] ** 2).sum() / freedom))
-    shape = (degrees[0] + 1, degrees[1] + 1)
-    return WavelengthMap(
-        coefficients.reshape(shape), bands, columns, (int(column.min()), int(column.max())), rms
-    )
+    lit = (int(column.min()), int(column.max()))
+    best, lowest = None, np.inf
+    for trial in degrees:
+        shape = (degree + 1, min(trial, max(n_columns - 1, 0)) + 1)
+        terms = np.asarray(chebyshev.chebvander2d(u, v, [size - 1 for size in shape]), np.float64)
+        coefficients, is_inlier = _robust_fit(terms, wavelength, weight, tolerance=1e-7)
+        freedom = max(is_inlier.sum() - terms.shape[1], 1)
+        rms = float(np.sqrt(((wavelength - terms @ coefficients)[is_inlier] ** 2).sum() / freedom))
+        # Bayesian information criterion, with a lower limit for rounding of counts
+        criterion = band.size * 2.0 * np.log(rms + 1e-6) + coefficients.size * np.log(band.size)
+        if best is None or criterion < lowest:
+            best, lowest = WavelengthMap(coefficients.reshape(shape), bands, columns, lit, rms), criterion
+    assert best is not None
+    return best
 
 
 def _robust_fit(terms: Floats, values: Floats, prior: Floats, tolerance: float) -> tuple[Floats, Bools]:
