@@ -143,14 +143,13 @@ def apply_alignment(
 def _with_windows(alignment: xr.Dataset) -> xr.Dataset:
     # Return the alignment with a leading dim of windows; SchemaError for another dataset.
     problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
-    for name in _VARIABLES:
-        if name not in alignment.variables:
-            problems.add(f"{name!r} is missing", code="variable-missing")
-    for dim in (BAND, CROSS_TRACK):
-        if dim not in alignment.dims:
-            problems.add(f"dim {dim!r} is missing", code="dim-missing")
-    if _WINDOW not in alignment.attrs:
-        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
+    for kind, names, present, code in (
+        ("", _VARIABLES, alignment.variables, "variable-missing"),
+        ("dim ", (BAND, CROSS_TRACK), alignment.dims, "dim-missing"),
+        ("attribute ", (_WINDOW,), alignment.attrs, "attribute-missing"),
+    ):
+        for name in (name for name in names if name not in present):
+            problems.add(f"{kind}{name!r} is missing", code=code)
     problems.raise_if_any()
     windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
     for name in _VARIABLES[:5]:

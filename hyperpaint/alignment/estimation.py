@@ -176,8 +176,10 @@ def fit_columns(
         flag=flag.astype(np.uint8),
         chi2=np.full(best.shape, np.nan),
     )
-    departures = (np.where(used, np.expm1(values), np.nan) for values in (departure, departure_declared))
-    return estimate, *departures
+    best_relative, declared_relative = (
+        np.where(used, np.expm1(values), np.nan) for values in (departure, departure_declared)
+    )
+    return estimate, best_relative, declared_relative
 
 
 def _search(ratio: _Ratio, max_shift: float) -> tuple[Floats, Floats, Floats, Floats]:

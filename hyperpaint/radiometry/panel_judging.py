@@ -117,9 +117,9 @@ class PanelClosure(NamedTuple):
 
     def at(self, indices: NDArray[np.int64]) -> PanelClosure:
         """Return the results of the panels at indices."""
+        arrays: list[Any] = [*self[:-1]]
         reasons = tuple(self.reasons[k] for k in indices)
-        scale, factor, u, mean_u, used = (values[indices] for values in self[:5])
-        return PanelClosure(scale, factor, u, mean_u, used, self.state[indices], self.time[indices], reasons)
+        return PanelClosure._make([*(values[indices] for values in arrays), reasons])
 
 
 def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -> PanelClosure:
@@ -141,7 +141,7 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
         rows.append(row)
     *spectra, states, reasons = zip(*rows, strict=True)
     time = np.array([panel["time"] for panel in panels], "datetime64[ns]")
-    return PanelClosure(*map(np.array, spectra), np.array(states, np.uint8), time, reasons)
+    return PanelClosure._make([*map(np.array, spectra), np.array(states, np.uint8), time, reasons])
 
 
 def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:

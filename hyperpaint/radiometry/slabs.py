@@ -229,21 +229,16 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
         line_bytes = cube.sizes[CUBE[1]] * cube.sizes[CUBE[2]] * np.dtype(np.float32).itemsize
         lines = lines_a_task(line_bytes, CHUNK_LINES)
         if cube.variable._in_memory:
-            return cube.copy(data=_in_slabs(cube.values, lines))
+            # views with a random name: dask would hash the values, which takes longer than calibrating them
+            values, name = cube.values, f"lines-{uuid.uuid4().hex}"
+            starts = range(0, max(len(values), 1), lines)
+            views = {(name, n, 0, 0): values[start : start + lines] for n, start in enumerate(starts)}
+            chunks = (tuple(map(len, views.values())), *((size,) for size in values.shape[1:]))
+            return cube.copy(data=da.Array(views, name, chunks, meta=values[:0]))
         return cube.chunk({CUBE[0]: lines, CUBE[1]: -1, CUBE[2]: -1})
     if any(len(cube.variable.chunksizes[dim]) > 1 for dim in CUBE[1:]):
         return cube.chunk({CUBE[1]: -1, CUBE[2]: -1})
     return cube
-
-
-def _in_slabs(values: Array, lines: int) -> da.Array:
-    # Return values (line, band, column) in memory as a dask array of views.
-    # Its name is random: dask would hash the values, which takes longer than calibrating them.
-    name = f"lines-{uuid.uuid4().hex}"
-    starts = range(0, max(len(values), 1), lines)
-    slabs = {(name, number, 0, 0): values[start : start + lines] for number, start in enumerate(starts)}
-    chunks = (tuple(map(len, slabs.values())), *((size,) for size in values.shape[1:]))
-    return da.Array(slabs, name, chunks, meta=values[:0])
 
 
 NO_CUBE = np.empty((0, 0, 0), np.float32)

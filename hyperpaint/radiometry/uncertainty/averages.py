@@ -117,19 +117,16 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     if region[names[2]].attrs.get("components") == NONE_KNOWN or not np.nan_to_num(systematic).any():
         mean_systematic = np.full_like(mean_systematic, np.nan)
     n_effective = np.array([effective_number(plane) for plane in value])
+    mean_random = np.sqrt(mean_square / np.where(n > 0, n_effective, np.nan))
+    if errors is not None:
+        mean_random, mean_systematic = np.where(n > 0, errors.u_random, np.nan), errors.u_systematic
     estimates = {
         "mean": (mean, "Mean reflectance"),
         "n": (n, "Pixels"),
         "n_eff": (n_effective, "Independent pixels"),
-        "u_random": (
-            np.sqrt(mean_square / np.where(n > 0, n_effective, np.nan)),
-            "Random uncertainty of the mean",
-        ),
+        "u_random": (mean_random, "Random uncertainty of the mean"),
         "u_systematic": (mean_systematic, "Systematic uncertainty of the mean"),
     }
-    if errors is not None:
-        estimates["u_random"] = (np.where(n > 0, errors.u_random, np.nan), estimates["u_random"][1])
-        estimates["u_systematic"] = (errors.u_systematic, estimates["u_systematic"][1])
     coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(other_dims)}
     result = xr.Dataset(
         {
