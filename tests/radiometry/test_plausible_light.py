@@ -28,7 +28,7 @@ def test_daylight_passes_without_a_word(factor: float, position: bool) -> None:
 
 @pytest.mark.parametrize(
     ("factor", "unit"),
-    [(1e-6, "said to be in uW m-2 nm-1"), (1e-4, "values in W cm-2 nm-1 that are taken"), (10.0, "mW cm-2"),
+    [(1e-6, "declared in uW m-2 nm-1"), (1e-4, "values in W cm-2 nm-1 that are taken"), (10.0, "mW cm-2"),
      (100.0, "values in uW cm-2 nm-1 that are taken"), (1e3, r"mW m-2 nm-1 \(W m-2 um-1\) that are taken")],
 )  # fmt: skip
 def test_what_no_daylight_is_is_refused_with_the_unit(factor: float, unit: str) -> None:
@@ -39,7 +39,7 @@ def test_what_no_daylight_is_is_refused_with_the_unit(factor: float, unit: str) 
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(1e-2, "said to be in uW cm-2 nm-1"), (1e-3, "said to be in mW m-2 nm-1"), (2.2, "")]
+    ("factor", "unit"), [(1e-2, "declared in uW cm-2 nm-1"), (1e-3, "declared in mW m-2 nm-1"), (2.2, "")]
 )
 def test_what_a_clear_sky_contradicts_is_warned_of(factor: float, unit: str) -> None:
     lazily = reflectance(_line(factor))
