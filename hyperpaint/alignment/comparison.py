@@ -27,7 +27,7 @@ from hyperpaint.radiometry.uncertainty.irradiance_noise import noise_of_record
 from .application import restated, without_products
 from .lamp import Declared, channels_near, responses_table, shares_of_samples, variance_of_responses
 from .oxygen import mean_over_lines, radiance_of_bands
-from .sunlines import Instruments, RecordAgainstSun, divided, record_against_sun
+from .sunlines import RecordAgainstSun, divided, record_against_sun
 
 
 @dataclass(frozen=True)
@@ -577,7 +577,27 @@ def align(
         return _not_compared(line, str(error).splitlines()[0])
     if comparison is None:
         return _not_compared(line, "too few bands, pixels or channels where daylight has lines")
-    numbers = _attributes_of(comparison)
+    shift_u, tilt_u, width_u = comparison.u
+    shares = divided(
+        (comparison.shift, float(shift_u)),
+        (comparison.width, float(width_u)),
+        comparison.sun,
+        comparison.declared_fwhm,
+    )
+    values = {
+        "shift": comparison.shift,
+        "shift_u": shift_u,
+        "shift_slope": comparison.tilt,
+        "shift_slope_u": tilt_u,
+        "width": comparison.width,
+        "width_u": width_u,
+        "effect": np.nanmax(np.abs(comparison.effect)),
+        "departure": comparison.departure,
+        "residual": comparison.residual,
+        "residual_declared": comparison.residual_declared,
+        **shares._asdict(),
+    }
+    numbers = {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
     is_significant = comparison.is_significant(rules)
     if comparison.at_limit:
         text = f"camera and irradiance record differ by more than can be corrected ({_sentence(comparison)})"
@@ -586,7 +606,6 @@ def align(
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
         # the camera's wavelengths move only where its share is significant
-        shares = _instruments(comparison)
         is_camera_significant = abs(shares.camera_shift) > rules.camera_significance * shares.camera_shift_u
         camera = float(f"{shares.camera_shift:.3f}") if is_camera_significant else 0.0
         camera_text = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
@@ -607,29 +626,6 @@ def align(
 
 def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
     return restated(line, f"camera and irradiance record not compared: {reason}", state="not compared")
-
-
-def _attributes_of(comparison: Comparison) -> dict[str, float]:
-    shift_u, tilt_u, width_u = comparison.u
-    values = {
-        "shift": comparison.shift,
-        "shift_u": shift_u,
-        "shift_slope": comparison.tilt,
-        "shift_slope_u": tilt_u,
-        "width": comparison.width,
-        "width_u": width_u,
-        "effect": np.nanmax(np.abs(comparison.effect)),
-        "departure": comparison.departure,
-        "residual": comparison.residual,
-        "residual_declared": comparison.residual_declared,
-    }
-    values |= _instruments(comparison)._asdict()
-    return {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
-
-
-def _instruments(comparison: Comparison) -> Instruments:
-    shift, width = (comparison.shift, float(comparison.u[0])), (comparison.width, float(comparison.u[2]))
-    return divided(shift, width, comparison.sun, comparison.declared_fwhm)
 
 
 def _sentence(comparison: Comparison) -> str:
