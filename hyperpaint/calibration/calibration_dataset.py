@@ -500,10 +500,8 @@ class Result:
         }
         if flat is not None:
             values["flat_field"] = flat
-        if self.lab.band_shift_time:
-            values["band_shift_time"] = self.lab.band_shift_time
-        if self.linearity_u:
-            values["linearity_u"] = self.linearity_u
+        optional = {"band_shift_time": self.lab.band_shift_time, "linearity_u": self.linearity_u}
+        values |= {name: value for name, value in optional.items() if value}
         table = self._table()
         coords = {
             "wavelength": self.centre_wavelength,
@@ -610,23 +608,19 @@ class Result:
 
     def _dark(self) -> dict[str, Any]:
         lab = self.lab
-        exposure = float(np.median(lab.exposure))
+        exposure, noise = float(np.median(lab.exposure)), self.sweep_data.noise
         variables: dict[str, Any] = {"dark_counts": lab.dark.at(exposure), "dark_exposure_time": exposure}
         if lab.dark.has_rate:
             variables |= {"dark_bias": lab.dark.bias, "dark_rate": lab.dark.rate}
         if lab.saturation is not None:
             variables["saturation_count"] = lab.saturation
-        noise = self.sweep_data.noise
         electrons, read_noise = lab.electrons_per_count, lab.read_noise
         if self.sweep_data.noise_source == FROM_FRAMES:
             electrons = electrons or 1.0 / noise.slope
             if read_noise is None:
                 read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
-        if electrons is not None:
-            variables["electrons_per_count"] = electrons
-        if read_noise is not None:
-            variables["read_noise"] = read_noise
-        return variables
+        known = {"electrons_per_count": electrons, "read_noise": read_noise}
+        return variables | {name: value for name, value in known.items() if value is not None}
 
     def _line_variables(self) -> dict[str, Any]:
         lamp_lines, steps = self.lamp_lines, self.lab.shape[0]
@@ -634,8 +628,7 @@ class Result:
         for step, window in enumerate(self.sweep_data.windows):
             if window is not None:
                 beam[step] = fit_beam(window.beam)
-        used = self.is_placed.any(axis=1)
-        second = np.full(steps, np.nan)
+        used, second = self.is_placed.any(axis=1), np.full(steps, np.nan)
         second[used] = self.off_lines.second_order
         return {
             "line_band": lamp_lines.centre,
@@ -680,16 +673,12 @@ class Result:
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
         left_out = [float(w) for w in lab.wavelength[~self.used.any(axis=1)]]
-        electrons_source = "none"
-        if lab.electrons_per_count is not None:
-            electrons_source = "as stated"
-        elif self.sweep_data.noise_source == FROM_FRAMES:
+        electrons_source = "none" if lab.electrons_per_count is None else "as stated"
+        if lab.electrons_per_count is None and self.sweep_data.noise_source == FROM_FRAMES:
             electrons_source = (
                 "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
             )
-        linearity: str | list[float] = "table" if self.linearity else "identity"
-        if self.linearity.coefficients:
-            linearity = list(self.linearity.coefficients)
+        linearity = [*self.linearity.coefficients] or ("table" if self.linearity else "identity")
         # distance of the measured response from the better model, and its effect
         shape_attrs: dict[str, Any] = {}
         if self.measured is not None:

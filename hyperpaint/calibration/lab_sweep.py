@@ -79,12 +79,6 @@ class LabSweep:
         """Return the mean counts of one step, dark not subtracted (band, cross_track)."""
         return np.asarray(self.counts.isel({STEP: step}).to_numpy(), np.float64)
 
-    def frame_variance(self, step: int) -> Floats | None:
-        """Return the variance of one frame of a step (band, cross_track), or None."""
-        if self.variance is None:
-            return None
-        return np.asarray(self.variance.isel({STEP: step}).to_numpy(), np.float64)
-
 
 def listed(values: Any, unit: str = "", limit: int = 6) -> str:
     """Return some values as text, and the number of further ones."""

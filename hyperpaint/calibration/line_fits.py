@@ -145,7 +145,17 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     values = np.where(is_inside, valid_net[clipped, column_index], np.nan)
     outside = valid_net.copy()
     outside[clipped, column_index] = np.nan
-    background, variance = _background(outside)
+    # background: clipped mean of each column outside its window, and its variance relative to that of a band
+    # A drift of the dark shifts all bands equally; uncorrected, it would add to the area band by band.
+    background, variance = np.zeros((2, columns))
+    covered = np.flatnonzero(np.isfinite(outside).sum(axis=0) >= _MIN_BACKGROUND_BANDS)
+    if covered.size:
+        bands_outside = outside[:, covered]
+        distance = np.abs(bands_outside - np.nanmedian(bands_outside, axis=0))
+        is_background = np.isfinite(distance) & (distance <= 4.0 * 1.4826 * np.nanmedian(distance, axis=0))
+        count = np.maximum(is_background.sum(axis=0), 1)
+        background[covered] = np.where(is_background, bands_outside, 0.0).sum(axis=0) / count
+        variance[covered] = 1.0 / count
     values = values - background[:, None]
     is_saturated = np.zeros(columns, np.bool_)
     if saturation is not None:
@@ -197,26 +207,6 @@ def _rough_width(spectrum: Floats, peak: int) -> float:
             break
         half_width = min(needed_half, len(spectrum))
     return float(min(width, len(spectrum) / 4.0))
-
-
-def _background(outside: Floats) -> tuple[Floats, Floats]:
-    # Return the clipped mean of each column outside its window, and its variance relative to that of a band.
-    # A drift of the dark shifts all bands equally; uncorrected, it would add to the area band by band.
-    is_finite = np.isfinite(outside)
-    mean, variance = np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
-    covered = np.flatnonzero(is_finite.sum(axis=0) >= _MIN_BACKGROUND_BANDS)
-    if not covered.size:
-        return mean, variance
-    outside_covered, is_finite = outside[:, covered], is_finite[:, covered]
-    median = np.nanmedian(outside_covered, axis=0)
-    spread = 1.4826 * np.nanmedian(np.abs(outside_covered - median), axis=0)
-    is_background = is_finite & (np.abs(outside_covered - median) <= 4.0 * spread)
-    count = np.maximum(is_background.sum(axis=0), 1)
-    mean[covered], variance[covered] = (
-        np.where(is_background, outside_covered, 0.0).sum(axis=0) / count,
-        1.0 / count,
-    )
-    return mean, variance
 
 
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:

@@ -11,6 +11,7 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
+from hyperpaint.base.schema import STEP
 from hyperpaint.kernels.line_fits import CENTRE, WIDTH
 from hyperpaint.radiometry.linear_counts import Linearity
 from hyperpaint.radiometry.stray_light import smear_of
@@ -108,8 +109,8 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         if lab.band_shift_time:
             smear = smear_of(lab.band_shift_time, float(lab.exposure[step]), bands)
             net = net - smear * np.nansum(net, axis=0)
-        variance = lab.frame_variance(step)
-        if variance is not None:
+        if lab.variance is not None:
+            variance = np.asarray(lab.variance.isel({STEP: step}).to_numpy(), np.float64)
             is_saturated = lab.saturation is not None and raw >= lab.saturation - float(
                 SATURATION_MARGIN_COUNTS
             )
