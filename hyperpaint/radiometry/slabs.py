@@ -285,26 +285,21 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
 
         stray = plan.stray._replace(smear=plan.stray.smear[lines])
         subtract_stray_light(counts, calibration, light, stray, rounding(plan.cleared_bits), out)
-    if not is_integer and out.quality.size:
-        _flag_floats(plan, counts, lines, out.quality)
-
-
-def _flag_floats(plan: Plan, counts: Array, lines: slice, quality: Array) -> None:
     # Flag pixels without counts, and pixels whose counts are means that may include a saturated reading.
     # One of two or more readings may be saturated where their mean is halfway from the dark to the limit.
     # All bands of a pixel are judged together, since a mean can be an integer.
     is_flaggable = np.isfinite(plan.noise_margin)
-    if not is_flaggable.any():  # radiance
+    if is_integer or not out.quality.size or not is_flaggable.any():  # none of radiance
         return
-    for line, (row, number) in enumerate(zip(counts, range(lines.start, lines.stop), strict=False)):
+    for quality, row, number in zip(out.quality, counts, range(lines.start, lines.stop), strict=True):
         if plan.line_flags[number] & Quality.NO_DATA:
             continue
-        quality[line, (np.isnan(row) & is_flaggable).any(axis=0)] |= np.uint16(Quality.NO_DATA)
+        quality[(np.isnan(row) & is_flaggable).any(axis=0)] |= np.uint16(Quality.NO_DATA)
         is_mean = ((np.rint(row) != row) & np.isfinite(row) & is_flaggable).any(axis=0)
         if is_mean.any():
             halfway = 0.5 * (plan.dark[plan.dark_index[number]] + plan.saturation_limit)
             may_be_saturated = is_mean & ((row >= halfway) & is_flaggable).any(axis=0)
-            quality[line, may_be_saturated] |= np.uint16(Quality.SATURATED)
+            quality[may_be_saturated] |= np.uint16(Quality.SATURATED)
             if may_be_saturated.any():
                 plan.warning_of_means  # noqa: B018
 
