@@ -3,8 +3,8 @@
     python benchmarks/cold_start.py [--rounds 7] [--cold-rounds 1] [STEP ...]
 
 Every step is a process of its own: wall and processor time, and how many kernels it compiled and kept. Warm
-steps share a cache that ``hyperpaint warm`` has filled, and run in interleaved rounds; cold ones begin with
-an empty one. ``PYTHONDONTWRITEBYTECODE`` is unset: without bytecode, imports would be what is measured. The
+steps share a cache, which a first round fills, and run in interleaved rounds; cold ones begin with an empty
+one. ``PYTHONDONTWRITEBYTECODE`` is unset: without bytecode, imports would be what is measured. The
 first value is asked for beyond what xarray itself takes to open the store and to read a raw one.
 Exit status 1 where a median is beyond what was asked for.
 """
@@ -127,17 +127,11 @@ def measure(
     cold: dict[str, list[Cost]] = {name: [] for name in steps}
     warm: dict[str, list[Cost]] = {name: [] for name in steps}
     with tempfile.TemporaryDirectory(prefix="hyperpaint-kernels-") as folder:
-        filled = Path(folder)
-        if rounds:
-            spent = cost_of(f"{_CLI} warm --quiet", lot, filled)
-            print(f"hyperpaint warm: {spent.wall:.1f} s, {spent.compiled} kernels")
         for turn in range(rounds + 1 if rounds else 0):
             for name, step in steps.items():
-                cost = cost_of(step.command, lot, filled)
-                if turn:  # the first one reads files that are not in memory yet
+                cost = cost_of(step.command, lot, Path(folder))
+                if turn:  # the first one compiles, and reads files that are not in memory yet
                     warm[name].append(cost)
-                elif cost.compiled:
-                    print(f"{name}: compiled {cost.compiled} kernels that warm had not")
     for _ in range(cold_rounds):
         for name, step in steps.items():
             if step.cold is not None:
@@ -163,7 +157,7 @@ def main() -> int:
         cold, warm = measure(steps, lot, given.rounds, given.cold_rounds)
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; medians")
     columns = f"{'wall s':>8} {'asked':7} {'cpu s':>8} {'compiled':>8} "
-    print(f"{'':22}|{'nothing compiled before':34}|after hyperpaint warm\n{'':22}|{columns}|{columns}")
+    print(f"{'':22}|{'nothing compiled before':34}|all compiled before\n{'':22}|{columns}|{columns}")
     missed = 0
     for name, step in steps.items():
         raw = [cost.wall for cost in warm.get(step.beyond, [])]

@@ -47,7 +47,7 @@ def apply_alignment(
     Dataset
         The line with ``wavelength_shift`` (cross_track), or (band, cross_track) with several windows or where
         the line has these dims, float64 [nm]; ``fwhm`` (band), float64 [nm], times the mean factor, since the
-        table holds no width of a column. Between windows both are linear in wavelength, beyond them constant.
+        table has no width of a column. Between windows both are linear in wavelength, beyond them constant.
         The attribute ``alignment`` describes the correction; attributes of an earlier comparison
         (``alignment_shift`` ..., see `align`), and reflectance, which belongs to other wavelengths, are
         removed. ``wavelength`` is unchanged, so that flight lines keep one axis: the shift at the centre

@@ -38,7 +38,8 @@ class ComparisonRules:
     ----------
     windows
         Compared intervals [nm]: solar lines in the blue and green, H-alpha and the oxygen B band's beginning,
-        the oxygen A band, water; not 690 to 740, where vegetation's edge is no polynomial of low degree.
+        the oxygen A band, water; not 690 to 740, where no polynomial of low degree fits the edge of
+        vegetation.
     degree
         Degree of the polynomial that models a surface's spectrum in a window: it fits features of 15 nm and
         wider.
@@ -324,28 +325,28 @@ def _window_fit(
     nearby_channels, spectrometer = channels_near(declared.light, bands, limits, widths=8.0)
     widths = np.asarray(rules.widths)
     nodes, logs, weights = responses_table(spectrometer, bands, light[nearby_channels], limits, widths)
-    covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, valid] > 0).all(axis=1)
-    if covered.sum() < rules.degree + 7:
+    is_covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, valid] > 0).all(axis=1)
+    if is_covered.sum() < rules.degree + 7:
         return None
-    wavelength = bands.wavelength[covered]
-    by_channel = np.zeros((light.size, covered.sum()))
+    wavelength = bands.wavelength[is_covered]
+    by_channel = np.zeros((light.size, is_covered.sum()))
     light_nearby, sd = np.nan_to_num(light[nearby_channels]), np.nan_to_num(noise[nearby_channels])
-    by_channel[nearby_channels] = (weights[covered] * sd / (weights[covered] @ light_nearby)[:, None]).T
+    by_channel[nearby_channels] = (weights[is_covered] * sd / (weights[is_covered] @ light_nearby)[:, None]).T
     scale = np.ptp(wavelength) / 2.0
     position = (wavelength - wavelength.min()) / scale - 1.0
     basis, upper = np.linalg.qr(np.polynomial.legendre.legvander(position, rules.degree))
     powers = [np.polynomial.Legendre.basis(power).deriv()(position) for power in range(rules.degree + 1)]
     return _WindowFit(
         wavelength=wavelength,
-        log=np.log(np.where(valid, spectrum, 1.0)[covered]),
-        shift=declared_shift[covered],
+        log=np.log(np.where(valid, spectrum, 1.0)[is_covered]),
+        shift=declared_shift[is_covered],
         valid=valid,
         basis=basis,
         slopes=np.stack(powers, axis=-1) / scale @ np.linalg.inv(upper),
-        variance=variance_of_responses(bands)[covered],
+        variance=variance_of_responses(bands)[is_covered],
         nodes=nodes,
         widths=widths,
-        light=logs[:, :, covered],
+        light=logs[:, :, is_covered],
         noise=by_channel,
     )
 
@@ -496,7 +497,7 @@ def align(
 ) -> xr.Dataset:
     r"""Compare camera and irradiance record in flight, and correct significant differences.
 
-    Eager, except for the cubes: 128 lines are read, evenly over the line; the same whatever the chunks.
+    Eager, except for the cubes: 128 lines are read, evenly over the line, independently of chunks.
 
     Parameters
     ----------
@@ -526,8 +527,7 @@ def align(
         * ``alignment_departure``: joint departure of these from agreement, in standard uncertainties;
           ``alignment_effect``: largest relative change of irradiance [1].
         * ``alignment_residual``, ``alignment_residual_declared``: rms of the light's structure that remains
-        in
-          radiance over irradiance on average, relative, corrected and as declared [1].
+          in radiance over irradiance on average, relative, corrected and as declared [1].
         * ``alignment_record_shift``, ``alignment_camera_shift`` [nm], ``alignment_record_fwhm`` [nm],
           ``alignment_camera_width`` [1]: the share of each instrument, by the solar lines in the record.
           Each with ``_u``.
@@ -631,8 +631,8 @@ def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
 def _sentence(comparison: Comparison) -> str:
     shift_u, tilt_u, width_u = comparison.u
     changes = ", ".join(
-        f"{float(comparison.effect[near]):+.2%} at {comparison.wavelength[near]:.0f} nm"
-        for near in (int(np.abs(comparison.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
+        f"{float(comparison.effect[nearest]):+.2%} at {comparison.wavelength[nearest]:.0f} nm"
+        for nearest in (int(np.abs(comparison.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
     )
     return (
         f"camera minus record {comparison.shift:+.3f} +- {shift_u:.3f} nm at 600 nm, changing by "

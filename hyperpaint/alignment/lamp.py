@@ -266,9 +266,9 @@ def channels_near(
 
 def _log_matched(matching: Matching, spectrum: Floats) -> Floats:
     # Return the logarithm of a spectrum (channel,) matched to bands (shift, band); NaN without channels.
-    missing = ~np.isfinite(spectrum)
-    matched = np.einsum("nbc,c->nb", matching.weights, np.where(missing, 0.0, spectrum))
-    is_incomplete = (np.abs(matching.weights[..., missing]) > 1e-6).any(axis=-1)
+    is_missing = ~np.isfinite(spectrum)
+    matched = np.einsum("nbc,c->nb", matching.weights, np.where(is_missing, 0.0, spectrum))
+    is_incomplete = (np.abs(matching.weights[..., is_missing]) > 1e-6).any(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where((matched > 0.0) & ~is_incomplete, np.log(matched), np.nan))
 

@@ -34,7 +34,7 @@ def mean_over_lines(
     """Return the mean over lines of a cube over its light's level (band, column), and its number of pixels.
 
     One slab is in memory at a time. Lines are added in order, so that the result does not depend
-    on chunks. A pixel counts if all bands are valid, except bands that are missing in all of the first
+    on chunks. A pixel counts if all bands are valid, apart from bands without values in all of the first
     lines, whose mean is NaN.
     """
     cube = line_chunked(cube)
@@ -72,7 +72,7 @@ MIN_SHOULDER_BANDS = 4
 def oxygen_residual(dataset: xr.Dataset, *, progress: Progress | None = None) -> xr.DataArray:
     r"""Return the residual depth of the oxygen A band in the reflectance of every column.
 
-    Eager: reads the line once, a slab at a time; the same whatever the chunks.
+    Eager: reads the line once, a slab at a time; the result does not depend on chunks.
 
     Parameters
     ----------
@@ -165,8 +165,8 @@ def oxygen_depth(wavelength: Floats, spectrum: Floats) -> float:
     True
     """
     shoulders, weight = _parts(wavelength)
-    finite = np.isfinite(spectrum)
-    in_shoulders, in_band = shoulders & finite, (weight > 0.0) & finite
+    is_finite = np.isfinite(spectrum)
+    in_shoulders, in_band = shoulders & is_finite, (weight > 0.0) & is_finite
     if in_shoulders.sum() < MIN_SHOULDER_BANDS or not in_band.any():
         return float("nan")
     curve = np.polynomial.Polynomial.fit(wavelength[in_shoulders], spectrum[in_shoulders], 2)

@@ -43,17 +43,19 @@ class Convention:
     """
 
     roll_positive: Literal["right_wing_down", "right_wing_up"] = fact(
-        "right_wing_down", "sign of roll", choices=("right_wing_down", "right_wing_up")
+        "right_wing_down", "movement for which roll is positive", choices=("right_wing_down", "right_wing_up")
     )
     pitch_positive: Literal["nose_up", "nose_down"] = fact(
-        "nose_up", "sign of pitch", choices=("nose_up", "nose_down")
+        "nose_up", "movement for which pitch is positive", choices=("nose_up", "nose_down")
     )
     heading_positive: Literal["clockwise", "counterclockwise"] = fact(
-        "clockwise", "sense of heading, seen from above", choices=("clockwise", "counterclockwise")
+        "clockwise",
+        "direction in which heading increases, seen from above",
+        choices=("clockwise", "counterclockwise"),
     )
     heading_reference: Literal["true", "grid", "magnetic"] = fact(
         "true",
-        "north from which headings count; grid is the north of a map",
+        "north direction from which heading is measured; grid is the north of the map projection",
         choices=("true", "grid", "magnetic"),
     )
     angle_unit: Literal["degree", "radian"] = fact(
@@ -61,12 +63,14 @@ class Convention:
     )
     euler_order: Literal["ZYX", "ZXY", "XYZ"] = fact(
         "ZYX",
-        "order of the rotations about moving body axes (x forward, y right, z down); ZYX is heading, pitch, "
-        "roll",
+        "order of the rotations about moving body axes (x forward, y right, z down); ZYX is heading, then "
+        "pitch, then roll",
         choices=("ZYX", "ZXY", "XYZ"),
     )
     height_reference: Literal["ellipsoid", "geoid"] = fact(
-        "ellipsoid", "zero of heights; the geoid is mean sea level", choices=("ellipsoid", "geoid")
+        "ellipsoid",
+        "surface from which heights are measured; the geoid is mean sea level",
+        choices=("ellipsoid", "geoid"),
     )
     stamp_reference: Literal["start", "mid", "end"] | None = fact(
         None,
@@ -75,12 +79,12 @@ class Convention:
     )
     column_order: Literal["left_to_right", "right_to_left"] | None = fact(
         None,
-        "direction of the columns, seen along the flight; None for unknown",
+        "order of the columns, seen in the direction of flight; by default unknown",
         choices=("left_to_right", "right_to_left"),
     )
     declination: float | None = fact(
         None,
-        "angle from true north to magnetic north, positive east; added to magnetic headings",
+        "angle from true north to magnetic north, positive towards east; added to magnetic headings",
         kind="number",
         unit="degree",
     )
@@ -92,7 +96,7 @@ class Convention:
     )
     grid_crs: str | None = fact(
         None,
-        'reference system of the map for grid headings, such as "EPSG:32617"',
+        'coordinate reference system of the map to whose north grid headings refer, such as "EPSG:32617"',
         phrase="text such as 'EPSG:32617'",
     )
 
@@ -146,7 +150,7 @@ class Convention:
             Angles in this convention.
         convergence
             Grid north, east of true north [degree]; needed for headings from grid north alone. See
-            `hyperpaint.geometry.georeference.meridian_convergence`.
+            `hyperpaint.geometry.georeference.geodesy.meridian_convergence`.
 
         Returns
         -------
@@ -221,8 +225,8 @@ class Convention:
 
 
 def _nan_together(x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats]:
-    missing = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
-    return np.where(missing, np.nan, x), np.where(missing, np.nan, y), np.where(missing, np.nan, z)
+    is_missing = ~(np.isfinite(x) & np.isfinite(y) & np.isfinite(z))
+    return np.where(is_missing, np.nan, x), np.where(is_missing, np.nan, y), np.where(is_missing, np.nan, z)
 
 
 def wrapped(angle: Floats) -> Floats:

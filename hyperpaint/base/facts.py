@@ -85,7 +85,7 @@ def one_of(
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: method='cube', expected one of linear, cubic [choice-unknown]
     """
-    if value in tuple(allowed):
+    if isinstance(value, str) and value in allowed:
         return True
     found, expected = f"{name}={shown(value)}", f"one of {', '.join(allowed)}"
     if problems is None:
@@ -219,13 +219,13 @@ class Fact:
             return next(filter(None, map(self._number_fault, value)), None)
         if self.kind == "choice":
             return None if value in self.choices else "choice-unknown"
-        if self.kind == "words" and self.choices and isinstance(value, list):
+        if self.kind == "words" and self.choices and isinstance(value, list | tuple):
             return None if all(word in self.choices for word in value) else "choice-unknown"
         tests: Mapping[str, Callable[[Any], bool]] = {
             "flag": lambda value: isinstance(value, bool),
             "text": is_text,
             "texts": lambda value: all(map(is_text, value if isinstance(value, list) and value else [value])),
-            "words": lambda value: isinstance(value, list) and all(map(is_text, value)),
+            "words": lambda value: isinstance(value, list | tuple) and all(map(is_text, value)),
             "time": lambda value: isinstance(value, str | datetime.date),
             "table": lambda value: isinstance(value, dict),
         }
@@ -267,13 +267,17 @@ class Fact:
         return dataclasses.replace(self, **ends)
 
     def argument(self, value: Any) -> Any:
-        """Return the argument in Python for a checked value of the file."""
+        """Return the argument in Python for a checked value of the file; None stays."""
+        if value is None:
+            return None
         if isinstance(value, list) and self.kind == "numbers":
             return tuple(map(float, value))
         if self.kind == "numbers":
             return float(value)
         if self.kind == "time":  # TOML's own times as text that numpy reads
             return str(value).replace(" ", "T")
+        if self.scale == 1.0:
+            return float(value)
         return value if self.scale is None else float(f"{value * self.scale:.12g}")
 
 
@@ -294,6 +298,8 @@ def toml_text(value: Any) -> str:
 def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
     """Return a dataclass field with its declaration; the kind follows from the default unless given.
 
+    A field with `dataclasses.MISSING` as its default must be given.
+
     Examples
     --------
     >>> @dataclass
@@ -307,7 +313,8 @@ def fact(default: Any, doc: str, kind: str = "", **options: Any) -> Any:
     if not kind:
         kinds = {bool: "flag", int: "whole", float: "number", tuple: "numbers"}
         kind = "choice" if options.get("choices") else kinds.get(type(default), "text")
-    declared = Fact(doc=doc, kind=kind, default=default, optional=default is None, **options)
+    known = None if default is dataclasses.MISSING else default
+    declared = Fact(doc=doc, kind=kind, default=known, optional=default is None, **options)
     return dataclasses.field(default=default, metadata={"fact": declared})
 
 
@@ -324,6 +331,27 @@ def by_key(facts: Iterable[Fact]) -> dict[str, Fact]:
     return {declaration.key or declaration.name: declaration.in_file() for declaration in facts}
 
 
+def argument_facts(function: Callable[..., Any], facts: Iterable[Fact]) -> dict[str, Fact]:
+    """Return declarations by argument, with the defaults of a function; they complete its docstring."""
+    parameters = inspect.signature(function).parameters
+    complete = {}
+    for entry in facts:
+        default = parameters[entry.name].default
+        complete[entry.name] = dataclasses.replace(entry, default=default, optional=default is None)
+    documented(**{name: described(entry) for name, entry in complete.items()})(function)
+    return complete
+
+
+def filled(facts: Facts, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the value of every key: that of a file, or the default."""
+    return {key: values.get(key, declared.default) for key, declared in facts.items()}
+
+
+def arguments_of(facts: Facts, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments in Python for checked values of a file by key."""
+    return {facts[key].name: facts[key].argument(value) for key, value in values.items()}
+
+
 #: Returns a name and its value as the user wrote them.
 Spelling = Callable[[str, Any], str]
 
@@ -333,11 +361,18 @@ def as_argument(name: str, value: Any) -> str:
     return f"{name}={shown(value)}"
 
 
+def check_values(
+    facts: Facts, values: Mapping[str, Any], problems: Problems, spelled: Spelling = as_argument
+) -> None:
+    """Note every value that the declaration of its name does not accept."""
+    for name, value in values.items():
+        facts[name].note(problems, spelled(name, value), value)
+
+
 def check_fields(settings: Any, problems: Problems, spelled: Spelling = as_argument) -> None:
     """Note every field of a dataclass whose value its declaration does not accept."""
-    for name, declared in facts_of(settings).items():
-        value = getattr(settings, name)
-        declared.note(problems, spelled(name, value), value)
+    facts = facts_of(settings)
+    check_values(facts, {name: getattr(settings, name) for name in facts}, problems, spelled)
 
 
 # --- docstrings and tables ---------------------------------------------------------------------------------
@@ -349,7 +384,7 @@ def declared(cls: _Class) -> _Class:
     Fields without a fact are described in the class's own section Attributes, which is continued.
     """
     facts = facts_of(cls)
-    entries = "".join(f"{name}\n    {described(one)}\n" for name, one in facts.items())
+    entries = "".join(f"{name}\n    {described(fact)}\n" for name, fact in facts.items())
     doc = inspect.cleandoc(cls.__doc__ or "")
     section = re.search(r"^Attributes\n-+\n(?:.+\n)*", doc, re.MULTILINE)
     following = re.search(r"^(?:Raises|Notes|References|Examples)\n-+$", doc, re.MULTILINE)
@@ -357,7 +392,7 @@ def declared(cls: _Class) -> _Class:
     heading = "" if section else "Attributes\n----------\n"
     before, after = doc[:end].rstrip("\n"), doc[end:].lstrip("\n")
     cls.__doc__ = f"{before}{'' if section else chr(10)}\n{heading}{entries}\n{after}"
-    return takes_quantities(**{name: one.unit for name, one in facts.items() if one.unit})(cls)
+    return takes_quantities(**{name: fact.unit for name, fact in facts.items() if fact.unit})(cls)
 
 
 def described(declaration: Fact) -> str:

@@ -4,26 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import gc
-import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar, cast
 
 import numba
 from numba import types
-from numba.core.caching import (
-    CompileResultCacheImpl,
-    FunctionCache,
-    InTreeCacheLocator,
-    NullCache,
-    UserProvidedCacheLocator,
-    _CacheLocator,
-)
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.compiler_lock import global_compiler_lock
 from numba.core.cpu import CPUTargetOptions
+from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime import rtsys
 
@@ -37,12 +28,11 @@ def kernel(function: Function) -> Function:
 
     The lock is released, since dask's threads run kernels side by side; ``parallel=True`` would abort the
     process there. The numpy error model lets the compiler vectorise divisions. No fast-math: the same bits
-    must come out whatever the chunking.
+    must result from any chunking.
 
     Compiled code is stored on disk for later processes: in ``NUMBA_CACHE_DIR``, else beside the package,
-    or, where that is read-only, in the user's cache folder. Where no folder is writable (a container with a
-    read-only disk, a full disk) every process compiles the kernels that the folders lack (see ``hyperpaint
-    warm``).
+    else, where that is read-only, in the user's cache folder. Where none can be written (a container with a
+    read-only disk, a full disk) every process compiles its kernels, with a warning.
     """
     return _compiled(function, {"nogil": True, "error_model": "numpy"})
 
@@ -71,108 +61,39 @@ def _borrowing_options() -> dict[str, Any]:
     return options
 
 
-# Cache that may be full, read-only or damaged; the kernel is then compiled.
-class _OptionalCache(FunctionCache):  # type: ignore[misc]
+class _Cache(FunctionCache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        # None lets numba compile. numba's own method first registers all supported functions, which takes
-        # longer than loading the kernel; the compiler registers them when it runs.
+        # numba would first register everything that it can compile, which takes longer than the load.
         rtsys.initialize(target_context)
-        try:
-            with self._guard_against_spurious_io_errors():
-                return self._load_overload(sig, target_context)
-        except OSError:
-            return None
-        except Exception:  # a truncated pickle raises any class of error
-            with contextlib.suppress(OSError):
-                self.flush()
-            return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        try:
-            super().save_overload(sig, data)
-        except Exception as error:  # also from a truncated index that cannot be removed
-            reason = getattr(error, "strerror", None) or error
-            warnings.warn(
-                PaintWarning(
-                    f"compiled kernels cannot be kept in {self.cache_path} ({reason}), so that every process "
-                    "compiles them again; set NUMBA_CACHE_DIR to a folder with room",
-                    code="kernel-cache-unwritable",
-                ),
-                stacklevel=2,
-            )
-
-
-# Locator of a cache folder that may be read-only.
-class _ReadableLocator(_CacheLocator):  # type: ignore[misc]
-    def ensure_cache_path(self) -> None:
-        # numba's own check refuses a read-only folder
-        os.listdir(self.get_cache_path())
-
-
-class _EnvironmentLocator(_ReadableLocator, UserProvidedCacheLocator):  # type: ignore[misc]
-    """``NUMBA_CACHE_DIR``."""
-
-
-class _PackageLocator(_ReadableLocator, InTreeCacheLocator):  # type: ignore[misc]
-    """The folder beside the module."""
-
-
-class _ReadableImplementation(CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes: ClassVar = [_EnvironmentLocator, _PackageLocator]
-
-
-# Kernels that `hyperpaint warm` stored in a folder that may be read-only, as in a container image.
-class _ReadableCache(_OptionalCache):
-    _impl_class = _ReadableImplementation
-
-
-# Caches are located when Python first calls a kernel; most kernels are only called by other kernels.
-class _KernelCaches(NullCache):  # type: ignore[misc]
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-
-    @functools.cached_property
-    def _caches(self) -> list[_OptionalCache]:
-        # the folder that numba writes to, then the folder that may be read-only
-        caches: list[_OptionalCache] = []
-        for kind in (_OptionalCache, _ReadableCache):
-            with contextlib.suppress(RuntimeError):  # no folder exists
-                caches.append(kind(self._function))
-        return caches[:1] if len({cache.cache_path for cache in caches}) == 1 else caches
-
-    @property
-    def cache_path(self) -> str | None:
-        writable = [cache for cache in self._caches if not isinstance(cache, _ReadableCache)]
-        return writable[0].cache_path if writable else None
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        loads = (cache.load_overload(sig, target_context) for cache in self._caches)
-        return next((kernel for kernel in loads if kernel is not None), None)
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        for cache in self._caches:
-            if not isinstance(cache, _ReadableCache):
-                cache.save_overload(sig, data)
-
-
-@contextlib.contextmanager
-def _uncollected() -> Iterator[None]:
-    # The compiler makes millions of objects that stay in use: garbage collection would only cost time.
-    with global_compiler_lock:  # one thread at a time switches collection off
-        was_enabled = gc.isenabled()
-        gc.disable()
-        try:
-            yield
-        finally:
-            if was_enabled:
-                gc.enable()
+        return self._load_overload(sig, target_context)
 
 
 # A kernel with an entry point for Python; other kernels that call it include a `_InnerKernel`.
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
+    _warned: ClassVar = False
+
     def compile(self, sig: Any) -> Any:
-        with _uncollected():
+        try:
+            self._cache = _Cache(self.py_func)  # not on import: most kernels are never called from Python
             return super().compile(sig)
+        except NumbaError:
+            raise
+        except Exception as error:  # the cache is full, read-only or damaged; a torn pickle raises anything
+            with contextlib.suppress(OSError):
+                self._cache.flush()
+            self._cache = NullCache()
+            entry_point = super().compile(sig)
+            if not _Kernel._warned:
+                _Kernel._warned = True
+                warnings.warn(
+                    PaintWarning(
+                        f"the cache of compiled kernels cannot be used ({error}): every process compiles "
+                        "them again; set NUMBA_CACHE_DIR to a writable folder with free space",
+                        code="kernel-cache-unwritable",
+                    ),
+                    stacklevel=2,
+                )
+            return entry_point
 
     @functools.cached_property
     def _inner(self) -> _InnerKernel:
@@ -231,6 +152,6 @@ class _InnerLibrary(JITCodeLibrary):  # type: ignore[misc]
 def _compiled(function: Function, options: dict[str, Any]) -> Function:
     if numba.config.DISABLE_JIT:
         return function
-    compiled = _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options})
-    compiled._cache = _KernelCaches(function)
-    return cast("Function", compiled)
+    return cast(
+        "Function", _Kernel(function, targetoptions={"nopython": True, "no_cfunc_wrapper": True, **options})
+    )

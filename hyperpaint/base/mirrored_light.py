@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xarray as xr
 
-from .errors import SchemaError
+from .facts import one_of
 
 #: Values of the attribute ``mirror_reflection``.
 INCLUDED, EXCLUDED = "included", "excluded"
@@ -36,7 +36,7 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     Parameters
     ----------
     library
-        With ``reflectance``.
+        Paint library with ``reflectance``.
 
     Raises
     ------
@@ -54,14 +54,9 @@ def mirror_reflection(library: xr.Dataset) -> str | None:
     'excluded'
     """
     attrs = {**library.attrs, **library["reflectance"].attrs}
-    declared = attrs.get(_ATTRIBUTE, attrs.get(_MAKERS_ATTRIBUTE))
+    declared: str | None = attrs.get(_ATTRIBUTE, attrs.get(_MAKERS_ATTRIBUTE))
     if declared is not None:
-        if not isinstance(declared, str) or declared not in (INCLUDED, EXCLUDED):
-            raise SchemaError(
-                f"attribute {_ATTRIBUTE!r} of reflectance is {declared!r:.60}",
-                expected=f"{INCLUDED!r} or {EXCLUDED!r}",
-                code="choice-unknown",
-            )
+        one_of(declared, (INCLUDED, EXCLUDED), f"reflectance attribute {_ATTRIBUTE}")
         return declared
     if _SPECULAR_VARIABLE in library.variables:
         return EXCLUDED

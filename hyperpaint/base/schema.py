@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import replace
 from enum import IntFlag
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -71,6 +71,7 @@ __all__ = [
     "flag_names",
     "flag_shares",
     "flags_named",
+    "flags_set_from",
     "label",
     "numbers_of",
     "quality_attrs",
@@ -102,8 +103,14 @@ DIM_ALIASES: Mapping[str, tuple[str, ...]] = {
 }
 
 
+# Rooms that set flags: radiometry, light, surroundings, geometry.
+_Source = Literal["counts", "light", "scene", "map"]
+
+
 class Quality(IntFlag):
     """Bits of ``quality``; a bit set early is still set in every later product.
+
+    A flag declares its ``source``, ``colour`` in pictures, ``condition``, and the fate of its ``samples``.
 
     Examples
     --------
@@ -115,19 +122,41 @@ class Quality(IntFlag):
     <Quality.SATURATED|GLINT: 65>
     """
 
-    SATURATED = 1
-    BELOW_DARK = 2
-    BAD_DETECTOR = 4
-    IRRADIANCE_GAP = 8
-    ILLUMINATION_UNSTABLE = 16
-    LOW_SUN = 32
-    GLINT = 64
-    SHADOW = 128
-    ADJACENCY = 256
-    MIXED_EDGE = 512
-    OFF_SWATH = 1024
-    NO_DATA = 2048
-    TIMING_SENSITIVE = 4096
+    source: _Source
+    # The same in all pictures. Palettes for colour-blind readers have 8 colours (Okabe and Ito) or 10 (Tol),
+    # flags are 13: these were searched so that any two differ by 15 or more in CIEDE2000, also as protanopes
+    # and deuteranopes see them (Machado et al., IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009).
+    colour: str
+    condition: str
+    samples: str  # fate of the samples of a flagged pixel
+
+    # Type checkers want the defaults in Quality(65).
+    def __new__(
+        cls,
+        bit: int,
+        source: _Source = "counts",
+        colour: str = "",
+        condition: str = "",
+        samples: str = "kept",
+    ) -> Quality:
+        flag = int.__new__(cls, bit)
+        flag._value_ = bit
+        flag.source, flag.colour, flag.condition, flag.samples = source, colour, condition, samples
+        return flag
+
+    SATURATED = 1, "counts", "#ff3300", "a band within 16 counts of the converter's maximum", "the band NaN"
+    BELOW_DARK = 2, "counts", "#330080", "counts below the dark, by 5 sigma of noise or in over 10 % of bands"
+    BAD_DETECTOR = 4, "counts", "#808080", "over 5 % of the good bands have a bad element", "bad elements NaN"
+    IRRADIANCE_GAP = 8, "light", "#80334d", "outside the record, or in a gap over `irradiance_max_gap`", "NaN"
+    ILLUMINATION_UNSTABLE = 16, "light", "#e6ffb3", "irradiance changes by over 2 % between two samples"
+    LOW_SUN = 32, "light", "#990000", "sun more than 75 degrees from the zenith"
+    GLINT = 64, "scene", "#4de6cc", "the sun mirrored by the clear coat adds over 4 % to the other light"
+    SHADOW = 128, "scene", "#0033ff", "over 20 % of direct sunlight blocked on the ground, 60 % on objects"
+    ADJACENCY = 256, "scene", "#9980ff", "light of neighbours adds over 0.01 to the reflectance of a band"
+    MIXED_EDGE = 512, "scene", "#66b380", "the pixel contains an edge between surfaces"
+    OFF_SWATH = 1024, "map", "#99ccff", "no pixel covers this cell of a map", "NaN"
+    NO_DATA = 2048, "counts", "#000000", "a dropped frame, or NaN counts", "NaN"
+    TIMING_SENSITIVE = 4096, "light", "#e6cc00", "irradiance changes by over 1 % within the clock uncertainty"
 
 
 def flag_names(bits: int = -1) -> list[str]:
@@ -139,6 +168,17 @@ def flag_names(bits: int = -1) -> list[str]:
     ['glint', 'mixed_edge']
     """
     return [str(flag.name).lower() for flag in Quality if flag & bits]
+
+
+def flags_set_from(*sources: _Source) -> Quality:
+    """Return the bits of all flags from some sources.
+
+    Examples
+    --------
+    >>> flag_names(flags_set_from("scene"))
+    ['glint', 'shadow', 'adjacency', 'mixed_edge']
+    """
+    return Quality(sum(flag for flag in Quality if flag.source in sources))
 
 
 def flag_shares(quality: np.ndarray[Any, Any]) -> dict[Quality, float]:
@@ -266,7 +306,7 @@ def _with_table_dims(dataset: xr.Dataset) -> xr.Dataset:
             reduced = _without_added_dims(variable, row)
             changed |= {} if reduced is variable else {name: reduced}
         elif not set(variable.dims) <= set(row.dims):
-            dropped.append(name)  # it shows the whole line, not this selection
+            dropped.append(name)  # it describes the whole line, not this selection
     if "quality" in dataset.variables and _is_averaged(dataset):
         dropped.append("quality")
         warnings.warn(
@@ -392,13 +432,13 @@ def warn_of_lost_calibration(line: xr.Dataset, purpose: str) -> None:
     """Warn of calibration variables that the gain names and the line lacks, as after ``drop_vars``."""
     gain = line.variables.get("radiance_gain")
     names = str(gain.attrs.get(CALIBRATION_NAMES, "")).split() if gain is not None else []
-    lost = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
-    if lost:
-        smile = " (smile is not corrected)" if "wavelength_shift" in lost else ""
+    missing_names = [name for name in names if name in _CALIBRATION_VARIABLES and name not in line.variables]
+    if missing_names:
+        smile = " (smile is not corrected)" if "wavelength_shift" in missing_names else ""
         warnings.warn(
             PaintWarning(
-                f"{purpose} is computed without {', '.join(map(repr, lost))}, which the calibration of this "
-                f"line has; keep them beside 'radiance_gain'{smile}",
+                f"{purpose} is computed without {', '.join(map(repr, missing_names))}, which the calibration "
+                f"of this line has; keep them beside 'radiance_gain'{smile}",
                 code="calibration-incomplete",
             ),
             stacklevel=4,
@@ -435,10 +475,10 @@ def numbers_of(line: xr.Dataset, dim: str) -> Floats:
 def _with_table_units(dataset: xr.Dataset) -> xr.Dataset:
     converted = {}
     for name in (str(name) for name in dataset.coords if name in VARIABLES):
-        variable, wanted = dataset.variables[name], VARIABLES[name].units
-        units = variable.attrs.get("units", wanted)
-        if wanted != units and variable.ndim < 2 and same_dimension(str(units), wanted):
-            converted[name] = convert(dataset[name], wanted).variable
+        variable, table_units = dataset.variables[name], VARIABLES[name].units
+        units = variable.attrs.get("units", table_units)
+        if table_units != units and variable.ndim < 2 and same_dimension(str(units), table_units):
+            converted[name] = convert(dataset[name], table_units).variable
     return dataset.assign_coords(converted) if converted else dataset
 
 

@@ -129,9 +129,9 @@ def _quantity(text: object) -> Any:
         raise UnitsError(f"units {text!r:.60}", expected=_CF_SPELLING, code="type-wrong")
     # pint evaluates powers: 9**9**9 or s1000000000000 would never return
     text = _plain_powers(text[:201])
-    huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
-    unsafe = len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text))
-    if len(text) > 200 or huge or unsafe or not _READABLE.fullmatch(text):
+    is_huge = any(len(power.lstrip("-")) > 2 for _, power in _CF_POWER.findall(text))
+    is_unsafe = len(_POWER.findall(text)) != len(_SAFE_POWER.findall(text))
+    if len(text) > 200 or is_huge or is_unsafe or not _READABLE.fullmatch(text):
         raise UnitsError(
             f"units {text[:60]!r} cannot be read", expected=_CF_SPELLING, code="units-unreadable"
         )
@@ -301,7 +301,7 @@ def plain(labelled: Any) -> Any:
     """Return a Dataset, DataArray or DataTree whose Quantities are numbers with ``units`` attributes.
 
     The unit of a Quantity replaces the attribute. Objects without a Quantity are returned unchanged; nothing
-    is computed. Paint libraries of hyperpaint 0.2 get today's names (`with_new_names`).
+    is computed. Variables of paint libraries of hyperpaint 0.2 are renamed (`with_new_names`).
 
     Raises
     ------

@@ -388,10 +388,10 @@ def calibration_from_coefficients(
     Parameters
     ----------
     coefficients : (band, cross_track)
-        With units: radiance x exposure per count, or radiance per count at one exposure; zeros and values
+        Radiance x exposure per count, or radiance per count at one exposure, with units; zeros and values
         that are not finite mark bad elements.
     wavelength, fwhm : (band,)
-        With units.
+        Centre wavelengths and full widths at half maximum of the bands, with units.
     exposure_time
         Exposure time [s] to which coefficients in radiance per count refer.
     srf_shape
@@ -433,7 +433,7 @@ def calibration_from_coefficients(
         if exposure_time is None or not exposure_time > 0:
             raise SchemaError(
                 f"coefficients in {units!r} refer to one exposure time",
-                mend="give exposure_time [s]",
+                mend="pass exposure_time [s]",
                 code="exposure-missing",
             )
         gain = convert(gain, "W m-2 sr-1 nm-1 count-1", "coefficients") * exposure_time

@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import label
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.kernels.line_fits import GAUSSIAN
@@ -156,10 +156,8 @@ def calibrate(
             mend="open its store with xarray.open_zarr",
             code="type-wrong",
         )
-    if srf_shape is not None and srf_shape not in SHAPES:
-        raise SchemaError(
-            f"srf_shape {srf_shape!r}", expected=f"one of {', '.join(SHAPES)}, or None", code="choice-unknown"
-        )
+    if srf_shape is not None:
+        one_of(srf_shape, SHAPES, "srf_shape")
     lab = check_sweep(sweep, absolute=absolute)
     total, done = lab.shape[0] * (3 if srf_shape else 4), itertools.count(1)
 

@@ -526,12 +526,12 @@ class Result:
         )
 
     def _warnings(self) -> Iterator[tuple[str, str]]:
-        wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
-        if wide.any():
+        is_wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
+        if is_wide.any():
             share = float(np.max(self.lab.width / self.fwhm_at_steps))
             yield (
                 f"the monochromator's line is up to {share:.2g} of the camera's FWHM wide (over "
-                f"{MAX_SLIT_SHARE:g} at {int(wide.sum())} of {wide.size} steps): fwhm is ill-conditioned "
+                f"{MAX_SLIT_SHARE:g} at {is_wide.sum()} of {is_wide.size} steps): fwhm is ill-conditioned "
                 "there; narrow the slits",
                 "slit-too-wide",
             )
@@ -586,12 +586,12 @@ class Result:
     def _uncertainties(self, gain: Floats, good: Bools) -> dict[str, Floats]:
         random = np.full(gain.shape, np.nan)
         for column in range(gain.shape[1]):
-            used = np.flatnonzero(self.used[:, column])
-            if used.size:
+            node_steps = np.flatnonzero(self.used[:, column])
+            if node_steps.size:
                 random[:, column] = np.interp(
                     self.wavelength[:, column],
-                    self.lab.wavelength[used],
-                    self.lamp_lines.area_u[used, column],
+                    self.lab.wavelength[node_steps],
+                    self.lamp_lines.area_u[node_steps, column],
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
         total = np.sqrt(
@@ -628,8 +628,8 @@ class Result:
         for step, window in enumerate(self.sweep_data.windows):
             if window is not None:
                 beam[step] = fit_beam(window.beam)
-        used, second = self.is_placed.any(axis=1), np.full(steps, np.nan)
-        second[used] = self.off_lines.second_order
+        is_placed_step, second = self.is_placed.any(axis=1), np.full(steps, np.nan)
+        second[is_placed_step] = self.off_lines.second_order
         return {
             "line_band": lamp_lines.centre,
             "line_centre": self.line_wavelength,
@@ -641,7 +641,7 @@ class Result:
             "line_trusted": self.used,
             "beam_centre": beam[:, 0],
             "beam_fwhm": beam[:, 1],
-            "out_of_band": np.where(used, self.sweep_data.rows.sum(axis=1), np.nan),
+            "out_of_band": np.where(is_placed_step, self.sweep_data.rows.sum(axis=1), np.nan),
             "second_order": second,
             "stray_light": self.off_lines.stray_light,
             "stray_light_u": self.off_lines.relative,

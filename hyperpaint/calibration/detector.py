@@ -291,12 +291,12 @@ def row_medians(values: Floats, used: Bools | None = None) -> Floats:
 
 def deviant_darks(dark: Floats, saturation: Floats | None) -> Bools:
     """Return whether the dark of elements (band, cross_track) is not finite, saturated or an outlier."""
-    finite = np.isfinite(dark)
-    levels = np.where(finite, dark, np.nan)
+    is_finite = np.isfinite(dark)
+    levels = np.where(is_finite, dark, np.nan)
     median = np.nanmedian(levels)
     # the limit is far above the camera's dark pattern
     spread = 1.4826 * np.nanmedian(np.abs(levels - median))
     is_outlier = np.abs(levels - median) > max(30.0 * spread, 100.0)
     if saturation is not None:
         is_outlier |= levels > 0.5 * saturation
-    return np.asarray(~finite | is_outlier)
+    return np.asarray(~is_finite | is_outlier)

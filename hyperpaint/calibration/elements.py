@@ -260,46 +260,54 @@ def _complete_step(
     width, source = fwhm / spacing, lab.width[step] / spacing
     frames = float(lab.frames[step])
 
-    def profile(moved: float, wider: float) -> Floats:
+    def profile(shift: float, width_factor: float) -> Floats:
         out = np.empty(window.values.shape)
-        distance = window.places - (centre + moved)[:, None]
-        profiles(distance, width * wider, source, SHAPES[shape], lab.triangular, out)
+        distance = window.places - (centre + shift)[:, None]
+        profiles(distance, width * width_factor, source, SHAPES[shape], lab.triangular, out)
         return out
 
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
-    unit = np.where(is_finite, profile(0.0, 1.0), 0.0)
+    unit_profile = np.where(is_finite, profile(0.0, 1.0), 0.0)
     variance = noise.variance(values, frames) + (1e-4 * values.max(axis=1, keepdims=True)) ** 2
     weight = np.where(is_finite, 1.0 / np.maximum(variance, 1e-300), 0.0)
-    norm = np.maximum((weight * unit**2).sum(axis=1), 1e-300)
+    norm = np.maximum((weight * unit_profile**2).sum(axis=1), 1e-300)
 
-    def area_of(shape_of: Floats) -> Floats:
-        shape_of = np.where(is_finite, shape_of, 0.0)
-        height = (weight * shape_of * values).sum(axis=1)
-        return np.asarray(height / np.maximum((weight * shape_of**2).sum(axis=1), 1e-300))
+    def area_of(line_profile: Floats) -> Floats:
+        line_profile = np.where(is_finite, line_profile, 0.0)
+        height = (weight * line_profile * values).sum(axis=1)
+        return np.asarray(height / np.maximum((weight * line_profile**2).sum(axis=1), 1e-300))
 
-    fitted = area_of(unit)
-    visible = unit.sum(axis=1)
+    fitted = area_of(unit_profile)
+    visible = unit_profile.sum(axis=1)
     area = values.sum(axis=1) + (1.0 - visible) * fitted
-    # uncertainty of the area by place, width and noise
-    by_centre, by_width = (
-        (1.0 - visible) * (area_of(changed) - fitted) / 1e-3
-        - (changed * is_finite - unit).sum(axis=1) * fitted / 1e-3
-        for changed in (profile(1e-3, 1.0), profile(0.0, 1.0 + 1e-3))
+    # uncertainty of the area by centre, width and noise
+    change_by_centre, change_by_width = (
+        (1.0 - visible) * (area_of(changed_profile) - fitted) / 1e-3
+        - (changed_profile * is_finite - unit_profile).sum(axis=1) * fitted / 1e-3
+        for changed_profile in (profile(1e-3, 1.0), profile(0.0, 1.0 + 1e-3))
     )
-    by_noise = np.where(is_finite, noise.variance(values, frames), 0.0).sum(axis=1)
-    by_noise = by_noise + (1.0 - visible) ** 2 / norm
-    total = by_noise + (by_centre * wavelength_map.residual / spacing) ** 2 + (by_width * _EDGE_WIDTH_U) ** 2
-    residual = np.abs(np.where(is_finite, values - fitted[:, None] * unit, 0.0))
+    variance_by_noise = np.where(is_finite, noise.variance(values, frames), 0.0).sum(axis=1)
+    variance_by_noise = variance_by_noise + (1.0 - visible) ** 2 / norm
+    area_variance = (
+        variance_by_noise
+        + (change_by_centre * wavelength_map.residual / spacing) ** 2
+        + (change_by_width * _EDGE_WIDTH_U) ** 2
+    )
+    residual = np.abs(np.where(is_finite, values - fitted[:, None] * unit_profile, 0.0))
     height = np.abs(fitted) * profile(0.0, 1.0).max(axis=1)
     # one free parameter: residuals above noise are dead elements, or another lamp line
     is_deviant = residual > np.maximum(8.0 * np.sqrt(variance), _MAX_EDGE_RESIDUAL * height[:, None])
     is_complete = (
-        is_cut & (visible >= MIN_VISIBLE_AREA) & (fitted > 0) & np.isfinite(total) & ~is_deviant.any(axis=1)
+        is_cut
+        & (visible >= MIN_VISIBLE_AREA)
+        & (fitted > 0)
+        & np.isfinite(area_variance)
+        & ~is_deviant.any(axis=1)
     )
     index = (step, window.columns[is_complete])
     lamp_lines.area[index] = area[is_complete]
-    lamp_lines.area_u[index] = np.sqrt(total[is_complete]) / area[is_complete]
+    lamp_lines.area_u[index] = np.sqrt(area_variance[is_complete]) / area[is_complete]
     lamp_lines.centre[index] = centre[is_complete]
     lamp_lines.completed[index] = True
-    lamp_lines.covariance[(*index, AREA, AREA)] = total[is_complete]
+    lamp_lines.covariance[(*index, AREA, AREA)] = area_variance[is_complete]

@@ -10,6 +10,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problem, Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import CROSS_TRACK, MONOCHROMATOR_SHAPES, STEP, SWEEP_VARIABLES, find
 
 from .detector import DarkModel, fit_dark_model
@@ -145,12 +146,7 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
             code="value-out-of-range",
         )
     shape = sweep.attrs.get("monochromator_shape", "gaussian")
-    if shape not in MONOCHROMATOR_SHAPES:
-        problems.add(
-            f"attribute monochromator_shape {shape!r}",
-            expected=f"one of {', '.join(MONOCHROMATOR_SHAPES)}",
-            code="choice-unknown",
-        )
+    one_of(shape, MONOCHROMATOR_SHAPES, "attribute monochromator_shape", problems=problems)
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
     assert dark is not None  # otherwise there is a problem
@@ -186,7 +182,7 @@ def _check_positive(
 ) -> None:
     is_invalid = ~(np.isfinite(values) & (values > 0) & (values <= high))
     if dims == (STEP, CROSS_TRACK):
-        # unlit columns need no flux; counts show later which columns are lit
+        # a step may have columns without flux, which are unlit, but not only such columns
         is_invalid &= ~(is_invalid & ((values == 0) | np.isnan(values))) | is_invalid.all(
             axis=1, keepdims=True
         )
@@ -214,8 +210,8 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
     dark_exposure = values.get("dark_exposure_time", exposure)
     if exposure is None or dark_exposure is None:
         return None
-    by_step = STEP in dark.dims
-    if by_step:
+    is_by_step = STEP in dark.dims
+    if is_by_step:
         dark_exposure = np.broadcast_to(dark_exposure, dark.sizes[STEP])
     elif dark_exposure.ndim:
         # one dark for all steps: it needs a single exposure time
@@ -223,13 +219,13 @@ def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: 
             varying_name = "dark_exposure_time" if "dark_exposure_time" in values else "exposure_time"
             problems.add(
                 f"{varying_name} varies from step to step, but there is one dark_counts",
-                mend="give dark_counts per step",
+                mend="pass dark_counts per step",
                 code="dark-per-step",
             )
             return None
         dark_exposure = dark_exposure[0]
     array = np.asarray(dark.to_numpy(), np.float64)
-    if not by_step:
+    if not is_by_step:
         array, dark_exposure = array[None], np.atleast_1d(dark_exposure)
     model = fit_dark_model(array, np.asarray(dark_exposure, np.float64))
     exposures_outside = [e for e in np.unique(exposure) if not model.is_valid_at(float(e))]

@@ -88,8 +88,8 @@ class Window:
 
     def leave_out(self, bad: Bools) -> None:
         """Blank the samples of bad elements (band, cross_track)."""
-        places = self.first[:, None] + np.arange(self.values.shape[1])
-        self.values[bad[np.clip(places, 0, len(bad) - 1), self.columns[:, None]]] = np.nan
+        band_numbers = self.first[:, None] + np.arange(self.values.shape[1])
+        self.values[bad[np.clip(band_numbers, 0, len(bad) - 1), self.columns[:, None]]] = np.nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +138,9 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     strip = strip[:-2] + strip[1:-1] + strip[2:] if len(near_bands) > 4 else strip
     peak_bands = near_bands[np.argmax(strip, axis=0) + (1 if len(near_bands) > 4 else 0)]
     first = (peak_bands - half_width).astype(np.int64)
-    places = first[:, None] + np.arange(2 * half_width + 1)
-    is_inside = (places >= 0) & (places < bands)
-    clipped = np.clip(places, 0, bands - 1)
+    band_numbers = first[:, None] + np.arange(2 * half_width + 1)
+    is_inside = (band_numbers >= 0) & (band_numbers < bands)
+    clipped = np.clip(band_numbers, 0, bands - 1)
     column_index = np.arange(columns)[:, None]
     values = np.where(is_inside, valid_net[clipped, column_index], np.nan)
     outside = valid_net.copy()
@@ -313,9 +313,9 @@ def _start(window: Window, light: Light) -> Floats:
     side = np.arange(values.shape[1]) - peak[:, None]
     halves = [np.where(is_near & (sign * side > 0), values, 0.0).sum(axis=1) for sign in (1, -1)]
     area = height + 2.0 * np.maximum(*halves)
-    seen = np.maximum(area / (height * _GAUSSIAN_AREA), 1.0)
-    own = np.sqrt(np.maximum(seen**2 - light.width**2, (0.3 * seen) ** 2))
-    return np.column_stack([window.first + peak, own, area, np.zeros_like(area)]).astype(np.float64)
+    observed_width = np.maximum(area / (height * _GAUSSIAN_AREA), 1.0)
+    camera_width = np.sqrt(np.maximum(observed_width**2 - light.width**2, (0.3 * observed_width) ** 2))
+    return np.column_stack([window.first + peak, camera_width, area, np.zeros_like(area)]).astype(np.float64)
 
 
 def _profiles(window: Window, parameters: Floats, shape: int, light: Light) -> Floats:

@@ -156,7 +156,7 @@ def slope_shift_of_lines(
     amplitude: Floats,
     shape: str,
 ) -> Floats:
-    """Return the shift of the lamp lines from the wavelengths of their light (step,) [nm].
+    """Return by how much a sloping responsivity shifts the centres of the lamp lines (step,) [nm].
 
     ``slope`` (step,) is d ln responsivity / d wavelength [nm-1]; ``camera_width``, ``spacing`` and
     ``amplitude`` (step,) are the width of the camera's line [nm], the spacing of the bands [nm] and the

@@ -30,7 +30,7 @@ def relative_responsivity(calibration: xr.Dataset) -> xr.DataArray:
     Parameters
     ----------
     calibration
-        With ``responsivity``, as `hyperpaint.calibrate` gives it.
+        Calibration with ``responsivity``, see `hyperpaint.calibrate`.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def quantum_efficiency(
     Parameters
     ----------
     calibration
-        With ``responsivity`` and ``wavelength``.
+        Calibration with ``responsivity`` and ``wavelength``.
     electrons_per_count
         [electron count-1]; None for that of the calibration.
 
@@ -94,7 +94,7 @@ def quantum_efficiency(
     if calibration.attrs.get("absolute_scale") == "unknown":
         raise SchemaError(
             "this calibration has no absolute scale for a quantum efficiency (absolute_scale = 'unknown')",
-            mend="give it one by hyperpaint.calibration.anchor_to_radiance",
+            mend="add one with hyperpaint.calibration.anchor_to_radiance",
             code="scale-unknown",
         )
     if electrons_per_count is None:
@@ -140,7 +140,7 @@ def fitted_lines(
     Parameters
     ----------
     calibration
-        Of `hyperpaint.calibrate`.
+        Result of `hyperpaint.calibrate`.
     sweep
         The sweep of the calibration, whose steps are read; None for the fits only.
     steps
@@ -155,7 +155,7 @@ def fitted_lines(
     Raises
     ------
     SchemaError
-        The calibration holds no lamp lines, or the sweep is incomplete.
+        The calibration contains no lamp lines, or the sweep is incomplete.
 
     Examples
     --------

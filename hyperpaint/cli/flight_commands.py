@@ -268,7 +268,7 @@ def make_map(
     A GeoTIFF holds reflectance; a store also holds flags, line times, view angles, and the line and column of
     every cell. Nothing is averaged.
     """
-    from hyperpaint.geometry.orthorectification.plausibility import describe_swath
+    from hyperpaint.geometry.orthorectification.mapping import describe_swath
     from hyperpaint.workflows.maps import map_of_store, write_map
 
     out = out or beside(store, f"{line or 'map'}.tif")

@@ -61,7 +61,6 @@ GROUPS = {
     },
     "Care": {
         "verify": "Check every chunk of a store.",
-        "warm": "Compile the kernels in advance.",
     },
 }
 

@@ -72,13 +72,13 @@ def gather_bilinear(
             _transpose(slab[line + 1], low, high + 1, next_spectra)
         else:
             _transpose(after, low, high + 1, next_spectra)
-        for place in range(k, stop):
-            along_share, across_share = along[place], across[place]
-            left = columns[place]
+        for number in range(k, stop):
+            along_share, across_share = along[number], across[number]
+            left = columns[number]
             right = left if across_share == 0 else left + 1
             lower = spectra
             upper = lower if along_share == 0 else next_spectra
-            cell = cells[place]
+            cell = cells[number]
             for band in range(out.shape[1]):
                 before = lower[left, band] + across_share * (lower[right, band] - lower[left, band])
                 next_value = upper[left, band] + across_share * (upper[right, band] - upper[left, band])

@@ -106,10 +106,10 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
     """Write line and column at every cell of a tile, as far as the given lines cover it.
 
     ``first`` is the number of the first line in ``positions``, ``last`` of the last line of the flight. Lines
-    may overlap earlier ones: every patch is visited, whatever its orientation.
+    may overlap earlier ones: patches of all orientations are visited.
     """
     east, north, hidden = positions.east, positions.north, positions.hidden
-    place, nearest, rank, hits = out
+    pixel_position, nearest, rank, hits = out
     frame, (first_row, first_col), rule = cells.frame, cells.corner, cells.rule
     last_row, last_col = first_row + hits.shape[0] - 1.0, first_col + hits.shape[1] - 1.0
     columns = east.shape[1]
@@ -173,8 +173,8 @@ def invert_lines(positions: LinePositions, first: int, last: int, cells: MapCell
                             rank_here = -line
                         if rank_here < rank[r, c]:
                             rank[r, c] = rank_here
-                            place[0, r, c] = line
-                            place[1, r, c] = sample
+                            pixel_position[0, r, c] = line
+                            pixel_position[1, r, c] = sample
                             line_step, column_step = _nearest_corner(px, py, ax, ay, bx, by, fx, fy)
                             nearest[0, r, c] = first + i - 1 + line_step
                             nearest[1, r, c] = j + column_step

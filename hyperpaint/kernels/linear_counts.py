@@ -95,11 +95,11 @@ def straighten_dark(detector: DetectorModel, dark: Array, linear: LinearMemory |
 
 @inlined_kernel
 def signal_row(
-    counts: Array, detector: DetectorModel, linear: LinearMemory | None, place: tuple[Any, Any]
+    counts: Array, detector: DetectorModel, linear: LinearMemory | None, line_and_band: tuple[Any, Any]
 ) -> None:
-    # Write the linear counts above dark of a ``place`` (line, band) to the buffer.
+    # Write the linear counts above dark of ``line_and_band`` to the buffer.
     if linear is not None:
-        line, band = place
+        line, band = line_and_band
         signal, dark = linear.signal, linear.dark[band]
         for x in range(signal.size):
             signal[x] = np.float32(counts[line, band, x]) - (_NOTHING if detector.on_raw else dark[x])

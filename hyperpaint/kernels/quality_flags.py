@@ -49,9 +49,9 @@ def count_levels(dark: Array, margin: Array, is_integer: Any, level: Array, floo
 
 
 @inlined_kernel
-def gather_row(counts: Array, level: Array, tally: Tally, place: tuple[Any, Any]) -> None:
+def gather_row(counts: Array, level: Array, tally: Tally, line_and_band: tuple[Any, Any]) -> None:
     # Update each column's highest count, and its number of bands below the dark.
-    line, band = place
+    line, band = line_and_band
     peak, negative = tally.peak, tally.negative
     for x in range(counts.shape[2]):
         raw = counts[line, band, x]
@@ -68,8 +68,8 @@ def limit_of(saturation: Array | None, limits: CountLimits, band: Any, x: Any) -
 def check_element(counts: Array, limits: CountLimits, floor: Array, tally: Tally, band: Any, x: Any) -> None:
     # Mark a column whose element is saturated (if it has a margin), or is below its floor.
     raw, margin = counts[band, x], limits.noise_margin[band, x]
-    reached = raw >= limit_of(limits.saturation, limits, band, x)
-    tally.saturated[x] |= np.uint16(reached & (margin == margin))
+    is_reached = raw >= limit_of(limits.saturation, limits, band, x)
+    tally.saturated[x] |= np.uint16(is_reached & (margin == margin))
     tally.below[x] |= np.uint16(raw < floor[band, x])
 
 

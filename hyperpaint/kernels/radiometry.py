@@ -77,15 +77,15 @@ def value_row(
     signal: Array | None,
     light: LightCells,
     shift: Array | None,
-    place: tuple[Any, Any],
+    line_and_band: tuple[Any, Any],
     out: Array,
 ) -> None:
-    """Write the values of a ``place`` (line, band) from counts, or from the linear ``signal`` above dark.
+    """Write the values of ``line_and_band`` from counts, or from the linear ``signal`` above dark.
 
     ``signal`` is (column,); ``shift`` is ``light.shift``. Arrays are indexed by line and band: four row views
     would cost a quarter of the loop's time.
     """
-    line, band = place
+    line, band = line_and_band
     counts, dark, gain = samples.counts, samples.dark, samples.gain
     if shift is None:
         scale = light.coefficients[line, band, 0, 0]
@@ -135,13 +135,13 @@ def divide_run(
 
 
 @inlined_kernel
-def limit_row(counts: Array, saturation: Array | None, place: tuple[Any, Any], out: Array) -> None:
+def limit_row(counts: Array, saturation: Array | None, line_and_band: tuple[Any, Any], out: Array) -> None:
     # Write NaN where counts reach the saturation count of their element (band, column); None does nothing.
     if saturation is not None:
-        line, band = place
+        line, band = line_and_band
         for x in range(counts.shape[2]):
-            reached = counts[line, band, x] >= saturation[band, x]
-            out[line, band, x] = _NAN if reached else out[line, band, x]
+            is_reached = counts[line, band, x] >= saturation[band, x]
+            out[line, band, x] = _NAN if is_reached else out[line, band, x]
 
 
 # --- a slab of lines
@@ -208,13 +208,13 @@ def calibrate_slab(
             counts, dark, calibration.gain, np.float32(limits.highest), rounding if terms is None else None
         )
         for band in range(n_band):
-            place = (line, band)
-            signal_row(counts, detector, linear, place)
-            value_row(samples, signal, light, light.shift, place, out.cube)
-            limit_row(counts, limits.saturation, place, out.cube)
+            line_and_band = (line, band)
+            signal_row(counts, detector, linear, line_and_band)
+            value_row(samples, signal, light, light.shift, line_and_band, out.cube)
+            limit_row(counts, limits.saturation, line_and_band, out.cube)
             if terms is not None:
-                propagate_band(samples, linear, detector, light, terms, memory, place, out)
+                propagate_band(samples, linear, detector, light, terms, memory, line_and_band, out)
             if flags is not None:
-                gather_row(counts, level, tally, place)
+                gather_row(counts, level, tally, line_and_band)
         if flags is not None:
             flag_line(counts[line], limits, floor, tally, flags, flags.lines[line], out.quality[line])

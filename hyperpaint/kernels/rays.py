@@ -79,10 +79,10 @@ def _first_zero(a: float, b: float, c: float) -> float:
 
 @borrowing_kernel
 def _write_pixel(
-    frames: LineFrames, place: Vector, direction: Vector, out: Array, line: int, column: int
+    frames: LineFrames, position: Vector, direction: Vector, out: Array, line: int, column: int
 ) -> None:
     # Write map position, height and camera angles of a pixel at (e, n, u), seen in direction (de, dn, du).
-    e, n, u = place
+    e, n, u = position
     de, dn, du = direction
     out[0, line, column] = _value_at(frames.x[line], e, n, u)
     out[1, line, column] = _value_at(frames.y[line], e, n, u)
@@ -188,21 +188,21 @@ def _intersection(
 
 
 @borrowing_kernel
-def _to_border(place: float, speed: float, low: float, high: float) -> float:
+def _to_border(position: float, speed: float, low: float, high: float) -> float:
     if speed > _MIN_SPEED:
-        return (high - place) / speed
+        return (high - position) / speed
     if speed < -_MIN_SPEED:
-        return (low - place) / speed
+        return (low - position) / speed
     return math.inf
 
 
 @borrowing_kernel
-def _to_raster(place: float, speed: float, last: float) -> float:
+def _to_raster(position: float, speed: float, last: float) -> float:
     # Return the distance to the interval from 0 to ``last``: 0 inside, infinite where the ray never enters
     # it.
-    if 0.0 <= place <= last:
+    if 0.0 <= position <= last:
         return 0.0
-    gap = -place if place < 0.0 else last - place
+    gap = -position if position < 0.0 else last - position
     if gap * speed <= 0.0 or abs(speed) < _MIN_SPEED:
         return math.inf
     return gap / speed

@@ -39,13 +39,13 @@ def light_run(cubic: Array, shift: Array, irradiance: Array) -> None:
 
 @inlined_kernel
 def light_row(
-    light: LightCells, shift: Array | None, place: tuple[Any, Any], irradiance: Array, inverse: Array
+    light: LightCells, shift: Array | None, line_and_band: tuple[Any, Any], irradiance: Array, inverse: Array
 ) -> None:
-    """Write the irradiance E of a ``place`` (line, band), and 1 / E (column,).
+    """Write the irradiance E of ``line_and_band``, and 1 / E (column,).
 
     Values are gain x (counts - dark) / E. ``shift`` is ``light.shift``.
     """
-    line, band = place
+    line, band = line_and_band
     if shift is None:
         scale = light.coefficients[line, band, 0, 0]
         for x in range(inverse.size):
@@ -69,14 +69,14 @@ def random_row(
     detector: DetectorModel,
     terms: ErrorTerms,
     memory: ErrorMemory,
-    place: tuple[Any, Any],
+    line_and_band: tuple[Any, Any],
     out: SlabOutputs,
 ) -> None:
     """Write u = m sqrt(signal / k + floor), m: reflectance per count, k: counts per electron.
 
     A negative signal adds no variance.
     """
-    line, band = place
+    line, band = line_and_band
     inverse, gain = memory.inverse[band % 3], samples.gain[band]
     per_electron = terms.per_electron[band if terms.per_electron.shape[0] > 1 else 0]
     noise_floor = terms.noise_floor[band if terms.noise_floor.shape[0] > 1 else 0]
@@ -93,8 +93,8 @@ def random_row(
         counts, dark, slope = samples.counts[line, band], samples.dark[band], memory.slope
         slope_row(counts, dark, detector, detector.polynomial, detector.table, slope)
         for x in range(u_random.size):
-            above = np.float32(counts[x]) - dark[x]
-            shot = _NOTHING if above < _NOTHING else above
+            net_count = np.float32(counts[x]) - dark[x]
+            shot = _NOTHING if net_count < _NOTHING else net_count
             noise = np.sqrt(shot * per_electron[x] + noise_floor[x])
             u = abs(slope[x] * (gain[x] * inverse[x])) * noise
             u_random[x] = rounded(u if values[x] == values[x] else _NAN, memory.rounding)
@@ -163,19 +163,19 @@ def propagate_band(
     light: LightCells,
     terms: ErrorTerms,
     memory: ErrorMemory,
-    place: tuple[Any, Any],
+    line_and_band: tuple[Any, Any],
     out: SlabOutputs,
 ) -> None:
-    """Write the random uncertainty of a ``place`` (line, band), and round finished bands.
+    """Write the random uncertainty of ``line_and_band``, and round finished bands.
 
     The systematic uncertainty of a band needs irradiance and unrounded values of the next band, and is
     therefore computed one band later.
     """
-    line, band = place
+    line, band = line_and_band
     values = out.cube[line]
     last = values.shape[0] - 1
-    light_row(light, light.shift, place, memory.irradiance[band % 3], memory.inverse[band % 3])
-    random_row(samples, linear, detector, terms, memory, place, out)
+    light_row(light, light.shift, line_and_band, memory.irradiance[band % 3], memory.inverse[band % 3])
+    random_row(samples, linear, detector, terms, memory, line_and_band, out)
     for done in range(max(band - 1, 0), band + (band == last)):
         systematic_row(
             values, samples.gain, memory, terms, terms.slope, terms.offset, done, out.u_systematic[line, done]

@@ -155,9 +155,9 @@ def count_cores(parent: Array, columns: Any, core: Array) -> None:
         for x in range(1, columns - 1):
             pixel = line * columns + x
             root = root_of(parent, pixel)
-            inside = root_of(parent, pixel - 1) == root and root_of(parent, pixel + 1) == root
-            inside = inside and root_of(parent, pixel - columns) == root
-            if inside and root_of(parent, pixel + columns) == root:
+            is_inside = root_of(parent, pixel - 1) == root and root_of(parent, pixel + 1) == root
+            is_inside = is_inside and root_of(parent, pixel - columns) == root
+            if is_inside and root_of(parent, pixel + columns) == root:
                 core[root] += 1
 
 

@@ -178,8 +178,8 @@ def weigh_rows(values: Array, weights: Array, first: Any, k: Any, out: Array) ->
 @kernel
 def weight_and_row(values: Array, weights: Array, first: Any, k: Any) -> tuple[Any, Array]:
     # Return weight and values of the ``k``-th band of a window.
-    inside = k < weights.size
-    return (weights[k] if inside else _ZERO), values[first + (k if inside else 0)]
+    is_inside = k < weights.size
+    return (weights[k] if is_inside else _ZERO), values[first + (k if is_inside else 0)]
 
 
 @borrowing_kernel

@@ -109,10 +109,10 @@ def sum_rows(rows: Array, weights: Array, out: Array) -> None:
 
 @borrowing_kernel
 def subtract_row(
-    stray: Array, gain: Array, inverse: Array, relative: Any, out: SlabOutputs, place: tuple[int, int]
+    stray: Array, gain: Array, inverse: Array, relative: Any, out: SlabOutputs, line_and_band: tuple[int, int]
 ) -> None:
-    # Subtract stray counts (column,) of a ``place`` (line, band); add their uncertainty in quadrature.
-    line, band = place
+    # Subtract stray counts (column,) of ``line_and_band``; add their uncertainty in quadrature.
+    line, band = line_and_band
     values = out.cube[line, band]
     for x in range(values.size):
         values[x] -= stray[x] * (gain[x] * inverse[x])

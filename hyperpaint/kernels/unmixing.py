@@ -75,23 +75,23 @@ def _fill_parts(body: Array, light: LightParts, first: Array, second: Array, par
 
 
 @kernel
-def _solve_free(gram: Array, right: Array, free: Array, amount: Array, factor: Array, goal: Array) -> None:
+def _solve_free(gram: Array, right: Array, is_free: Array, amount: Array, factor: Array, goal: Array) -> None:
     # Write the minimum over the free parts, with all other parts fixed, by Cholesky's method.
     count = right.size
     for i in range(count):
         goal[i] = amount[i]
-        if not free[i]:
+        if not is_free[i]:
             continue
         residual, pivot = right[i], gram[i, i]
         for j in range(count):
-            if not free[j]:
+            if not is_free[j]:
                 residual -= gram[i, j] * amount[j]
         for j in range(i):
-            if not free[j]:
+            if not is_free[j]:
                 continue
             value = gram[i, j]
             for k in range(j):
-                if free[k]:
+                if is_free[k]:
                     value -= factor[i, k] * factor[j, k]
             factor[i, j] = value / factor[j, j]
             residual -= factor[i, j] * goal[j]
@@ -99,9 +99,9 @@ def _solve_free(gram: Array, right: Array, free: Array, amount: Array, factor: A
         factor[i, i] = np.sqrt(max(pivot, 1e-14 * gram[i, i]))
         goal[i] = residual / factor[i, i]
     for i in range(count - 1, -1, -1):
-        if free[i]:
+        if is_free[i]:
             for j in range(i + 1, count):
-                if free[j]:
+                if is_free[j]:
                     goal[i] -= factor[j, i] * goal[j]
             goal[i] /= factor[i, i]
 
@@ -116,32 +116,32 @@ def minimise(gram: Array, right: Array, most: Array, fixed: Array, amount: Array
 
     ``gram`` (part, part) is positive definite; ``most`` (part,) are upper bounds; parts that are ``fixed``
     stay unchanged; ``amount`` (part,) is the start, within the bounds, and receives the minimum. Return
-    whether it was found; False, with the best so far, after more iterations than there are sets.
+    whether it was found; False if more iterations than there are sets of free parts were needed.
     """
     count = right.size
-    free = np.empty(count, np.bool_)
+    is_free = np.empty(count, np.bool_)
     for i in range(count):
-        free[i] = (not fixed[i]) and 0.0 < amount[i] < most[i]
+        is_free[i] = (not fixed[i]) and 0.0 < amount[i] < most[i]
     factor, goal = np.empty((count, count)), np.empty(count)
     for _ in range(4 * count * count):
-        _solve_free(gram, right, free, amount, factor, goal)
+        _solve_free(gram, right, is_free, amount, factor, goal)
         blocked, step = -1, 1.0
         for i in range(count):
-            if free[i] and not 0.0 <= goal[i] <= most[i]:
+            if is_free[i] and not 0.0 <= goal[i] <= most[i]:
                 limit = 0.0 if goal[i] < 0.0 else most[i]
                 fraction = (limit - amount[i]) / (goal[i] - amount[i])
                 if blocked < 0 or fraction < step:
                     blocked, step = i, fraction
         for i in range(count):
-            if free[i]:
+            if is_free[i]:
                 amount[i] += step * (goal[i] - amount[i])
         if blocked >= 0:
             amount[blocked] = 0.0 if goal[blocked] < 0.0 else most[blocked]
-            free[blocked] = False
+            is_free[blocked] = False
             continue
         steepest, release = _MIN_GRADIENT, -1
         for i in range(count):
-            if free[i] or fixed[i]:
+            if is_free[i] or fixed[i]:
                 continue
             slope = right[i]
             for j in range(count):
@@ -151,7 +151,7 @@ def minimise(gram: Array, right: Array, most: Array, fixed: Array, amount: Array
                 steepest, release = gain, i
         if release < 0:
             return True
-        free[release] = True
+        is_free[release] = True
     return False
 
 
@@ -252,22 +252,22 @@ def _solve(
     added to the prior mean, and the direct light must be at least `_MIN_SUNLIT_DIRECT`.
     """
     right, most = equations.right, prior.most
-    fixed = np.zeros(PARTS, np.bool_)
+    is_fixed = np.zeros(PARTS, np.bool_)
     start = amount.copy()
     sunward_weight = 1.0 / prior.spread[_SUNWARD] ** 2
     right[0] += direct_weight * additions.direct
     right[_SUNWARD] += sunward_weight * additions.sunward
     glint_cost = zero_cost + direct_weight * additions.direct * (2.0 * prior.expected[0] + additions.direct)
     glint_cost += sunward_weight * additions.sunward * (2.0 * prior.expected[_SUNWARD] + additions.sunward)
-    cost = _minimise_with_neighbours(equations, glint_cost, most, evidence, fixed, amount)
+    cost = _minimise_with_neighbours(equations, glint_cost, most, evidence, is_fixed, amount)
     right[0] -= direct_weight * additions.direct
     right[_SUNWARD] -= sunward_weight * additions.sunward
     if evidence <= 0.0:
         return
     trial = start
     trial[_GLINT] = 0.0
-    fixed[_GLINT] = True
-    cost_without_glint = _minimise_with_neighbours(equations, zero_cost, most, evidence, fixed, trial)
+    is_fixed[_GLINT] = True
+    cost_without_glint = _minimise_with_neighbours(equations, zero_cost, most, evidence, is_fixed, trial)
     is_weak = cost_without_glint - cost <= evidence * max(1.0, cost / (_INDEPENDENT_SHARE * equations.valid))
     if is_weak or amount[_GLINT] <= 0.0 or amount[0] < _MIN_SUNLIT_DIRECT:
         amount[:] = trial
@@ -301,14 +301,16 @@ def unmix_lines(
     for line in range(lines):
         for x in range(columns):
             number = bodies.body_of[line, x]
-            valid, used = 0, 0
+            valid, parts_used = 0, 0
             if number >= 0:
                 first, second = bodies.neighbours[line, x, 0], bodies.neighbours[line, x, 1]
-                used = _OWN_PARTS if first < 0 else (_OWN_PARTS + 2 if second < 0 else _OWN_PARTS + 4)
+                parts_used = _OWN_PARTS if first < 0 else (_OWN_PARTS + 2 if second < 0 else _OWN_PARTS + 4)
                 first_spectrum = nothing if first < 0 else reflectance[first]
                 second_spectrum = nothing if second < 0 else reflectance[second]
                 _fill_parts(reflectance[number], light, first_spectrum, second_spectrum, parts)
-                valid, zero_cost = _normal_equations(spectrum[line, x], parts, used, errors, gram, right)
+                valid, zero_cost = _normal_equations(
+                    spectrum[line, x], parts, parts_used, errors, gram, right
+                )
             if 2 * valid < channels or number < 0:
                 out.amount[line, x] = np.nan
                 out.added[line, x] = np.nan
@@ -320,8 +322,8 @@ def unmix_lines(
                 gram[part, part] += weight
                 right[part] += weight * expected[part]
                 zero_cost += weight * expected[part] ** 2
-                amount[part] = expected[part] if part < used else 0.0
-            equations = Equations(gram, right, valid, used)
+                amount[part] = expected[part] if part < parts_used else 0.0
+            equations = Equations(gram, right, valid, parts_used)
             weight = 1.0 / tilt[number] ** 2
             additions = Glinting(min(glinting.direct, tilt[number]), glinting.sunward)
             _solve(equations, zero_cost, prior, evidence, additions, weight, amount)

@@ -4,5 +4,5 @@ from .illumination import (
     Tilt as Tilt,
     match_irradiance as match_irradiance,
 )
-from .sky_fit import fit_sky as fit_sky
+from .sky_functions import fit_sky as fit_sky
 from .sun import solar_position as solar_position

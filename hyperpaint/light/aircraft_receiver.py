@@ -24,7 +24,7 @@ from hyperpaint.base.units import convert, takes_quantities
 from .diffuse_record import SKY_STATES, diffuse_from_record
 from .sky_functions import sunward_gain
 from .sun import diffuse_fraction, solar_position
-from .synchrony import check_irradiance_times
+from .synchrony import channels_of, check_irradiance_times
 
 _ANGLES = ("roll", "pitch", "heading")
 _POSITION = ("latitude", "longitude")
@@ -78,12 +78,6 @@ class _Sensor(NamedTuple):
         azimuth = np.radians(self.azimuth)
         sunward = self.normal[:, 0] * np.sin(azimuth) + self.normal[:, 1] * np.cos(azimuth)
         return np.asarray(sunward * np.tan(np.radians(self.zenith)))
-
-    def sunward_gain(self, channels: Floats) -> Floats:
-        # Relative gain of clear-sky diffuse light per unit of `lean` (sample, channel) [1]
-        # one gain for sun zenith angles within half a degree
-        suns, sun_of_sample = np.unique(np.round(2.0 * self.zenith) / 2.0, return_inverse=True)
-        return np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in suns])[sun_of_sample]
 
     def factor(self, diffuse: Floats, by_lean: Floats) -> Floats:
         """Return the reading relative to a level sensor that follows the cosine law (sample, channel) [1].
@@ -198,14 +192,7 @@ def level_irradiance(
     record = variables["irradiance"]
     stamps = variables[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(stamps)
-    if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError(
-            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
-        )
-    wavelength = record[IRRADIANCE_WAVELENGTH]
-    if "units" in wavelength.attrs:
-        wavelength = convert(wavelength, "nm")
-    channels = wavelength.values.astype(np.float64)
+    channels = channels_of(record)
     sensor = _sensor(stamps, attitude, mounting, cosine_response, ground_reflectance)
     usable = np.nan_to_num(sensor.tilt, nan=np.inf) <= MAX_TILT_DEG
     if not usable.any():
@@ -215,14 +202,24 @@ def level_irradiance(
             code="attitude-missing",
         )
     if not usable.all():
-        text = (
-            f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become NaN"
+        warnings.warn(
+            PaintWarning(
+                f"{(~usable).sum()} of {usable.size} samples of the light sensor have no attitude and become "
+                "NaN",
+                code="attitude-missing",
+            ),
+            stacklevel=2,
         )
-        warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=2)
     is_low = sensor.zenith > MAX_ZENITH_DEG
     if is_low[usable].any():
-        text = f"the light sensor's attitude is not corrected with the sun beyond {MAX_ZENITH_DEG:g} degrees"
-        warnings.warn(PaintWarning(text, code="sun-low"), stacklevel=2)
+        warnings.warn(
+            PaintWarning(
+                "the light sensor's attitude is not corrected with the sun beyond "
+                f"{MAX_ZENITH_DEG:g} degrees",
+                code="sun-low",
+            ),
+            stacklevel=2,
+        )
     spectra = np.where(usable[:, None], record.values.astype(np.float64), np.nan)
     factor = np.ones(spectra.shape)
     correctable = np.flatnonzero(usable & ~is_low & np.isfinite(spectra).any(axis=1))
@@ -247,7 +244,9 @@ def _factor(
     if np.mean(state == _OVERCAST) > 0.5:
         return np.full(spectra.shape, sensor.sky_response()), "overcast, its attitude without effect"
     clear = np.stack([diffuse_fraction(channels, min(float(zenith), 89.0)) for zenith in sensor.zenith])
-    gain = sensor.sunward_gain(channels)
+    # gain of clear-sky diffuse light per unit of lean, one for sun zenith angles within half a degree
+    suns, sun_of_sample = np.unique(np.round(2.0 * sensor.zenith) / 2.0, return_inverse=True)
+    gain = np.stack([sunward_gain(channels, min(float(zenith), 89.0)) for zenith in suns])[sun_of_sample]
     factor = sensor.factor(clear, clear * gain)
     # periods of SAME_SKY_S, each with one split
     seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
@@ -273,8 +272,13 @@ def _factor(
             by_lean[inside] += linear + quadratic * sensor.lean[inside][:, None]
         factor = sensor.factor(diffuse, by_lean)
     if (state == _CONTRADICTORY).mean() > 0.5:
-        text = "the light sensor's record fits no sky; its attitude is corrected as under a clear one"
-        warnings.warn(PaintWarning(text, code="sky-unknown"), stacklevel=3)
+        warnings.warn(
+            PaintWarning(
+                "the light sensor's record fits no sky; its attitude is corrected as under a clear one",
+                code="sky-unknown",
+            ),
+            stacklevel=3,
+        )
     return factor, SKY_STATES[int(np.bincount(state, minlength=len(SKY_STATES)).argmax())]
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
+from .sky_functions import table_rows
 from .sun import Scatterers, air_mass, scattered_light
 
 #: Relative air mass at which the table's cells of 1 nm have their depths [1].
@@ -61,9 +61,7 @@ def sunlight_table() -> SunlightTable:
     >>> print(np.interp(550.0, table.wavelength, table.extraterrestrial).round(3))
     1.863
     """
-    path = Path(__file__).with_name("sunlight_1nm.csv")
-    rows = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    values = np.array([line.split(",") for line in rows[1:]], np.float64).T
+    values = table_rows("sunlight_1nm.csv").T
     values.setflags(write=False)  # shared
     return SunlightTable(*values)
 

@@ -20,9 +20,9 @@ from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.base.units import convert, takes_quantities
 
-from .sky_states import RULES, Evidence, explain, windows_in
+from .sky_states import NODES_NM, RULES, Evidence, explain, windows_in
 from .sun import solar_position
-from .synchrony import check_irradiance_times
+from .synchrony import channels_of, check_irradiance_times
 
 #: Words of ``sky_state``, in the order of its numbers.
 SKY_STATES = ("clear", "hazy", "broken", "overcast", "contradictory")
@@ -111,15 +111,23 @@ def diffuse_from_record(
     """
     variables = schema.require(irradiance, ["irradiance", IRRADIANCE_TIME], "the split of irradiance")
     record = variables["irradiance"]
-    if IRRADIANCE_WAVELENGTH not in record.coords:
-        raise SchemaError(
-            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
-        )
-    channels = record[IRRADIANCE_WAVELENGTH]
-    channels = convert(channels, "nm") if "units" in channels.attrs else channels
-    _check(latitude, longitude, calibration_uncertainty, pressure)
+    channels = channels_of(record)
+    problems = Problems("the split of irradiance is not known", SchemaError)
+    is_finite = np.isfinite(latitude) and np.isfinite(longitude)
+    for is_valid, found, expected in (
+        (is_finite, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
+        (
+            0.0 < calibration_uncertainty <= 1.0,
+            f"calibration_uncertainty={calibration_uncertainty!r}",
+            "above 0, at most 1",
+        ),
+        (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code="value-out-of-range")
+    problems.raise_if_any()
     check_irradiance_times(variables[IRRADIANCE_TIME].values.astype("datetime64[ns]"))
-    if not windows_in(channels.values.astype(np.float64)).centre.size:
+    if not windows_in(channels).centre.size:
         raise SchemaError(
             "irradiance has no channel in the compared intervals, "
             f"{RULES.window_nm[0]:g} to {RULES.window_nm[-1]:g} nm",
@@ -128,9 +136,7 @@ def diffuse_from_record(
     wavelengths = np.atleast_1d(np.asarray(wavelength, np.float64))
     time = variables[IRRADIANCE_TIME].values
     receiver = float(latitude), float(longitude), float(calibration_uncertainty), float(pressure)
-    fraction, u, probability, cloud = _split(
-        record.values, time, channels.values.astype(np.float64), wavelengths, receiver
-    )
+    fraction, u, probability, cloud = _split(record.values, time, channels, wavelengths, receiver)
     split = xr.Dataset(
         {
             "diffuse_fraction": ((IRRADIANCE_TIME, BAND), fraction.astype(np.float32)),
@@ -163,19 +169,6 @@ def states_of(probability: Floats) -> npt.NDArray[np.int8]:
     """Return the number of the likeliest of `SKY_STATES`; contradictory below `RULES.decided`."""
     state = probability.argmax(axis=1)
     return np.where(probability.max(axis=1) < RULES.decided, len(SKY_STATES) - 1, state).astype(np.int8)
-
-
-def _check(latitude: float, longitude: float, calibration: float, pressure: float) -> None:
-    problems = Problems("the split of irradiance is not known", SchemaError)
-    is_finite = np.isfinite(latitude) and np.isfinite(longitude)
-    for is_valid, found, expected in (
-        (is_finite, f"latitude {latitude}, longitude {longitude}", "the place of the receiver in degrees"),
-        (0.0 < calibration <= 1.0, f"calibration_uncertainty={calibration!r}", "above 0, at most 1"),
-        (3e4 <= pressure <= 1.1e5, f"pressure={pressure!r}", "30000 to 110000 Pa"),
-    ):
-        if not is_valid:
-            problems.add(found, expected=expected, code="value-out-of-range")
-    problems.raise_if_any()
 
 
 def _split(
@@ -215,10 +208,9 @@ def _split(
     if usable.any():
         seconds = (time[usable] - time[usable][0]).astype("timedelta64[ns]").astype(np.float64) / 1e9
         evidence = Evidence(np.log(means[usable]), zenith[usable], seconds, level_u)
-        explained = explain(evidence, windows, pressure)
-        for out, values in ((fraction, explained.fraction), (u, explained.u)):
-            out[usable] = [np.interp(wavelength, explained.nodes, row) for row in values]
-        probability[usable], cloud[usable] = explained.probability, explained.cloud
+        node_fraction, node_u, probability[usable], cloud[usable] = explain(evidence, windows, pressure)
+        for out, values in ((fraction, node_fraction), (u, node_u)):
+            out[usable] = [np.interp(wavelength, NODES_NM, row) for row in values]
     return fraction, u, probability, cloud
 
 

@@ -18,11 +18,13 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.units import convert, takes_quantities
 
 from .responses import Matching, Responses, log_slope, matching_operator, mean_responsivity, misfit_through
 from .sky_functions import facing_gain
 from .sun import diffuse_fraction, solar_position
+from .synchrony import channels_of
 
 #: Wavelength at which the shift between camera and record is stated, and interval of its slope [nm].
 ALIGNED_AT_NM, ALIGNED_PER_NM = 600.0, 100.0
@@ -43,11 +45,11 @@ class Tilt:
     Attributes
     ----------
     angle
-        Between its normal and the zenith, 0 to 90 [degree].
+        Angle between the surface's normal and the zenith, 0 to 90 [degree].
     azimuth
-        Of its normal, clockwise from north [degree].
+        Azimuth of the normal, clockwise from north [degree].
     sky_view_factor
-        Part of the sky it sees [1]; ``(1 + cos angle) / 2``, an open field, by default.
+        Part of the sky that the surface sees [1]; by default ``(1 + cos angle) / 2``, as in an open field.
     ground_reflectance
         Reflectance of the ground, which fills the rest of its view [1].
     diffuse_fraction : (band,)
@@ -84,9 +86,9 @@ class Tilt:
             problems.add(
                 f"angle {self.angle:g}", expected="0 to 90 degrees from level", code="value-out-of-range"
             )
-        if not np.isfinite(self.azimuth):
+        if not is_number(self.azimuth):
             problems.add(
-                f"azimuth {self.azimuth:g}",
+                f"azimuth {self.azimuth}",
                 expected="degrees clockwise from north",
                 code="value-out-of-range",
             )
@@ -94,8 +96,8 @@ class Tilt:
             value = getattr(self, name)
             if value is not None and not ((np.asarray(value) >= 0) & (np.asarray(value) <= 1)).all():
                 problems.add(f"{name} {value}", expected="0 to 1", code="value-out-of-range")
-        if self.sky not in (None, "clear", "uniform"):
-            problems.add(f"sky {self.sky!r}", expected="'clear' or 'uniform'", code="choice-unknown")
+        if self.sky is not None:
+            one_of(self.sky, ("clear", "uniform"), "sky", problems=problems)
         problems.raise_if_any()
         if self.sky is None:
             object.__setattr__(self, "sky", "clear" if self.diffuse_fraction is None else "uniform")
@@ -131,8 +133,8 @@ class Tilt:
         if self.sky == "clear" and self.angle > 0.0:
             from_sun = np.degrees(np.radians(self.azimuth) - sun_azimuth)
             suns = np.minimum(np.degrees(zenith), MAX_SUN_ZENITH_DEG)
-            for row, sun, turn in zip(gain, suns, from_sun, strict=True):
-                row[:] = facing_gain(wavelength, float(sun), self.angle, float(turn)) - 1.0
+            for row, sun, azimuth_offset in zip(gain, suns, from_sun, strict=True):
+                row[:] = facing_gain(wavelength, float(sun), self.angle, float(azimuth_offset)) - 1.0
         return np.asarray(
             1.0
             + (1.0 - diffuse) * (beam[:, None] - 1.0)
@@ -277,17 +279,11 @@ def match_irradiance(
     >>> print(matched.dims, matched.values.round(4))
     ('irradiance_time', 'node', 'band') [[[1.3 1.3]]]
     """
-    problems = Problems("irradiance cannot be matched to the imager's bands", SchemaError)
     dims = schema.VARIABLES["irradiance"].dims
     if set(irradiance.dims) != set(dims):
-        problems.add(f"'irradiance' has dims {irradiance.dims}", expected=f"{dims}", code="dims-wrong")
-    elif schema.IRRADIANCE_WAVELENGTH not in irradiance.coords:
-        problems.add("'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing")
-    problems.raise_if_any()
+        raise SchemaError(f"'irradiance' has dims {irradiance.dims}", expected=f"{dims}", code="dims-wrong")
     irradiance = convert(irradiance.transpose(*dims), schema.VARIABLES["irradiance"].units, "irradiance")
-    channels = irradiance[schema.IRRADIANCE_WAVELENGTH]
-    if "units" in channels.attrs:
-        channels = convert(channels, "nm")
+    channels = channels_of(irradiance)
     imager = {
         "wavelength": wavelength,
         "fwhm": fwhm,
@@ -296,9 +292,9 @@ def match_irradiance(
         "srf_offset": srf_offset,
         "srf": srf,
     }
-    responses = _responses(channels.values, irradiance_fwhm, irradiance_srf_shape, imager)
+    responses = _responses(channels, irradiance_fwhm, irradiance_srf_shape, imager)
     matching = matching_operator(*responses, nodes)
-    _warn_of_bands(matching, channels.values, imager)
+    _warn_of_bands(matching, channels, imager)
     matched = xr.apply_ufunc(
         lambda spectra: _apply(matching, spectra).astype(np.float32),
         irradiance.chunk({schema.IRRADIANCE_WAVELENGTH: -1}) if irradiance.chunks else irradiance,

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import SRF_SHAPES
 
 #: Standard deviation of a Gaussian per unit of full width at half maximum.
@@ -58,23 +59,50 @@ class Responses:
         wavelength = np.atleast_1d(np.asarray(self.wavelength, np.float64))
         fwhm = np.broadcast_to(np.asarray(self.fwhm, np.float64), wavelength.shape)
         problems = Problems("spectral responses cannot be used", SchemaError)
-        if self.shape not in SRF_SHAPES:
-            problems.add(
-                f"line shape {self.shape!r}",
-                expected=f"one of {', '.join(SRF_SHAPES)}",
-                code="choice-unknown",
-            )
+        one_of(self.shape, SRF_SHAPES, "line shape", problems=problems)
         if not np.isfinite(wavelength).all():
             problems.add("wavelengths are not finite", code="not-finite")
         if self.shape != "tabulated" and not (np.isfinite(fwhm).all() and (fwhm > 0).all()):
             problems.add("'fwhm' is not finite and positive", expected="widths in nm", code="fwhm-invalid")
-        if self.shape == "tabulated":
-            problems_of_table(problems, self.offset, self.table, wavelength.size)
+        if self.shape == "tabulated" and (self.offset is None or self.table is None):
+            problems.add(
+                "line shape 'tabulated' without its table",
+                expected="'srf' (band, srf_offset) and 'srf_offset' [nm]",
+                code="variable-missing",
+            )
+        elif self.shape == "tabulated":
+            offset, table = np.asarray(self.offset), np.asarray(self.table)
+            if table.shape != (wavelength.size, offset.size):
+                problems.add(
+                    f"'srf' has shape {table.shape}",
+                    expected=f"({wavelength.size}, {offset.size}): (band, srf_offset)",
+                    code="length-mismatch",
+                )
+            elif not (np.isfinite(table).all() and (table.sum(axis=1) > 0).all()):
+                problems.add(
+                    "a row of 'srf' is not finite or has no positive sum", code="response-table-invalid"
+                )
+            if offset.size < 3 or not (np.diff(offset) > 0).all():
+                problems.add(
+                    "'srf_offset' does not increase or is too short",
+                    expected="three or more values in nm",
+                    code="response-table-invalid",
+                )
         problems.raise_if_any()
         object.__setattr__(self, "wavelength", wavelength)
         object.__setattr__(self, "fwhm", fwhm)
         if self.shape == "slit":
-            spacing = self.spacing if self.spacing is not None else _even_spacing(wavelength)
+            steps = np.abs(np.diff(wavelength))
+            jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
+            is_even = wavelength.size > 1 and jumps.max(initial=0.0) <= np.log(1.3)
+            if self.spacing is None and not is_even:
+                raise SchemaError(
+                    "a slit-shaped response needs the camera's band spacing, and these bands are not "
+                    "contiguous",
+                    mend="give 'band_spacing' (band) [nm], or select bands after computing the reflectance",
+                    code="band-spacing-missing",
+                )
+            spacing = band_spacing(wavelength) if self.spacing is None else self.spacing
             object.__setattr__(self, "spacing", np.broadcast_to(spacing, wavelength.shape))
 
     def _content(self) -> tuple[Any, ...]:
@@ -125,44 +153,6 @@ class Responses:
         total = np.where(total > 0, total, np.inf)
         response = response / (total * (grid[1] - grid[0]))
         return np.asarray(response if np.ndim(band) else response[0])
-
-
-def problems_of_table(problems: Problems, offset: Any, table: Any, bands: int) -> None:
-    """Add the faults of tabulated line shapes to ``problems``."""
-    if offset is None or table is None:
-        problems.add(
-            "line shape 'tabulated' without its table",
-            expected="'srf' (band, srf_offset) and 'srf_offset' [nm]",
-            code="variable-missing",
-        )
-        return
-    offset, table = np.asarray(offset), np.asarray(table)
-    if table.shape != (bands, offset.size):
-        problems.add(
-            f"'srf' has shape {table.shape}",
-            expected=f"({bands}, {offset.size}): (band, srf_offset)",
-            code="length-mismatch",
-        )
-    elif not (np.isfinite(table).all() and (table.sum(axis=1) > 0).all()):
-        problems.add("a row of 'srf' is not finite or has no positive sum", code="response-table-invalid")
-    if offset.size < 3 or not (np.diff(offset) > 0).all():
-        problems.add(
-            "'srf_offset' does not increase or is too short",
-            expected="three or more values in nm",
-            code="response-table-invalid",
-        )
-
-
-def _even_spacing(wavelength: Floats) -> Floats:
-    steps = np.abs(np.diff(wavelength))
-    jumps = np.abs(np.log(steps[1:] / steps[:-1])) if steps.all() else np.array([np.inf])
-    if wavelength.size < 2 or jumps.max(initial=0.0) > np.log(1.3):
-        raise SchemaError(
-            "a slit-shaped response needs the camera's band spacing, and these bands are not contiguous",
-            mend="give 'band_spacing' (band) [nm], or select bands after computing the reflectance",
-            code="band-spacing-missing",
-        )
-    return band_spacing(wavelength)
 
 
 def band_spacing(wavelength: npt.ArrayLike) -> Floats:
@@ -306,7 +296,11 @@ def _cached_operator(
         responses = np.stack([bands.on(grid, band) for bands in shifted_imagers])
         coverage[:, band] = responses[:, (grid >= centres[0]) & (grid <= centres[-1])].sum(axis=1) * step
         widths = spectrometer.fwhm[order[nearby]] if nearby.size else spectrometer.fwhm
-        if _has_hole(centres, centre, imager.fwhm[band] + np.ptp(shifts), 2.0 * widths.max()):
+        # channels missing inside the band
+        around = imager.fwhm[band] + np.ptp(shifts)
+        first = max(int(np.searchsorted(centres, centre - around)) - 1, 0)
+        gaps = np.diff(centres[first : int(np.searchsorted(centres, centre + around)) + 1])
+        if gaps.size and gaps.max() > 2.0 * widths.max():
             coverage[:, band] = 0.0
         covered = coverage[:, band] >= 0.999
         weights[~covered, band] = np.nan
@@ -314,7 +308,14 @@ def _cached_operator(
             weights[:, band] = np.nan
             continue
         channels = spectrometer.on(grid, order[nearby])
-        rows = _constrained_ridge(channels, responses[covered], ridge)
+        # ridge weights (node, channel) that combine channels into responses, each row of sum 1;
+        # einsum: with busy cores, BLAS threads make products this small ten times slower
+        gram = np.einsum("ig,jg->ij", channels, channels)
+        gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
+        products = np.einsum("ig,ng->in", channels, responses[covered])
+        solved = np.linalg.solve(gram, np.column_stack([products, np.ones(len(gram))])).T
+        rows, correction = solved[:-1], solved[-1]
+        rows = rows + correction * ((1.0 - rows.sum(axis=1)) / correction.sum())[:, None]
         for node, row in zip(np.flatnonzero(covered), rows, strict=True):
             weights[node, band, order[nearby]] = row
         residual = np.einsum("ni,ig->ng", rows, channels) - responses[covered]
@@ -351,24 +352,3 @@ def misfit_through(
             misfit[node, band] = np.sqrt(((combined - response) ** 2).sum() / (response**2).sum())
     misfit.flags.writeable = False
     return misfit
-
-
-def _has_hole(centres: Floats, centre: float, reach: float, max_step: float) -> bool:
-    first = max(int(np.searchsorted(centres, centre - reach)) - 1, 0)
-    last = int(np.searchsorted(centres, centre + reach)) + 1
-    steps = np.diff(centres[first:last])
-    return bool(steps.size and steps.max() > max_step)
-
-
-def _constrained_ridge(channels: Floats, responses: Floats, ridge: float) -> Floats:
-    # Return ridge weights (node, channel) that combine channels into responses, each row of sum 1.
-    # einsum: with busy cores, BLAS threads make products this small ten times slower
-    gram = np.einsum("ig,jg->ij", channels, channels)
-    gram[np.diag_indices_from(gram)] += ridge * np.trace(gram) / len(gram)
-    solved = np.linalg.solve(
-        gram, np.column_stack([np.einsum("ig,ng->in", channels, responses), np.ones(len(gram))])
-    ).T
-    unconstrained, correction = solved[:-1], solved[-1]
-    return np.asarray(
-        unconstrained + correction * ((1.0 - unconstrained.sum(axis=1)) / correction.sum())[:, None]
-    )

@@ -21,9 +21,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.units import convert, takes_quantities
 
 #: Added to the cosine of the zenith angle in u [1].
 HORIZON_SHIFT = 0.05
@@ -37,14 +39,15 @@ class _Tables(NamedTuple):
     shares: Floats  # (sun, aerosol, wavelength, function)
 
 
-def _rows(name: str) -> Floats:
+def table_rows(name: str) -> Floats:
+    """Return the rows of a table of numbers beside this file, below its headings."""
     text = Path(__file__).with_name(name).read_text(encoding="utf-8").splitlines()
     return np.array([line.split(",") for line in text if not line.startswith("#")][1:], np.float64)
 
 
 @functools.cache
 def _tables() -> _Tables:
-    shapes, weights = _rows("sky_shapes.csv"), _rows("sky_weights.csv")
+    shapes, weights = table_rows("sky_shapes.csv"), table_rows("sky_weights.csv")
     suns, aerosols, wavelengths = (np.unique(weights[:, column]) for column in range(3))
     sizes = suns.size, aerosols.size, wavelengths.size, 3
     return _Tables(
@@ -169,9 +172,7 @@ def zenith_radiance(wavelength: npt.ArrayLike, sun_zenith: float, aerosol: float
     >>> print(zenith_radiance([450.0, 850.0], 60.0).round(1))
     [0.5 0.3]
     """
-    above = np.cos(np.radians(sun_zenith))
-    parts = [relative_radiance(shape, np.array(1.0), above) for shape in function_shapes(float(sun_zenith))]
-    return np.asarray(np.array([1.0, *parts]) @ clear_sky_shares(wavelength, sun_zenith, aerosol))
+    return radiance_towards_sun(wavelength, sun_zenith, 0.0, aerosol)
 
 
 def radiance_towards_sun(
@@ -232,7 +233,7 @@ def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from
     sun_zenith
         [degree]
     angle
-        Between the slope's normal and the zenith, 0 to 90 [degree].
+        Angle between the slope's normal and the zenith, 0 to 90 [degree].
     from_sun
         Azimuth of the normal less azimuth of the sun [degree].
 
@@ -259,3 +260,94 @@ def facing_gain(wavelength: npt.ArrayLike, sun_zenith: float, angle: float, from
     gains = np.array([1.0, *((weight * relative_radiance(shape, cosine, to_sun)).sum() for shape in shapes)])
     # written as a departure from 1, so that a level surface gives 1 to the last bit
     return np.asarray(1.0 + (gains - 1.0) @ clear_sky_shares(wavelength, sun_zenith))
+
+
+FUNCTIONS = ("uniform", "molecular", "aureole")
+MIN_DIRECTIONS = 6
+
+
+@takes_quantities(sun_zenith="degree")
+def fit_sky(table: xr.Dataset, sun_zenith: float) -> xr.Dataset:
+    r"""Return the shares of the sky functions that fit a table of sky radiance best.
+
+    Parameters
+    ----------
+    table
+        Has ``sky_radiance`` (wavelength, sky_zenith, sky_azimuth) [W m-2 sr-1 nm-1], azimuth from the sun
+        [degree], as the readers of `hyperpaint.io.skies` return it; directions below the horizon are ignored.
+    sun_zenith
+        [degree]
+
+    Returns
+    -------
+    Dataset
+        ``share`` (wavelength, function) of the level irradiance, not negative, of sum 1; ``misfit``
+        (wavelength), the relative residual, root mean square over directions as level ground weights them.
+
+    Raises
+    ------
+    SchemaError
+        There is no radiance, or fewer than 6 directions above the horizon.
+
+    Notes
+    -----
+    :math:`\min_{s \ge 0} \sum_j w_j (\sum_k s_k f_k(j) / L_j - 1)^2` with :math:`w_j = \cos \theta_j
+    \Delta \Omega_j` (C. L. Lawson and R. J. Hanson, Solving Least Squares Problems, 1974).
+
+    Examples
+    --------
+    >>> import xarray as xr
+    >>> dims, degree = ("wavelength", "sky_zenith", "sky_azimuth"), {"units": "degree"}
+    >>> even = np.full((1, 4, 4), 0.1)
+    >>> table = xr.Dataset(
+    ...     {"sky_radiance": (dims, even, {"units": "W m-2 sr-1 nm-1"})},
+    ...     {"wavelength": ("wavelength", [550.0], {"units": "nm"}),
+    ...      "sky_zenith": ("sky_zenith", [10.0, 30.0, 50.0, 70.0], degree),
+    ...      "sky_azimuth": ("sky_azimuth", [0.0, 60.0, 120.0, 180.0], degree)},
+    ... )
+    >>> fit_sky(table, 40.0).share.values.round(6)
+    array([[1., 0., 0.]])
+    """
+    from scipy.optimize import nnls
+
+    if "sky_radiance" not in table.variables:
+        raise SchemaError(
+            "the table of the sky has no sky_radiance (wavelength, sky_zenith, sky_azimuth)",
+            code="variable-missing",
+        )
+    sky = convert(table["sky_radiance"], "W m-2 sr-1 nm-1").transpose(
+        "wavelength", "sky_zenith", "sky_azimuth"
+    )
+    angles = [
+        np.radians(convert(table[name].reset_coords(drop=True), "degree").values) for name in sky.dims[1:]
+    ]
+    zenith, azimuth = np.meshgrid(*angles, indexing="ij")
+    cosine = np.cos(zenith)
+    is_above_horizon = (cosine > 1e-3) & (sky.values > 0.0).all(axis=0)
+    if is_above_horizon.sum() < MIN_DIRECTIONS:
+        raise SchemaError(
+            f"sky_radiance has {int(is_above_horizon.sum())} directions above the horizon",
+            expected=f"{MIN_DIRECTIONS} or more",
+            code="sky-directions-few",
+        )
+    zenith_step = np.abs(np.gradient(angles[0]))[:, None] if angles[0].size > 1 else np.ones((1, 1))
+    weight = (cosine * np.maximum(np.sin(zenith), 1e-3) * zenith_step)[is_above_horizon]
+    from_sun = scattering_cosine(cosine[is_above_horizon], azimuth[is_above_horizon], sun_zenith)
+    parts = [
+        relative_radiance(shape, cosine[is_above_horizon], from_sun)
+        for shape in function_shapes(float(sun_zenith))
+    ]
+    functions = np.stack([np.ones_like(from_sun), *parts], axis=1)
+    scale = np.sqrt(weight / weight.sum())
+    shares, misfit = [], []
+    for radiance in sky.values[:, is_above_horizon]:
+        sums, residual = nnls(functions * (scale / radiance)[:, None], scale)
+        shares.append(sums / sums.sum())
+        misfit.append(residual)
+    return xr.Dataset(
+        {
+            "share": (("wavelength", "function"), np.array(shares), {"units": "1"}),
+            "misfit": ("wavelength", np.array(misfit), {"units": "1"}),
+        },
+        {"wavelength": table["wavelength"].variable, "function": list(FUNCTIONS)},
+    )

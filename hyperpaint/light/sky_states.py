@@ -103,7 +103,7 @@ RULES = SkyRules()
 #: Number of drawn states of the air; clouds are drawn over each.
 _N_AIR_STATES = 512
 _DRAWS_PER_STATE = {"air": 1, "thin": 2, "broken": 4, "overcast": 2}
-_NODES_NM = np.array(
+NODES_NM = np.array(
     [300.0, 350, 380, 410, 450, 500, 550, 600, 650, 700, 760, 830, 900, 1000, 1200, 1600, 2500]
 )
 #: Zenith angle of the sun above which the sky's state is not determined [degree].
@@ -187,12 +187,6 @@ def windows_in(wavelength: Floats) -> Windows:
     return Windows(np.array(centres), np.array(rows).reshape(len(rows), wavelength.size))
 
 
-class _Spectra(NamedTuple):
-    level: Floats  # (draw, window): logarithm of the irradiance
-    fraction: Floats  # (draw, node): diffuse fraction
-    clear: Floats  # (draw, node): diffuse fraction of the same air without clouds
-
-
 def _irradiance_of_draws(
     draws: _Draws, wavelength: Floats, direct: Floats, diffuse: Floats
 ) -> tuple[Floats, Floats]:
@@ -205,29 +199,31 @@ def _irradiance_of_draws(
     return total, scattered / total
 
 
-def _points_of(centres: tuple[float, ...]) -> Floats:
-    # Return the wavelengths at which the model is evaluated, `POINTS_PER_WINDOW` for each interval [nm].
-    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
-    return np.asarray((np.array(centres)[:, None] + steps).ravel())
-
-
-@functools.lru_cache(maxsize=64)
-def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> _Spectra:
-    # Return the spectra of all draws for a zenith angle of the sun [degree].
-    draws = _draws()
-    aerosol, exponent, ozone, relative, ground, water = (state[:, None] for state in draws.states)
-    wavelengths = np.array(centres)
+def _clear_light(
+    sun_zenith: float, pressure: float, centres: tuple[float, ...], every: int = 1
+) -> tuple[Floats, Floats, Floats, Floats]:
+    # Return direct and diffuse light of every n-th state of clear air: at points of the intervals (air,
+    # window, point), and without gases, which absorb the same share of both, at the nodes (air, node).
+    aerosol, exponent, ozone, relative, ground, water = (state[::every, None] for state in _draws().states)
     sky = ClearSky(
         sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
     )
-    shape = (_N_AIR_STATES, wavelengths.size, POINTS_PER_WINDOW)
-    direct, diffuse = (part.reshape(shape).mean(axis=2) for part in sky.irradiance(_points_of(centres)))
-    total, _ = _irradiance_of_draws(draws, wavelengths, direct, diffuse)
-    # the diffuse fraction needs no gases, which absorb the same share of direct and diffuse light
+    steps = np.linspace(-RULES.half_width_nm, RULES.half_width_nm, 2 * POINTS_PER_WINDOW + 1)[1::2]
+    points = np.array(centres)[:, None] + steps
+    direct, diffuse = (part.reshape(-1, *points.shape) for part in sky.irradiance(points.ravel()))
     air = Scatterers(aerosol, exponent, pressure * relative, ground)
-    direct, diffuse = scattered_light(_NODES_NM, sun_zenith, air)
-    _, fraction = _irradiance_of_draws(draws, _NODES_NM, direct, diffuse)
-    return _Spectra(np.log(total), fraction, (diffuse / (direct + diffuse))[draws.air])
+    return direct, diffuse, *scattered_light(NODES_NM, sun_zenith, air)
+
+
+@functools.lru_cache(maxsize=64)
+def _spectra(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> tuple[Floats, Floats, Floats]:
+    # Return, of all draws for a zenith angle of the sun [degree], the logarithm of the irradiance (draw,
+    # window), the diffuse fraction, and that of the same air without clouds (draw, node).
+    draws = _draws()
+    direct, diffuse, node_direct, node_diffuse = _clear_light(sun_zenith, pressure, centres)
+    total, _ = _irradiance_of_draws(draws, np.array(centres), direct.mean(axis=2), diffuse.mean(axis=2))
+    _, fraction = _irradiance_of_draws(draws, NODES_NM, node_direct, node_diffuse)
+    return np.log(total), fraction, (node_diffuse / (node_direct + node_diffuse))[draws.air]
 
 
 @functools.lru_cache(maxsize=16)
@@ -250,38 +246,32 @@ class Evidence(NamedTuple):
     level_u: float  # relative standard uncertainty of the level
 
 
-class Explained(NamedTuple):
-    """Diffuse fraction and state of the sky of every sample."""
-
-    fraction: Floats  # (sample, node)
-    u: Floats  # (sample, node)
-    probability: Floats  # (sample, state): clear, hazy, broken, overcast, contradictory
-    cloud: Floats  # (sample,): how far the fraction is from that of clear air to 1
-    nodes: Floats  # (node,) [nm]
-
-
-class _Posterior(NamedTuple):
-    # Posterior by sample, width of the level (calibrated or not) and kind of sky (sample, width, kind ...)
-    log: Floats  # logarithm of the evidence
-    mean: Floats  # (..., node) of the diffuse fraction
-    square: Floats  # (..., node) of its square
-    clear: Floats  # (..., node) of the fraction without clouds
-    turbid: Floats  # probability that the air is hazy
-    best: Floats  # (sample,): chi-square per interval of the best draw
+def _chi_square(
+    level: Floats, drawn: Floats, centres: tuple[float, ...], level_u: float
+) -> tuple[Floats, float]:
+    # Return chi-square of every sample with every draw (sample, draw), and the logarithm of the norm.
+    whitening, log_norm = _whitening(centres, level_u)
+    samples, draws = level @ whitening.T, drawn @ whitening.T
+    chi = (samples**2).sum(axis=1)[:, None] + (draws**2).sum(axis=1) - 2.0 * samples @ draws.T
+    return chi, log_norm
 
 
-def _posterior(evidence: Evidence, windows: Windows, pressure: float) -> _Posterior:
+def _posterior(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floats, ...]:
+    # Return the posterior by sample, width of the level (calibrated or not) and kind of sky (sample, width,
+    # kind ...): logarithm of the evidence; mean of the diffuse fraction (..., node), of its square, and of
+    # the fraction without clouds; probability that the air is hazy; and chi-square per interval of the best
+    # draw (sample,).
     draws, centres = _draws(), tuple(map(float, windows.centre))
     shape = evidence.level.shape[0], 2, len(KINDS)
     log, turbid = np.zeros(shape), np.zeros(shape)
-    mean, square, clear = (np.zeros((*shape, _NODES_NM.size)) for _ in range(3))
+    mean, square, clear = (np.zeros((*shape, NODES_NM.size)) for _ in range(3))
     best = np.full(shape[0], np.inf)
     is_hazy = (draws.states[0][draws.air] >= RULES.hazy_aerosol).astype(np.float64)
     kinds = [np.flatnonzero(draws.kind == number) for number in range(len(KINDS))]
     sun = np.minimum(evidence.sun_zenith, MAX_SUN_ZENITH_DEG)
     node_zenith = np.round(2.0 * sun) / 2.0
     for zenith in np.unique(node_zenith):
-        spectra = _spectra(float(zenith), pressure, centres)
+        drawn_level, drawn_fraction, drawn_clear = _spectra(float(zenith), pressure, centres)
         for block in np.array_split(
             samples := np.flatnonzero(node_zenith == zenith), 1 + samples.size // 128
         ):
@@ -289,14 +279,7 @@ def _posterior(evidence: Evidence, windows: Windows, pressure: float) -> _Poster
             sun_ratio = np.cos(np.radians(sun[block])) / np.cos(np.radians(zenith))
             level = evidence.level[block] - np.log(sun_ratio)[:, None]
             for width, level_u in enumerate((evidence.level_u, np.hypot(evidence.level_u, RULES.wide_u))):
-                whitening, log_norm = _whitening(centres, float(level_u))
-                # chi-square of every sample with every draw
-                whitened, whitened_draws = level @ whitening.T, spectra.level @ whitening.T
-                chi = (
-                    (whitened**2).sum(axis=1)[:, None]
-                    + (whitened_draws**2).sum(axis=1)
-                    - 2.0 * whitened @ whitened_draws.T
-                )
+                chi, log_norm = _chi_square(level, drawn_level, centres, float(level_u))
                 if width == 0:
                     best[block] = chi.min(axis=1) / len(centres)
                 chi /= np.maximum(1.0, best[block] / RULES.misfit)[:, None]
@@ -307,18 +290,11 @@ def _posterior(evidence: Evidence, windows: Windows, pressure: float) -> _Poster
                     total = weight.sum(axis=1)
                     log[block, width, number] = np.log(total / draw.size) - 0.5 * lowest - log_norm
                     weight /= total[:, None]
-                    mean[block, width, number] = weight @ spectra.fraction[draw]
-                    square[block, width, number] = weight @ spectra.fraction[draw] ** 2
-                    clear[block, width, number] = weight @ spectra.clear[draw]
+                    mean[block, width, number] = weight @ drawn_fraction[draw]
+                    square[block, width, number] = weight @ drawn_fraction[draw] ** 2
+                    clear[block, width, number] = weight @ drawn_clear[draw]
                     turbid[block, width, number] = weight @ is_hazy[draw]
-    return _Posterior(log, mean, square, clear, turbid, best)
-
-
-class _OtherSunPosterior(NamedTuple):
-    # Posterior of clear air if the sun were at other zenith angles than clock and position give (sample, ...)
-    log: Floats  # logarithm of the evidence
-    mean: Floats  # (sample, node) of the diffuse fraction
-    square: Floats  # (sample, node) of its square
+    return log, mean, square, clear, turbid, best
 
 
 _OTHER_SUNS_DEG = np.arange(5.0, 85.1, 2.5)
@@ -327,35 +303,25 @@ _OTHER_SUNS_DEG = np.arange(5.0, 85.1, 2.5)
 @functools.lru_cache(maxsize=64)
 def _clear_air(sun_zenith: float, pressure: float, centres: tuple[float, ...]) -> tuple[Floats, Floats]:
     # Return level (air, window) and diffuse fraction (air, node) of every fourth state of clear air.
-    aerosol, exponent, ozone, relative, ground, water = (state[::4, None] for state in _draws().states)
-    air = Scatterers(aerosol, exponent, pressure * relative, ground)
-    sky = ClearSky(
-        sun_zenith, aerosol, exponent, ozone=ozone, water=water, pressure=pressure * relative, ground=ground
-    )
-    direct, diffuse = scattered_light(_NODES_NM, sun_zenith, air)
-    total = np.sum(sky.irradiance(_points_of(centres)), axis=0)
-    total = total.reshape(aerosol.size, len(centres), -1).mean(axis=2)
-    return np.log(total), diffuse / (direct + diffuse)
+    direct, diffuse, node_direct, node_diffuse = _clear_light(sun_zenith, pressure, centres, every=4)
+    return np.log((direct + diffuse).mean(axis=2)), node_diffuse / (node_direct + node_diffuse)
 
 
-def _other_sun_posterior(evidence: Evidence, windows: Windows, pressure: float) -> _OtherSunPosterior:
+def _other_sun_posterior(
+    evidence: Evidence, windows: Windows, pressure: float
+) -> tuple[Floats, Floats, Floats]:
+    # Return the posterior of clear air if the sun were at other zenith angles than clock and position give:
+    # logarithm of the evidence (sample,), mean of the diffuse fraction (sample, node), and of its square.
     centres = tuple(map(float, windows.centre))
-    whitening, log_norm = _whitening(centres, float(evidence.level_u))
-    whitened = evidence.level @ whitening.T
     shape = evidence.level.shape[0], _OTHER_SUNS_DEG.size
-    log, mean, square = np.empty(shape), *np.empty((2, *shape, _NODES_NM.size))
+    log, mean, square = np.empty(shape), *np.empty((2, *shape, NODES_NM.size))
     for number, zenith in enumerate(_OTHER_SUNS_DEG):
         level, fraction = _clear_air(float(zenith), pressure, centres)
-        whitened_air = level @ whitening.T
-        chi = (
-            (whitened**2).sum(axis=1)[:, None]
-            + (whitened_air**2).sum(axis=1)
-            - 2.0 * whitened @ whitened_air.T
-        )
+        chi, log_norm = _chi_square(evidence.level, level, centres, float(evidence.level_u))
         lowest = chi.min(axis=1)
         weight = np.exp(-0.5 * (chi - lowest[:, None]))
         total = weight.sum(axis=1)
-        log[:, number] = np.log(total / len(whitened_air)) - 0.5 * lowest - log_norm
+        log[:, number] = np.log(total / len(level)) - 0.5 * lowest - log_norm
         mean[:, number] = weight @ fraction / total[:, None]
         square[:, number] = weight @ fraction**2 / total[:, None]
     # average over the other suns, without those near the sun of the clock
@@ -364,13 +330,16 @@ def _other_sun_posterior(evidence: Evidence, windows: Windows, pressure: float) 
     share = np.exp(log - best[:, None])
     total = share.sum(axis=1)
     share = (share / total[:, None])[..., None]
-    return _OtherSunPosterior(
-        best + np.log(total / _OTHER_SUNS_DEG.size), (share * mean).sum(axis=1), (share * square).sum(axis=1)
-    )
+    means = (share * mean).sum(axis=1), (share * square).sum(axis=1)
+    return best + np.log(total / _OTHER_SUNS_DEG.size), *means
 
 
-def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
+def explain(evidence: Evidence, windows: Windows, pressure: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return the posterior over the drawn skies, each weighted by how well it explains a sample.
+
+    Diffuse fraction and its uncertainty at `NODES_NM` (sample, node); probability of clear, hazy, broken,
+    overcast and contradictory (sample, state); and how far the fraction is from that of clear air to 1
+    (sample,).
 
     Notes
     -----
@@ -382,33 +351,36 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
     clock.
     """
     # posterior of kinds of sky and widths of the level
-    posterior = _posterior(evidence, windows, pressure)
+    log, means, mean_squares, means_without_cloud, turbid, best = _posterior(evidence, windows, pressure)
     prior = np.log(np.array([[1.0 - RULES.wide_prior], [RULES.wide_prior]]) * np.array(RULES.priors))
     variation = _variation(evidence)
-    logs = _window_means(posterior.log, evidence.seconds) + prior + variation[:, None, :]
+    logs = _window_means(log, evidence.seconds) + prior + variation[:, None, :]
     share = np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
     total = share.sum(axis=(1, 2))
     share /= total[:, None, None]
-    probability = _probabilities(share, posterior.turbid)
+    # thin cloud, and a level far from its calibration, count as contradictory
+    air, thin, broken, overcast = share[:, 0].T
+    hazy = air * turbid[:, 0, 0]
+    contradictory = share[:, 1].sum(axis=1) + thin
+    probability = np.stack([air - hazy, hazy, broken, overcast, contradictory], axis=1)
     fraction, square, clear = (
-        (share[..., None] * part).sum(axis=(1, 2))
-        for part in (posterior.mean, posterior.square, posterior.clear)
+        (share[..., None] * part).sum(axis=(1, 2)) for part in (means, mean_squares, means_without_cloud)
     )
     if (probability[:, :2].sum(axis=1) < RULES.decided).any():
         # a spectrum that no clear sky explains now may be explained by a clear sky at another hour
-        other_sun = _other_sun_posterior(evidence, windows, pressure)
-        log_other_sun = _window_means(other_sun.log, evidence.seconds) + variation[:, KINDS.index("air")]
+        log, mean, mean_square = _other_sun_posterior(evidence, windows, pressure)
+        log_other_sun = _window_means(log, evidence.seconds) + variation[:, KINDS.index("air")]
         log_clock_sun = logs.max(axis=(1, 2)) + np.log(total) - np.log(RULES.wrong_clock)
         is_other_sun = 1.0 / (1.0 + np.exp(np.clip(log_clock_sun - log_other_sun, -500.0, 500.0)))[:, None]
         probability = (1.0 - is_other_sun) * probability + is_other_sun * np.eye(5)[4]
-        fraction += is_other_sun * (other_sun.mean - fraction)
-        square += is_other_sun * (other_sun.square - square)
-    probability[(posterior.best > RULES.misfit) | (evidence.sun_zenith > MAX_SUN_ZENITH_DEG)] = np.eye(5)[4]
+        fraction += is_other_sun * (mean - fraction)
+        square += is_other_sun * (mean_square - square)
+    probability[(best > RULES.misfit) | (evidence.sun_zenith > MAX_SUN_ZENITH_DEG)] = np.eye(5)[4]
     # mean of the likeliest kind; its distance from the mean of all kinds enters the uncertainty
     kind = np.array([0, 0, KINDS.index("broken"), KINDS.index("overcast")])
     state = probability[:, :4].argmax(axis=1)
     is_decided = probability[:, :4].max(axis=1) >= RULES.decided
-    mean = np.where(is_decided[:, None], posterior.mean[np.arange(state.size), 0, kind[state]], fraction)
+    mean = np.where(is_decided[:, None], means[np.arange(state.size), 0, kind[state]], fraction)
     model = RULES.floor + RULES.model * mean * (1.0 - mean)
     u = np.sqrt(np.maximum(square - 2.0 * mean * fraction + mean**2, 0.0) + model**2)
     fraction = mean
@@ -416,18 +388,9 @@ def explain(evidence: Evidence, windows: Windows, pressure: float) -> Explained:
     departure = fraction - fraction.mean(axis=0)
     square = _window_means(departure**2, evidence.seconds) - _window_means(departure, evidence.seconds) ** 2
     u = np.sqrt(u**2 + share[:, :, KINDS.index("broken")].sum(axis=1)[:, None] * np.maximum(square, 0.0))
-    node_550 = int(np.abs(_NODES_NM - 550.0).argmin())
+    node_550 = int(np.abs(NODES_NM - 550.0).argmin())
     cloud = (fraction - clear)[:, node_550] / np.maximum(1.0 - clear[:, node_550], 1e-6)
-    return Explained(fraction, u, probability, np.clip(cloud, 0.0, 1.0), _NODES_NM)
-
-
-def _probabilities(share: Floats, turbid: Floats) -> Floats:
-    # Return the probabilities of the five states (sample, state)
-    # from the shares of kinds (sample, width of the level, kind) and the share of turbid air in each kind.
-    # Thin cloud, and a level far from its calibration, count as contradictory.
-    air, thin, broken, overcast = share[:, 0].T
-    hazy = air * turbid[:, 0, 0]
-    return np.stack([air - hazy, hazy, broken, overcast, share[:, 1].sum(axis=1) + thin], axis=1)
+    return fraction, u, probability, np.clip(cloud, 0.0, 1.0)
 
 
 def _window_of(seconds: Floats) -> tuple[Ints, Ints]:

@@ -16,7 +16,8 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.schema import Quality
+from hyperpaint.base.schema import IRRADIANCE_WAVELENGTH, Quality
+from hyperpaint.base.units import convert
 
 from .sun import solar_position
 
@@ -78,7 +79,18 @@ def line_light(
     lines = np.asarray(time).astype("datetime64[ns]")
     samples = np.asarray(irradiance_time).astype("datetime64[ns]")
     check_irradiance_times(samples)
-    _check_seconds(max_gap, clock_uncertainty)
+    problems = Problems("irradiance cannot be assigned to lines", SchemaError)
+    if max_gap is not None and not max_gap > 0:
+        problems.add(
+            f"'irradiance_max_gap' is {max_gap:g} s", expected="a positive number", code="value-out-of-range"
+        )
+    if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
+        problems.add(
+            f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
+            expected="0 or more seconds",
+            code="value-out-of-range",
+        )
+    problems.raise_if_any()
     levels = np.reshape(levels, (samples.size, -1))
     valid = np.flatnonzero(np.isfinite(levels).all(axis=1))
     if valid.size == 0:
@@ -174,19 +186,14 @@ def _log_level_at(ticks: Array, levels: Floats, stamps: Array) -> Floats:
     return np.asarray(np.log(np.maximum(level, 1e-30)))
 
 
-def _check_seconds(max_gap: float | None, clock_uncertainty: float | None) -> None:
-    problems = Problems("irradiance cannot be assigned to lines", SchemaError)
-    if max_gap is not None and not max_gap > 0:
-        problems.add(
-            f"'irradiance_max_gap' is {max_gap:g} s", expected="a positive number", code="value-out-of-range"
+def channels_of(record: xr.DataArray) -> Floats:
+    """Return the wavelengths of a record's channels [nm]; SchemaError where it has no such coordinate."""
+    if IRRADIANCE_WAVELENGTH not in record.coords:
+        raise SchemaError(
+            "'irradiance' has no coordinate 'irradiance_wavelength' [nm]", code="coordinate-missing"
         )
-    if clock_uncertainty is not None and not 0 <= clock_uncertainty < 1e6:
-        problems.add(
-            f"'irradiance_clock_uncertainty' is {clock_uncertainty:g} s",
-            expected="0 or more seconds",
-            code="value-out-of-range",
-        )
-    problems.raise_if_any()
+    channels = record[IRRADIANCE_WAVELENGTH]
+    return (convert(channels, "nm") if "units" in channels.attrs else channels).values.astype(np.float64)
 
 
 def check_irradiance_times(samples: Array) -> None:

@@ -1,4 +1,4 @@
-"""Paints: their signatures, mixtures, colours, search, and a library to begin with.
+"""Paints: their signatures, mixtures, colours, search, and a starter library.
 
 Reflectance and regions come in, paint libraries go out. For validation, pictures and workflows.
 """

@@ -42,9 +42,10 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
 
     with :math:`R` the ``error_correlation`` of errors that bands do not share, and :math:`e_k` the
     ``reflectance_errors`` of each source that all bands share, with their signs: a wavelength error raises
-    one flank of a peak and lowers the other. Without separate sources, random errors are taken as independent
-    and the systematic error as common to all bands; random errors also where bands were selected, so that
-    neighbours are unknown. The uncertainty of the coat correction is common to all bands.
+    one flank of a peak and lowers the other. Without separate sources, random errors are assumed to be
+    independent and the systematic error common to all bands. Random errors are also assumed to be independent
+    where bands were selected, so that neighbours are unknown. The uncertainty of the coat correction is
+    common to all bands.
 
     Examples
     --------
@@ -67,7 +68,7 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
             )
     problems.raise_if_any()
     random, systematic = (_last(signatures[name]) for name in names)
-    rest = [dim for dim in signatures[names[0]].dims if dim != BAND]
+    other_dims = [dim for dim in signatures[names[0]].dims if dim != BAND]
     lags, shared = np.ones((1, *random.shape)), [np.nan_to_num(systematic)]
     is_sum: Any = np.ones((*random.shape[:-1], 1), bool)
     if "reflectance_errors" in signatures.variables:
@@ -75,29 +76,31 @@ def covariance(signatures: xr.Dataset) -> xr.DataArray:
         lags = _last(signatures["error_correlation"].transpose("lag", ...))
         lags[0] = 1.0
         if signatures["error_correlation"].attrs.get("bands", random.shape[-1]) != random.shape[-1]:
-            lags = lags[:1]  # bands were picked: which were neighbours is not known
-        # of a line whose sources are not told apart there is the sum alone
+            lags = lags[:1]  # bands were selected: neighbours are unknown
+        # without separate sources of error only their sum is known
         is_sum = np.isfinite(errors).sum(axis=(0, -1))[..., None] == 0
         sources = [str(name) for name in signatures["error_source"].values]
         is_shared = [name not in FORMS or FORMS[name].band == "systematic" for name in sources]
         shared = [*np.nan_to_num(errors[is_shared]), np.where(is_sum, np.nan_to_num(systematic), 0.0)]
     if "reflectance_u_coat" in signatures.variables:
         coat = np.nan_to_num(_last(signatures["reflectance_u_coat"]))
-        # the sum of all that is systematic has it already
+        # the sum of systematic errors includes it already
         shared.append(np.where(is_sum & np.isfinite(systematic), 0.0, coat))
     total = np.zeros((*random.shape, random.shape[-1]))
     size = random.shape[-1]
     for lag, correlation in enumerate(np.nan_to_num(lags)):
         band = np.arange(size - lag)
-        here = correlation[..., : size - lag] * random[..., : size - lag] * random[..., lag:]
-        total[..., band, band + lag] = total[..., band + lag, band] = here
-    for size_of in shared:
-        total += size_of[..., :, None] * size_of[..., None, :]
+        product = correlation[..., : size - lag] * random[..., : size - lag] * random[..., lag:]
+        total[..., band, band + lag] = total[..., band + lag, band] = product
+    for error in shared:
+        total += error[..., :, None] * error[..., None, :]
     missing = np.isnan(random)
     total[missing[..., :, None] | missing[..., None, :]] = np.nan
     attrs = {"units": "1", "long_name": "Covariance of mean reflectance"}
-    coords = {name: c for name, c in signatures.coords.items() if set(c.dims) <= {*rest, BAND}}
-    return xr.DataArray(total, coords, (*rest, BAND, OTHER_BAND), attrs=attrs)
+    coords = {
+        name: array for name, array in signatures.coords.items() if set(array.dims) <= {*other_dims, BAND}
+    }
+    return xr.DataArray(total, coords, (*other_dims, BAND, OTHER_BAND), attrs=attrs)
 
 
 @takes_quantities(numerator="nm", denominator="nm")
@@ -134,17 +137,17 @@ def band_ratio(signatures: xr.Dataset, numerator: float, denominator: float) -> 
     (2.0, 0.0)
     """
     bands = covariance(signatures)
-    places = xr.DataArray(np.arange(bands.sizes[BAND]), dims=BAND)
-    axis = xr.Dataset({"place": places}, {"wavelength": signatures["wavelength"]})
-    p, q = (int(at(axis, nm)["place"]) for nm in (numerator, denominator))
+    numbers = xr.DataArray(np.arange(bands.sizes[BAND]), dims=BAND)
+    axis = xr.Dataset({"number": numbers}, {"wavelength": signatures["wavelength"]})
+    p, q = (int(at(axis, nm)["number"]) for nm in (numerator, denominator))
     level = signatures["mean" if "mean" in signatures.variables else "reflectance"]
-    x, y = (level.isel({BAND: place}, drop=True).astype(np.float64) for place in (p, q))
+    x, y = (level.isel({BAND: number}, drop=True).astype(np.float64) for number in (p, q))
 
-    def of(first: int, second: int) -> Any:
-        return bands.isel({BAND: first, OTHER_BAND: second}, drop=True)
+    def covariance_of(row: int, column: int) -> Any:
+        return bands.isel({BAND: row, OTHER_BAND: column}, drop=True)
 
     ratio = x / y
-    variance = of(p, p) - 2.0 * ratio * of(p, q) + ratio**2 * of(q, q)
+    variance = covariance_of(p, p) - 2.0 * ratio * covariance_of(p, q) + ratio**2 * covariance_of(q, q)
     # rounding may make the difference negative
     u = np.sqrt(variance.clip(min=0.0)) / abs(y)
     return xr.Dataset(

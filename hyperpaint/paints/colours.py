@@ -95,7 +95,7 @@ def srgb(spectra: npt.ArrayLike, wavelength: npt.ArrayLike) -> Array:
 def paint_colours(paints: xr.Dataset) -> Floats32:
     """Return the colour of every paint in daylight, (signature, 3), sRGB 0 to 1; NaN without visible bands.
 
-    Bands that are not ``good`` are left out.
+    Bands that are not ``good`` are excluded.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def encode_srgb(linear: Array) -> Array:
 
 
 def srgb_weights(wavelength: Array, shift: Array | None) -> Array:
-    """Return the weights of bands in linear sRGB, (rgb, band, 1 or column), per column where it has smile."""
+    """Return the weights of bands in linear sRGB (rgb, band, 1), or (rgb, band, column) with smile."""
     centres = wavelength[:, None]
     if shift is not None:
         centres = centres + np.atleast_2d(shift)
@@ -223,7 +223,7 @@ def ciede2000(lab: npt.ArrayLike, other: npt.ArrayLike) -> Floats:
     # halfway along the shorter arc; a grey has no hue
     mean_hue = np.where(grey, hue + hue2, (hue + turn / 2.0) % 360.0)
     mean_light, mean_chroma = (light + light2) / 2.0, (chroma + chroma2) / 2.0
-    of_hue = 1.0 + sum(
+    hue_weight = 1.0 + sum(
         height * np.cos(np.radians(times * mean_hue + shift))
         for height, times, shift in ((-0.17, 1, -30.0), (0.24, 2, 0.0), (0.32, 3, 6.0), (-0.20, 4, -63.0))
     )
@@ -231,7 +231,8 @@ def ciede2000(lab: npt.ArrayLike, other: npt.ArrayLike) -> Floats:
     d_light = (light2 - light) / (1.0 + 0.015 * squared / np.sqrt(20.0 + squared))
     d_chroma = (chroma2 - chroma) / (1.0 + 0.045 * mean_chroma)
     d_hue = 2.0 * np.sqrt(chroma * chroma2) * np.sin(np.radians(turn / 2.0))
-    d_hue = d_hue / (1.0 + 0.015 * mean_chroma * of_hue)
-    blue = 30.0 * np.exp(-(((mean_hue - 275.0) / 25.0) ** 2))
-    turned = -2.0 * np.sqrt(mean_chroma**7 / (mean_chroma**7 + 25.0**7)) * np.sin(np.radians(2.0 * blue))
-    return np.asarray(np.sqrt(d_light**2 + d_chroma**2 + d_hue**2 + turned * d_chroma * d_hue))
+    d_hue = d_hue / (1.0 + 0.015 * mean_chroma * hue_weight)
+    blue_turn = 30.0 * np.exp(-(((mean_hue - 275.0) / 25.0) ** 2))
+    rotation = -2.0 * np.sqrt(mean_chroma**7 / (mean_chroma**7 + 25.0**7))
+    rotation = rotation * np.sin(np.radians(2.0 * blue_turn))
+    return np.asarray(np.sqrt(d_light**2 + d_chroma**2 + d_hue**2 + rotation * d_chroma * d_hue))

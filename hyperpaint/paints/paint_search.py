@@ -20,7 +20,7 @@ from .colours import ciede2000, lab_of, paint_colours, parse_colour
 
 #: Minimum number of common bands of two spectra that are compared.
 MIN_BANDS = 5
-#: Widest gap that is interpolated, in steps of the samples beside it.
+#: Maximum gap that is interpolated, in steps of the samples beside it.
 MAX_GAP_STEPS = 4.0
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "æ": "ae", "œ": "oe", "ø": "oe", "å": "aa"})
 
@@ -97,12 +97,12 @@ def search_library(
     ['Synthetic Polar White', 'Synthetic Solar White', 'Synthetic Lunar White']
     """
     problems = Problems("the library cannot be searched", SchemaError)
-    for key, value, needed, argument in (
+    for key, value, query, query_value in (
         ("maximum_colour_difference", maximum_colour_difference, "colour", colour),
         ("maximum_angle", maximum_angle, "like", like),
     ):
-        if value is not None and argument is None:
-            problems.add(f"{key}= needs {needed}=", code="argument-missing")
+        if value is not None and query_value is None:
+            problems.add(f"{key}= needs {query}=", code="argument-missing")
         if value is not None and not value >= 0.0:
             problems.add(f"{key}={value!r}", expected="0 or more", code="value-out-of-range")
     if limit is not None and limit < 1:
@@ -114,7 +114,7 @@ def search_library(
     variables = schema.require(library, names, "a search", LIBRARY_VARIABLES)
     is_match = np.ones(library.sizes[SIGNATURE], np.bool_)
     if name is not None:
-        is_match &= [_is_named(str(paint_name), name) for paint_name in variables[SIGNATURE].values]
+        is_match &= [_matches_name(str(paint_name), name) for paint_name in variables[SIGNATURE].values]
     order = np.arange(is_match.size)
     coordinates: dict[str, Any] = {}
     if colour is not None:
@@ -136,24 +136,24 @@ def search_library(
 # --- names -------------------------------------------------------------------------------------------------
 
 
-def _is_named(name: str, wanted: str) -> bool:
-    pattern = any(sign in wanted for sign in "*?[")
-    for spelling, wanted_spelling in zip(_spellings(name), _spellings(wanted.strip()), strict=True):
-        if fnmatch.fnmatchcase(spelling, wanted_spelling) if pattern else wanted_spelling in spelling:
-            return True
-    # "gruen" finds a name written with an umlaut
-    plain, spelled = _spellings(name)[1], _spellings(wanted.strip())[0]
-    return fnmatch.fnmatchcase(plain, spelled) if pattern else spelled in plain
+def _matches_name(name: str, query: str) -> bool:
+    is_pattern = any(sign in query for sign in "*?[")
+    plain, transcribed = _spellings(name)
+    query_plain, query_transcribed = _spellings(query.strip())
+    # with the last pair "gruen" finds a name written with an umlaut
+    pairs = ((plain, query_plain), (transcribed, query_transcribed), (transcribed, query_plain))
+    return any(fnmatch.fnmatchcase(text, part) if is_pattern else part in text for text, part in pairs)
 
 
 def _spellings(text: str) -> tuple[str, str]:
+    # Text in lower case without accents: umlauts as one letter ("grun"), and transcribed ("gruen")
     folded = unicodedata.normalize("NFC", text).casefold()
-    return _bare(folded), _bare(folded.translate(_UMLAUTS))
+    return _without_accents(folded), _without_accents(folded.translate(_UMLAUTS))
 
 
-def _bare(text: str) -> str:
-    apart = unicodedata.normalize("NFKD", text)
-    return "".join(sign for sign in apart if not unicodedata.combining(sign))
+def _without_accents(text: str) -> str:
+    decomposed = unicodedata.normalize("NFKD", text)
+    return "".join(sign for sign in decomposed if not unicodedata.combining(sign))
 
 
 # --- colours -----------------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ def _bare(text: str) -> str:
 
 def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
     # CIEDE2000 of every paint (signature,) [1]; infinite for a paint without colour
-    wanted = lab_of(parse_colour(colour))
+    query = lab_of(parse_colour(colour))
     wavelength = np.asarray(library["wavelength"].values, np.float64)
     colours = paint_colours(library.isel({BAND: np.argsort(wavelength, kind="stable")}))
     if len(colours) and not np.isfinite(colours).any():
@@ -170,15 +170,15 @@ def _colour_differences(library: xr.Dataset, colour: str) -> Floats:
             expected="at least 3 good bands between 380 and 780 nm",
             code="visible-bands-missing",
         )
-    different = ciede2000(lab_of(colours), wanted)
-    return np.where(np.isfinite(different), different, np.inf)
+    difference = ciede2000(lab_of(colours), query)
+    return np.where(np.isfinite(difference), difference, np.inf)
 
 
 # --- spectra -----------------------------------------------------------------------------------------------
 
 
 def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataArray, like: Any) -> Floats:
-    # Spectral angle of every paint to a spectrum (signature,) [rad]; else infinite
+    # Spectral angle of every paint to a spectrum (signature,) [rad]; infinite with too few common bands
     nm = np.asarray(wavelength.values, np.float64)
     spectrum = _one_spectrum(library, like, nm)
     if "good" in library.variables:
@@ -191,18 +191,18 @@ def _angles(library: xr.Dataset, reflectance: xr.DataArray, wavelength: xr.DataA
             code="bands-not-shared",
         )
     paints = np.asarray(reflectance.values, np.float64)
-    both = np.isfinite(paints) & np.isfinite(spectrum)
-    x, y = np.where(both, paints, 0.0), np.where(both, spectrum, 0.0)
-    usable = (both.sum(axis=1) >= MIN_BANDS) & (np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1)) > 0.0)
-    # the chord is exact where the cosine is too close to 1
+    is_common = np.isfinite(paints) & np.isfinite(spectrum)
+    x, y = np.where(is_common, paints, 0.0), np.where(is_common, spectrum, 0.0)
+    usable = (is_common.sum(axis=1) >= MIN_BANDS) & (np.sqrt((x**2).sum(axis=1) * (y**2).sum(axis=1)) > 0.0)
+    # tan(angle / 2) = |x - y| / |x + y| of unit vectors: precise for small angles, unlike the cosine
     unit_x = x / np.sqrt((x**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
     unit_y = y / np.sqrt((y**2).sum(axis=1, keepdims=True)).clip(np.finfo(float).tiny)
-    apart, together = (np.sqrt(((unit_x + sign * unit_y) ** 2).sum(axis=1)) for sign in (-1.0, 1.0))
-    return np.where(usable, 2.0 * np.arctan2(apart, together), np.inf)
+    difference, total = (np.sqrt(((unit_x + sign * unit_y) ** 2).sum(axis=1)) for sign in (-1.0, 1.0))
+    return np.where(usable, 2.0 * np.arctan2(difference, total), np.inf)
 
 
 def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
-    # Searched spectrum at the wavelengths of the library (band,); NaN outside its range
+    # The spectrum `like` at the wavelengths of the library (band,); NaN outside its range
     if isinstance(like, str):
         names = [str(name) for name in library[SIGNATURE].values]
         if names.count(like) != 1:
@@ -237,26 +237,26 @@ def _one_spectrum(library: xr.Dataset, like: Any, nm: Floats) -> Floats:
             code="dims-wrong",
         )
     axis = spectrum["wavelength"]
-    # without units the wavelengths are in nm
+    # wavelengths without units are in nm
     axis = convert(axis, "nm") if "units" in axis.attrs else axis
     return interpolated(nm, np.asarray(axis.values, np.float64), np.asarray(spectrum.values, np.float64))
 
 
 def interpolated(nm: Floats, wavelength: Floats, values: Floats) -> Floats:
-    """Return values at other wavelengths; NaN beyond their ends, and within their gaps."""
+    """Return a spectrum at the wavelengths ``nm``; NaN outside its range and within its gaps."""
     order = np.argsort(wavelength, kind="stable")
     wavelength, values = wavelength[order], values[order]
-    usual = np.diff(wavelength[np.isfinite(wavelength)])
     is_finite = np.isfinite(wavelength) & np.isfinite(values)
-    at, values = wavelength[is_finite], values[is_finite]
-    if at.size < 2:
+    samples, values = wavelength[is_finite], values[is_finite]
+    if samples.size < 2:
         return np.full(nm.size, np.nan)
-    interpolated = np.interp(nm, at, values, left=np.nan, right=np.nan)
-    steps = np.diff(at)
-    # detectors differ in their steps: a gap is wide compared with the steps on both sides
+    interpolated = np.interp(nm, samples, values, left=np.nan, right=np.nan)
+    # detectors differ in their steps: a gap is wide compared with the smaller of the two adjacent steps
+    median_step = np.median(np.diff(wavelength[np.isfinite(wavelength)]))
+    steps = np.diff(samples)
     padded = np.pad(steps, 1, constant_values=np.inf)
-    beside = np.minimum(padded[:-2], padded[2:])
-    beside = np.maximum(np.where(np.isfinite(beside), beside, 0.0), np.median(usual))
-    step = np.clip(np.searchsorted(at, nm, side="left") - 1, 0, steps.size - 1)
-    inside_hole = (steps > MAX_GAP_STEPS * beside)[step] & (nm > at[step]) & (nm < at[step + 1])
-    return np.where(inside_hole, np.nan, interpolated)
+    adjacent = np.minimum(padded[:-2], padded[2:])
+    adjacent = np.maximum(np.where(np.isfinite(adjacent), adjacent, 0.0), median_step)
+    step = np.clip(np.searchsorted(samples, nm, side="left") - 1, 0, steps.size - 1)
+    in_gap = (steps > MAX_GAP_STEPS * adjacent)[step] & (nm > samples[step]) & (nm < samples[step + 1])
+    return np.where(in_gap, np.nan, interpolated)

@@ -1,4 +1,4 @@
-"""A library to begin with: forty synthetic car paints, each from a few parameters."""
+"""The starter library: forty synthetic car paints from a few parameters each."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from .mixing.synthetic_paints import SPECULAR, synthetic_library, text_column
 
 #: First and last wavelength [nm], and number of bands of a pushbroom camera for the visible and near
 #: infrared.
-FIRST, LAST, BANDS = 400.0, 1000.0, 272
+FIRST_NM, LAST_NM, BANDS = 400.0, 1000.0, 272
 
 MAX_MEMBERS = 10_000
 
-#: Family and number of the paints beside the built-in fourteen, see `hyperpaint.simulation`.
+#: Family and number of the paints added to the built-in fourteen, see `hyperpaint.simulation`.
 GENERATED = (
     ("white", 1), ("white", 9), ("grey", 2), ("grey", 7), ("carbon_black", 0), ("ir_black", 4),
     ("ir_black", 16), ("solid", 3), ("solid", 4), ("solid", 5), ("solid", 2), ("solid", 8), ("solid", 9),
@@ -38,9 +38,9 @@ GENERATED = (
     ("pearl", 13),
 )  # fmt: skip
 
-#: Standard deviations of the members: of pigment (relative), of the wavelengths at which it absorbs [nm], and
-#: of the light that reaches a spot of the car (relative).
-_LOAD, _HUE_NM, _LEVEL = 0.08, 0.8, 0.02
+#: Standard deviations of the members: amount of pigment (relative), wavelengths of its absorption [nm], and
+#: light on a pixel (relative).
+_PIGMENT_SD, _WAVELENGTH_SD_NM, _LIGHT_SD = 0.08, 0.8, 0.02
 
 
 @takes_quantities(wavelength="nm")
@@ -76,12 +76,12 @@ def starter_library(
 
     Notes
     -----
-    No spectrum was measured, and names are invented: no paint is the colour of a maker. K/S of a paint
-    consists of a few edges and bands (see `hyperpaint.simulation`), from which its reflectance follows as
-    Kubelka and Munk's thick layer under a coat of index 1.5. In metallic and pearl paints a share of the
-    light meets flakes; their reflectance around the mirror direction belongs to the specular part, so that
-    the body is their dark "flop" colour. Members differ in pigment, in the wavelengths at which it absorbs,
-    and in light: standard deviations 8 %, 0.8 nm and 2 %.
+    The spectra are synthetic and the names invented: no paint is the colour of a manufacturer. K/S of a paint
+    consists of a few edges and absorption bands (see `hyperpaint.simulation`); its reflectance follows as
+    that of Kubelka and Munk's thick layer under a coat of index 1.5. In metallic and pearl paints a share of
+    the light meets flakes; their reflectance around the mirror direction belongs to the specular part, so
+    that the body has their dark "flop" colour. Members differ in the amount of pigment, in the wavelengths of
+    its absorption, and in light: standard deviations 8 %, 0.8 nm and 2 %.
 
     Examples
     --------
@@ -89,8 +89,8 @@ def starter_library(
     >>> paints.member_reflectance.shape, paints.provenance.values[0]
     ((40, 5, 272), 'synthetic')
     """
-    nm = np.linspace(FIRST, LAST, BANDS) if wavelength is None else np.asarray(wavelength, np.float64)
-    problems = Problems("the starter library cannot be made", SchemaError)
+    nm = np.linspace(FIRST_NM, LAST_NM, BANDS) if wavelength is None else np.asarray(wavelength, np.float64)
+    problems = Problems("the starter library cannot be computed", SchemaError)
     if not 0 <= members <= MAX_MEMBERS:
         problems.add(f"members={members!r}", expected=f"0 to {MAX_MEMBERS}", code="value-out-of-range")
     if nm.ndim != 1 or not nm.size or not ((nm >= 300.0) & (nm <= 2500.0)).all():
@@ -105,13 +105,16 @@ def starter_library(
     generated = [generate_paint(family, number) for family, number in GENERATED]
     specs = [*map(paint_spec, FOURTEEN), *generated]
     values: dict[str, Array] = {
-        # outside the flakes, without mirrored light
-        "reflectance": np.stack([spec.reflectance(nm) * (1.0 - _share(spec)) for spec in specs]),
+        # reflectance of the body between the flakes, without mirrored light
+        "reflectance": np.stack([spec.reflectance(nm) * (1.0 - _flake_share(spec)) for spec in specs]),
         SPECULAR: np.stack([_specular(spec, nm) for spec in specs]),
     }
     if members:
         values["member_reflectance"] = np.stack(
-            [_variants(spec, nm, members, np.random.default_rng([seed, at])) for at, spec in enumerate(specs)]
+            [
+                _variants(spec, nm, members, np.random.default_rng([seed, number]))
+                for number, spec in enumerate(specs)
+            ]
         )
     bands = xr.Dataset(
         {"reflectance": ((BAND,), np.zeros(nm.size), {"mirror_reflection": "excluded"})},
@@ -124,7 +127,7 @@ def starter_library(
     paints.attrs["title"] = "Starter library: synthetic car paints, none of them measured"
     swatches = [srgb_hex(colour) for colour in paint_colours(paints)]
     families = [spec.name.split(":")[1] if ":" in spec.name else "catalogue" for spec in specs]
-    about = {
+    columns = {
         "finish": ("Finish", [spec.finish for spec in specs]),
         "colour": ("Colour in words", [spec.colour for spec in specs]),
         "srgb": ("sRGB of the body in daylight", swatches),
@@ -132,7 +135,7 @@ def starter_library(
     }
     texts = {
         name: (SIGNATURE, text_column(column), {"long_name": meaning})
-        for name, (meaning, column) in about.items()
+        for name, (meaning, column) in columns.items()
     }
     roughness = np.array([spec.coat.roughness for spec in specs])
     attrs = {"long_name": "GGX alpha of the clear coat", "units": "1"}
@@ -147,18 +150,19 @@ def _specular(spec: PaintSpec, nm: Floats) -> Floats:
     return coat + (1.0 - coat) ** 2 * spec.flakes.share * spectrum_of(spec.flakes.spectrum)(nm)
 
 
-def _share(spec: PaintSpec) -> float:
+def _flake_share(spec: PaintSpec) -> float:
     return 0.0 if spec.flakes is None else spec.flakes.share
 
 
 def _variants(spec: PaintSpec, nm: Floats, count: int, rng: np.random.Generator) -> Floats32:
+    # Variants of a paint (member, band) with other pigment, wavelengths and light
     interface = Interface()
-    load = np.exp(_LOAD * rng.standard_normal(count))
-    shift = _HUE_NM * rng.standard_normal(count)
-    level = np.exp(_LEVEL * rng.standard_normal(count))
+    pigments = np.exp(_PIGMENT_SD * rng.standard_normal(count))
+    shifts = _WAVELENGTH_SD_NM * rng.standard_normal(count)
+    lights = np.exp(_LIGHT_SD * rng.standard_normal(count))
     variants = np.empty((count, nm.size), np.float32)
-    for row, pigment, moved, light in zip(variants, load, shift, level, strict=True):
-        layer = np.clip(interface.layer(spec.reflectance(nm - moved)), 1e-4, 1.0)
-        varied = thick_layer_reflectance(pigment * absorption_to_scattering(layer))
-        row[:] = np.clip(light * interface.seen(varied) * (1.0 - _share(spec)), 0.0, 1.0)
+    for row, pigment, shift, light in zip(variants, pigments, shifts, lights, strict=True):
+        layer = np.clip(interface.layer(spec.reflectance(nm - shift)), 1e-4, 1.0)
+        varied_layer = thick_layer_reflectance(pigment * absorption_to_scattering(layer))
+        row[:] = np.clip(light * interface.outside(varied_layer) * (1.0 - _flake_share(spec)), 0.0, 1.0)
     return variants

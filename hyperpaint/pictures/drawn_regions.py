@@ -1,4 +1,4 @@
-"""Regions drawn on a flight line: corners of polygons, their flight lines, and the files that hold them."""
+"""Regions drawn on a flight line: corners of polygons, regions by flight line, and region files."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from hyperpaint.regions import Region, Regions, regions_from
 
 
 def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int, int]) -> Floats | None:
-    """Return clicked places as corners of a polygon: whole pixels of the line, no corner twice in a row.
+    """Return clicked places as corners of a polygon: pixel centres inside the line, without repeated corners.
 
     ``along`` and ``across`` are the clicked positions, ``shape`` is lines and columns. Returns (vertex, 2),
-    x (cross_track) and y (along_track); None where the corners enclose no area.
+    x (cross_track) and y (along_track); None if the corners enclose no area.
 
     Examples
     --------
@@ -32,7 +32,7 @@ def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int
     if not len(corners) or not np.isfinite(corners).all():
         return None
     corners = np.clip(np.floor(corners + 0.5), 0, [shape[1] - 1, shape[0] - 1])
-    # a double click leaves its corner twice
+    # a double click adds its corner twice
     corners = corners[(corners != np.roll(corners, 1, axis=0)).any(axis=1)]
     if len(corners) < 3:
         return None
@@ -43,20 +43,21 @@ def corners_at(along: Sequence[float], across: Sequence[float], shape: tuple[int
 def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ...]]:
     """Return the regions of one flight line, and the regions of other lines.
 
-    All regions belong to a line without a name. Raises `SchemaError`: they are in map coordinates, or have
-    holes.
+    An empty ``flightline`` takes all regions as its own. Raises `SchemaError` for regions in map coordinates
+    or with holes.
 
     Examples
     --------
     >>> corners = [(0, 0), (4, 0), (4, 3)]
-    >>> own, others = regions_on([Region("a", corners), Region("b", corners, flightline="raw_1")], "raw_0")
-    >>> own.names, [region.name for region in others]
+    >>> given = [Region("a", corners), Region("b", corners, flightline="raw_1")]
+    >>> outlines, others = regions_on(given, "raw_0")
+    >>> outlines.names, [region.name for region in others]
     (('a',), ['b'])
     """
     outlines = Regions(()) if regions is None else regions_from(regions)
     if outlines.coordinates != "sensor":
         raise SchemaError(
-            "regions to begin with are in map coordinates",
+            "the regions passed to the explorer are in map coordinates",
             expected="coordinates of the sensor (column and line)",
             code="region-coordinates",
         )
@@ -77,16 +78,16 @@ def regions_on(regions: Any, flightline: str) -> tuple[Regions, tuple[Region, ..
 
 
 class RegionFiles:
-    """Remembers the content of region files, so that changes by other programs are not overwritten."""
+    """Checksums of region files, so that changes by other programs are not overwritten."""
 
     def __init__(self, regions: Any) -> None:
         self._digests: dict[str, str] = {}
         if isinstance(regions, str | os.PathLike) and is_plain_file(regions):
-            with contextlib.suppress(OSError):  # an unreadable file is reported when it is read
+            with contextlib.suppress(OSError):  # reading the regions reports an unreadable file
                 self.remember(Path(regions))
 
     def remember(self, path: Path) -> None:
-        """Note the present content of a file that was read or saved here."""
+        """Store the checksum of a file that was read or saved by this object's owner."""
         self._digests[os.path.realpath(path)] = _digest(path)
 
     def may_replace(self, path: Path) -> bool:
@@ -96,8 +97,8 @@ class RegionFiles:
         digest = self._digests.get(os.path.realpath(path))
         if digest != _digest(path):
             raise StoreError(
-                f"{path} was {'not read or saved here' if digest is None else 'changed elsewhere'}; "
-                "nothing is saved",
+                f"{path} was {'not read or saved here' if digest is None else 'changed by another program'}, "
+                "so regions are not saved to it",
                 mend="move it away or choose another file, and save again",
                 option="move it away and save again, or begin anew with --regions and another file",
                 code="file-changed",

@@ -21,7 +21,7 @@ from .explorer_figures import (
     PictureFigure,
     SpectraFigure,
     band_around,
-    place,
+    show_picture,
 )
 from .explorer_state import INFRARED, TRUE_COLOUR, Explored, NearPaint, Place, Spectrum
 from .plot import flag_label, percent
@@ -30,20 +30,20 @@ _MODES = {"Spectrum": "spectrum", "Draw": "draw", "Edit": "edit", "Move": "move"
 _HELP = {
     "spectrum": "Click for the spectrum of a pixel, drag for the median of a box; the wheel zooms",
     "draw": "Click the corners of a region, double-click the last one",
-    "edit": "Click a region to choose it, drag its corners",
+    "edit": "Click a region to select it, drag its corners",
     "move": "Drag to move the picture; the wheel or two fingers zoom",
 }
 _RECIPES = {"true colour": TRUE_COLOUR, "colour infrared": INFRARED}
 _ONE_BAND = "one band"
-_BOX = ((0, 0), (1, 0), (1, 1), (0, 1))
-WIDE = {"sizing_mode": "stretch_width"}
+_UNIT_SQUARE = ((0, 0), (1, 0), (1, 1), (0, 1))
+FULL_WIDTH = {"sizing_mode": "stretch_width"}
 
 
 class Explorer:
     """A widget that shows a flight line; see `explore`.
 
-    ``view`` is the layout of panel, which ``panel serve`` shows as well. With ``save_to`` regions are saved
-    to that file only.
+    ``view`` is the panel layout, which ``panel serve`` can show. With ``save_to`` regions are saved only to
+    this file.
     """
 
     def __init__(self, state: Explored, *, theme: str = "light", save_to: Path | None = None) -> None:
@@ -51,17 +51,17 @@ class Explorer:
 
         panel.extension()  # loads scripts into a notebook
         self._state, self._theme, self._save_to = state, theme, save_to
-        self._is_showing = False
+        self._is_updating = False
         self._window: tuple[int, int] | None = None
         self._picture, self._spectra = PictureFigure(state, theme), SpectraFigure(theme)
-        # the last click, or the name of the chosen region; at first the middle of the line
+        # the last clicked pixel or box, or the name of the selected region; at first the central column
         lines, columns = state.shape
-        self._current: Place | str | None = (min(lines, columns) // 2, columns // 2)
+        self._selected: Place | str | None = (min(lines, columns) // 2, columns // 2)
         self._make_widgets()
         self.view = self._layout()
         self._connect()
-        self._show_pictures()
-        self._show(state.drawn.names[-1] if len(state.drawn) else None)
+        self._update_pictures()
+        self._select(state.drawn.names[-1] if len(state.drawn) else None)
 
     @property
     def regions(self) -> Regions:
@@ -83,7 +83,7 @@ class Explorer:
         def make(kind: str, text: str, **options: Any) -> Any:
             widget = getattr(panel.widgets, kind)
             # panel is renaming the argument
-            return widget(**{"label" if "label" in widget.param else "name": text}, **options, **WIDE)
+            return widget(**{"label" if "label" in widget.param else "name": text}, **options, **FULL_WIDTH)
 
         state = self._state
         bands = sorted(set(np.round(state.wavelength[np.isfinite(state.wavelength)], 1).tolist()))
@@ -92,52 +92,62 @@ class Explorer:
         self._mode = make("RadioButtonGroup", "", options=_MODES, value="spectrum")
         self._recipe = make("Select", "Colours", options=[*recipes, _ONE_BAND])
         self._band = make(
-            "DiscreteSlider", "Band [nm]", options=bands, value=_nearest(bands, 650.0), formatter="%.1f"
+            "DiscreteSlider",
+            "Band [nm]",
+            options=bands,
+            value=_nearest_option(bands, 650.0),
+            formatter="%.1f",
         )
         self._stretch = make("RangeSlider", "Black and white [percentile]", start=0, end=100, value=(2, 98))
-        self._layers = make("CheckBoxGroup", "", options=flags)
-        self._chosen = make("Select", "Region", options=[])
+        self._flag_boxes = make("CheckBoxGroup", "", options=flags)
+        self._region_menu = make("Select", "Region", options=[])
         self._name = make("TextInput", "Name")
-        self._keep = make("Button", "Box to region", disabled=True)
-        self._undo = make("Button", "Undo corner", disabled=True)
-        self._remove = make("Button", "Remove")
+        self._box_button = make("Button", "Box to region", disabled=True)
+        self._undo_button = make("Button", "Undo corner", disabled=True)
+        self._remove_button = make("Button", "Remove")
         file = "regions.geojson" if self._save_to is None else str(self._save_to)
         self._file = make("TextInput", "File", value=file, disabled=self._save_to is not None)
-        self._save = make("Button", "Save regions")
-        self._paints = make("CheckBoxGroup", "", options={})
-        self._text, self._message, self._level = (panel.pane.HTML("", **WIDE) for _ in range(3))
+        self._save_button = make("Button", "Save regions")
+        self._paint_boxes = make("CheckBoxGroup", "", options={})
+        self._spectrum_pane, self._message_pane, self._caption_pane = (
+            panel.pane.HTML("", **FULL_WIDTH) for _ in range(3)
+        )
 
     def _layout(self) -> Any:
         import panel
 
-        def shown(plot: Any) -> Any:
-            return panel.pane.Bokeh(plot, **WIDE)
+        def pane(figure: Any) -> Any:
+            return panel.pane.Bokeh(figure, **FULL_WIDTH)
 
         def column(flex: str, *parts: Any) -> Any:
-            return panel.Column(*parts, styles={"flex": flex, "min-width": "0"}, **WIDE)
+            return panel.Column(*parts, styles={"flex": flex, "min-width": "0"}, **FULL_WIDTH)
 
         def card(title: str, *parts: Any) -> Any:
-            return column("1 1 230px", panel.pane.HTML(f"<b>{title}</b>", **WIDE), *parts)
+            return column("1 1 230px", panel.pane.HTML(f"<b>{title}</b>", **FULL_WIDTH), *parts)
 
         lines, columns = self._state.shape
-        navigator = [shown(self._picture.navigator())] if lines > 3 * columns else []
-        flags = self._layers if self._state.flag_shares else panel.pane.HTML("no flags stored", **WIDE)
-        near = panel.pane.HTML("<b>Nearest paints</b>: spectral angle, and scale factor", **WIDE)
-        buttons = panel.Row(self._keep, self._undo, self._remove, **WIDE)
+        navigator = [pane(self._picture.navigator())] if lines > 3 * columns else []
+        flag_card = (
+            self._flag_boxes if self._state.flag_shares else panel.pane.HTML("no flags stored", **FULL_WIDTH)
+        )
+        heading = panel.pane.HTML("<b>Nearest paints</b>: spectral angle, and scale factor", **FULL_WIDTH)
+        buttons = panel.Row(self._box_button, self._undo_button, self._remove_button, **FULL_WIDTH)
         return panel.Column(
             panel.FlexBox(
-                column("3 1 340px", self._mode, shown(self._picture.plot), *navigator, self._level),
-                column("2 1 320px", self._text, shown(self._spectra.plot), near, self._paints),
-                **WIDE,
+                column("3 1 340px", self._mode, pane(self._picture.plot), *navigator, self._caption_pane),
+                column(
+                    "2 1 320px", self._spectrum_pane, pane(self._spectra.plot), heading, self._paint_boxes
+                ),
+                **FULL_WIDTH,
             ),
             panel.FlexBox(
                 card("Picture", self._recipe, self._band, self._stretch),
-                card("Flags", flags),
-                card("Regions", self._chosen, self._name, buttons),
-                card("Save", self._file, self._save, self._message),
-                **WIDE,
+                card("Flags", flag_card),
+                card("Regions", self._region_menu, self._name, buttons),
+                card("Save", self._file, self._save_button, self._message_pane),
+                **FULL_WIDTH,
             ),
-            **WIDE,
+            **FULL_WIDTH,
         )
 
     def _connect(self) -> None:
@@ -148,36 +158,36 @@ class Explorer:
         plot.on_event(DoubleTap, lambda event: self.close(event.x, event.y))
         plot.on_event(SelectionGeometry, lambda event: self.drag(event.geometry) if event.final else None)
         self._spectra.plot.on_event(Tap, lambda event: self.take_band(event.x))
-        self._picture.corners.on_change("data", self._dragged)
-        self._picture.view.on_change("data", self._looked)
+        self._picture.corners.on_change("data", self._corners_changed)
+        self._picture.view.on_change("data", self._view_changed)
         calls = (
-            (self._mode, "value", lambda _: self._take_mode()),
-            (self._recipe, "value", lambda _: self._show_pictures()),
-            (self._stretch, "value_throttled", lambda _: self._show_pictures()),
+            (self._mode, "value", lambda _: self._change_mode()),
+            (self._recipe, "value", lambda _: self._update_pictures()),
+            (self._stretch, "value_throttled", lambda _: self._update_pictures()),
             (self._band, "value_throttled", lambda event: self.take_band(event.new)),
-            (self._layers, "value", lambda _: self._show_flags()),
-            (self._chosen, "value", lambda event: self._show(event.new)),
+            (self._flag_boxes, "value", lambda _: self._update_flags()),
+            (self._region_menu, "value", lambda event: self._select(event.new)),
             (self._name, "value", lambda event: self._rename(event.new)),
-            (self._paints, "value", lambda _: self._show_spectra()),
+            (self._paint_boxes, "value", lambda _: self._update_spectra()),
         )
         for widget, name, call in calls:
-            widget.param.watch(self._unless_showing(call), name)
+            widget.param.watch(self._unless_updating(call), name)
         clicks = (
-            (self._keep, self._keep_box),
-            (self._undo, lambda: self._draw_draft(-1)),
-            (self._remove, self._drop),
-            (self._save, self._write),
+            (self._box_button, self._box_to_region),
+            (self._undo_button, lambda: self._change_draft(-1)),
+            (self._remove_button, self._remove_region),
+            (self._save_button, self._write_regions),
         )
         for button, press in clicks:
-            button.on_click(self._unless_showing(lambda _, press=press: press()))
+            button.on_click(self._unless_updating(lambda _, press=press: press()))
 
-    def _unless_showing(self, call: Any) -> Any:
-        # does nothing while the program itself sets widgets
+    def _unless_updating(self, call: Any) -> Any:
+        # ignores events of widgets that this class is setting
         import panel
 
         def run(event: Any) -> None:
-            if not self._is_showing:
-                # figures may be changed once their document is locked
+            if not self._is_updating:
+                # panel runs the call when it holds the lock of the figures' document
                 panel.state.execute(lambda: call(event), schedule=True)
 
         return run
@@ -185,199 +195,212 @@ class Explorer:
     # --- events of the mouse -------------------------------------------------------------------------------
 
     def tap(self, along: float, across: float) -> None:
-        """Handle a click on the picture: show a pixel, add a corner, or choose the region to edit."""
+        """Handle a click on the picture: select a pixel, add a corner, or select a region to edit."""
         pixel = int(np.floor(along + 0.5)), int(np.floor(across + 0.5))
         mode = self._mode.value
         if mode == "draw":
-            self._draw_draft(None, (along, across))
+            self._change_draft(None, (along, across))
         elif mode == "edit":
             spot = np.array([across]), np.array([along])
             names = [region.name for region in self._state.drawn if contains(region.polygon, (), *spot)[0]]
-            self._show(names[-1] if names else self._chosen.value)
+            self._select(names[-1] if names else self._region_menu.value)
         elif all(0 <= number < size for number, size in zip(pixel, self._state.shape, strict=True)):
-            self._look_at(pixel)
+            self._select_place(pixel)
 
     def drag(self, geometry: dict[str, Any]) -> None:
         """Show the median spectrum of a box dragged over the picture."""
         if self._mode.value != "spectrum" or geometry.get("type") != "rect":
             return
-        ends = []
+        ranges = []
         for axis, size in zip("xy", self._state.shape, strict=True):
-            low, high = sorted((geometry[f"{axis}0"], geometry[f"{axis}1"]))
-            ends.append((max(0, int(np.ceil(low))), min(size - 1, int(np.floor(high)))))
-        along, across = ends
+            minimum, maximum = sorted((geometry[f"{axis}0"], geometry[f"{axis}1"]))
+            ranges.append((max(0, int(np.ceil(minimum))), min(size - 1, int(np.floor(maximum)))))
+        along, across = ranges
         if along[0] > along[1] or across[0] > across[1]:
             return
-        # a quarter of a pixel more, so that a box of one line holds its pixels
-        corners = [(across[a] + a / 2 - 0.25, along[b] + b / 2 - 0.25) for a, b in _BOX]
-        self._look_at(Region("box", np.array(corners)))
+        # extend the box by a quarter of a pixel, so that a box of one line contains its pixel centres
+        corners = [(across[a] + a / 2 - 0.25, along[b] + b / 2 - 0.25) for a, b in _UNIT_SQUARE]
+        self._select_place(Region("box", np.array(corners)))
 
     def close(self, along: float, across: float) -> None:
         """Add the last corner of the polygon in progress, and make it a region."""
         if self._mode.value == "draw":
             self.tap(along, across)
             draft = self._picture.draft.data
-            # a double click that encloses no area does not end the polygon
-            if self._add(draft["along"], draft["across"]):
+            # the polygon is not finished while its corners enclose no area
+            if self._add_region(draft["along"], draft["across"]):
                 self._clear_draft()
 
     def take_band(self, wavelength: float) -> None:
         """Show the band nearest to a wavelength [nm]."""
-        self._is_showing = True
-        self._band.value = _nearest(self._band.options, wavelength)
+        self._is_updating = True
+        self._band.value = _nearest_option(self._band.options, wavelength)
         self._recipe.value = _ONE_BAND
-        self._is_showing = False
-        self._show_pictures()
+        self._is_updating = False
+        self._update_pictures()
 
-    def _look_at(self, clicked: Place) -> None:
-        self._current = clicked
-        self._show(None)
+    def _select_place(self, clicked: Place) -> None:
+        self._selected = clicked
+        self._select(None)
 
-    def _keep_box(self) -> None:
-        if isinstance(self._current, Region):
-            across, along = self._current.polygon.T.tolist()
-            self._add(along, across)
+    def _box_to_region(self) -> None:
+        if isinstance(self._selected, Region):
+            across, along = self._selected.polygon.T.tolist()
+            self._add_region(along, across)
 
-    def _add(self, along: list[float], across: list[float]) -> bool:
+    def _add_region(self, along: list[float], across: list[float]) -> bool:
         name = self._state.add(along, across)
-        self._show(name or self._chosen.value)
+        self._select(name or self._region_menu.value)
         if name is None:
-            self._say("these corners enclose no area: a region needs three that are not in a row")
+            self._show_message(
+                "these corners enclose no area: a region needs three corners that are not on a line"
+            )
         return name is not None
 
-    def _draw_draft(self, stop: int | None, *more: tuple[float, float]) -> None:
+    def _change_draft(self, stop: int | None, *new_corners: tuple[float, float]) -> None:
         draft = self._picture.draft.data
         self._picture.draft.data = {
-            name: [*draft[name][:stop], *(corner[axis] for corner in more)]
+            name: [*draft[name][:stop], *(corner[axis] for corner in new_corners)]
             for axis, name in enumerate(("along", "across"))
         }
-        self._undo.disabled = not self._picture.draft.data["along"]
+        self._undo_button.disabled = not self._picture.draft.data["along"]
 
     def _clear_draft(self) -> None:
         self._picture.draft.data = {"along": [], "across": []}
-        self._undo.disabled = True
+        self._undo_button.disabled = True
 
-    def _take_mode(self) -> None:
+    def _change_mode(self) -> None:
         self._picture.take_mode(self._mode.value)
         self._clear_draft()
-        self._show_level()
-        self._show(self._chosen.value)
+        self._update_caption()
+        self._select(self._region_menu.value)
 
-    def _dragged(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002 (bokeh asks for these names)
-        name = self._chosen.value
-        if not self._is_showing and name is not None:
+    def _corners_changed(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002 (bokeh asks for these names)
+        name = self._region_menu.value
+        if not self._is_updating and name is not None:
             self._state.move(name, list(new["along"]), list(new["across"]))
-            self._show(name)
+            self._select(name)
 
     def _rename(self, new: str) -> None:
-        name = self._chosen.value
+        name = self._region_menu.value
         if name is not None and new != name:
             problem = self._state.rename(name, new)
-            self._show(new.strip() if problem is None else name)
-            self._say(problem or self._count())
+            self._select(new.strip() if problem is None else name)
+            self._show_message(problem or self._region_count())
 
-    def _drop(self) -> None:
-        if self._chosen.value is not None:
-            self._state.drop(self._chosen.value)
-            self._show(None)
+    def _remove_region(self) -> None:
+        if self._region_menu.value is not None:
+            self._state.drop(self._region_menu.value)
+            self._select(None)
 
-    def _write(self) -> None:
+    def _write_regions(self) -> None:
         file = self._save_to or Path(self._file.value)
         try:
-            written = self._state.save_again(file)
+            saved_file = self._state.save_again(file)
         except PaintError as error:
-            self._say(error.text(on_command_line=self._save_to is not None))
+            self._show_message(error.text(on_command_line=self._save_to is not None))
             return
         except OSError as error:
-            self._say(str(error))
+            self._show_message(str(error))
             return
-        self._say(f"{self._count()} saved in {written}")
+        self._show_message(f"{self._region_count()} saved in {saved_file}")
 
-    def _looked(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002
+    def _view_changed(self, attr: str, old: Any, new: Any) -> None:  # noqa: ARG002
         (first, last), (width, height) = new["along"], new["size"]
         if self._window is None and width and height:
-            # pixels with the aspect ratio on the ground, the first time that the size is known
+            # the size of the picture is new: show as many lines as give pixels their aspect ratio on the
+            # ground
             lines, columns = self._state.shape
-            shown = columns * width / height / self._state.orientation.aspect
-            first = -0.5 - max(0.0, shown - lines) / 2
-            last = first + shown
+            visible_lines = columns * width / height / self._state.orientation.aspect
+            first = -0.5 - max(0.0, visible_lines - lines) / 2
+            last = first + visible_lines
             self._picture.show_lines(first, last)
         window = int(np.floor(first)), int(np.ceil(last)) + 1
         if window != self._window:
             self._window = window
-            self._show_pictures(base=False)
+            self._update_pictures(base=False)
 
     # --- display ----------------------------------------------------------------------------------------
 
-    def _say(self, text: str) -> None:
-        self._message.object = html.escape(text)
+    def _show_message(self, text: str) -> None:
+        self._message_pane.object = html.escape(text)
 
-    def _count(self) -> str:
+    def _region_count(self) -> str:
         count = len(self._state.drawn)
-        others = len(self._state.others)
-        return f"{count} region{'' if count == 1 else 's'}" + f" (and {others} of other lines)" * bool(others)
+        other_count = len(self._state.others)
+        return f"{count} region{'' if count == 1 else 's'}" + f" (and {other_count} of other lines)" * bool(
+            other_count
+        )
 
-    def _show_pictures(self, *, base: bool = True) -> None:
-        # ``base`` also shows the whole line behind the lines in view
+    def _update_pictures(self, *, base: bool = True) -> None:
+        # update the lines in view; with ``base`` also the picture of the complete line behind them
         recipe = _RECIPES.get(self._recipe.value) or ()
         if self._recipe.value == _ONE_BAND:
             recipe = (self._band.value,)
         try:
             if base:
-                place(self._picture.base, self._state.picture(recipe, self._stretch.value))
+                show_picture(self._picture.base, self._state.picture(recipe, self._stretch.value))
             detail = self._state.picture(recipe, self._stretch.value, self._window)
         except PaintError as error:
-            self._level.object = html.escape(str(error))
+            self._caption_pane.object = html.escape(str(error))
             return
-        place(self._picture.detail, detail)
-        self._shown = f"{recipe[0]:.1f} nm" if self._recipe.value == _ONE_BAND else self._recipe.value
-        self._shown += f", lines {detail.first} to {detail.last - 1}" + f", {detail.text}" * bool(detail.text)
-        self._show_level()
-        self._show_flags()
+        show_picture(self._picture.detail, detail)
+        self._caption = f"{recipe[0]:.1f} nm" if self._recipe.value == _ONE_BAND else self._recipe.value
+        self._caption += f", lines {detail.first} to {detail.last - 1}" + f", {detail.text}" * bool(
+            detail.text
+        )
+        self._update_caption()
+        self._update_flags()
         self._spectra.mark(recipe[0] if len(recipe) == 1 else None)
 
-    def _show_level(self) -> None:
-        self._level.object = f"{html.escape(_HELP[self._mode.value])}.<br><small>{self._shown}</small>"
+    def _update_caption(self) -> None:
+        self._caption_pane.object = (
+            f"{html.escape(_HELP[self._mode.value])}.<br><small>{self._caption}</small>"
+        )
 
-    def _show_flags(self) -> None:
-        flags = self._layers.value
-        place(self._picture.flags, self._state.flag_picture(flags, self._window) if flags else None)
+    def _update_flags(self) -> None:
+        flags = self._flag_boxes.value
+        show_picture(self._picture.flags, self._state.flag_picture(flags, self._window) if flags else None)
 
-    def _show(self, name: str | None) -> None:
-        # region ``name`` is bold, with handles in edit mode
+    def _select(self, name: str | None) -> None:
+        # select a region, which is drawn bold, with handles in edit mode; None selects no region
         regions, picture = self._state.drawn, self._picture
-        chosen = name if name in regions.names else None
-        if chosen is not None or isinstance(self._current, str):
-            self._current = chosen
-        edited = [one.polygon for one in regions if one.name == chosen and self._mode.value == "edit"]
+        selected_name = name if name in regions.names else None
+        if selected_name is not None or isinstance(self._selected, str):
+            self._selected = selected_name
+        edited = [
+            region.polygon
+            for region in regions
+            if region.name == selected_name and self._mode.value == "edit"
+        ]
         along, across = (edited[0][:, axis].tolist() if edited else [] for axis in (1, 0))
-        self._is_showing = True
+        self._is_updating = True
         try:
-            self._chosen.options = [None, *regions.names]
-            self._chosen.value = chosen
-            self._name.value = chosen or ""
+            self._region_menu.options = [None, *regions.names]
+            self._region_menu.value = selected_name
+            self._name.value = selected_name or ""
             picture.corners.data = {"along": along, "across": across}
         finally:
-            self._is_showing = False
-        self._name.disabled = self._remove.disabled = chosen is None
-        self._keep.disabled = not isinstance(self._current, Region)
+            self._is_updating = False
+        self._name.disabled = self._remove_button.disabled = selected_name is None
+        self._box_button.disabled = not isinstance(self._selected, Region)
         picture.outlines.data = {
             "along": [region.polygon[:, 1].tolist() for region in regions],
             "across": [region.polygon[:, 0].tolist() for region in regions],
             "name": list(regions.names),
             "colour": [_colour(number) for number in range(len(regions))],
-            "width": [3 if region.name == chosen else 1.5 for region in regions],
+            "width": [3 if region.name == selected_name else 1.5 for region in regions],
         }
-        self._say(self._count() + ("" if self._state.is_saved else ", not saved"))
-        self._show_spectra()
+        self._show_message(self._region_count() + ("" if self._state.is_saved else ", not saved"))
+        self._update_spectra()
 
     @property
-    def _looked_at(self) -> Place | None:
-        if isinstance(self._current, str):
-            return next(one for one in self._state.drawn if one.name == self._current)
-        return self._current
+    def _selected_place(self) -> Place | None:
+        if isinstance(self._selected, str):
+            return next(region for region in self._state.drawn if region.name == self._selected)
+        return self._selected
 
-    def _show_spectra(self) -> None:
+    def _update_spectra(self) -> None:
         import panel
 
         rows: list[tuple[Spectrum, str, str, float]] = []
@@ -385,61 +408,73 @@ class Explorer:
             spectrum = self._state.spectrum_of(region)
             if isinstance(spectrum, Spectrum):
                 rows.append(
-                    (spectrum, region.name, _colour(number), 3 if region.name == self._current else 1.5)
+                    (spectrum, region.name, _colour(number), 3 if region.name == self._selected else 1.5)
                 )
-        clicked = self._looked_at
-        now = None if clicked is None else self._state.spectrum_of(clicked)
-        if isinstance(now, Spectrum) and not isinstance(self._current, str):
-            rows.append((now, "clicked", INK[self._theme], 2))
+        clicked = self._selected_place
+        spectrum_now = None if clicked is None else self._state.spectrum_of(clicked)
+        if isinstance(spectrum_now, Spectrum) and not isinstance(self._selected, str):
+            rows.append((spectrum_now, "clicked", INK[self._theme], 2))
         spreads = [
             {**band_around(spectrum.wavelength, *spectrum.spread), "colour": colour}
             for spectrum, _, colour, _ in rows
             if spectrum.spread is not None
         ]
         curves = [_curve(spectrum, name, colour, width, "solid") for spectrum, name, colour, width in rows]
-        # the paints most similar to the last click; ticked paints are drawn
-        near = self._state.near_paints(now) if isinstance(now, Spectrum) else []
-        self._is_showing = True
-        self._paints.options = {
-            f"{paint.name}: {paint.angle:.1f}°, x {paint.factor:.2f}": i for i, paint in enumerate(near)
+        # list the most similar paints, and draw the ticked ones
+        near_paints = self._state.near_paints(spectrum_now) if isinstance(spectrum_now, Spectrum) else []
+        self._is_updating = True
+        self._paint_boxes.options = {
+            f"{paint.name}: {paint.angle:.1f}°, x {paint.factor:.2f}": i
+            for i, paint in enumerate(near_paints)
         }
-        self._is_showing = False
+        self._is_updating = False
         curves += [
-            _curve(near[i], near[i].name, NEAR_COLOUR, 1.5, DASHES[i % len(DASHES)])
-            for i in self._paints.value
-            if i < len(near)
+            _curve(near_paints[i], near_paints[i].name, NEAR_COLOUR, 1.5, DASHES[i % len(DASHES)])
+            for i in self._paint_boxes.value
+            if i < len(near_paints)
         ]
         _fill(self._spectra.spreads, spreads)
         _fill(self._spectra.curves, curves)
         _fill(self._spectra.uncertainty, [])
-        name = f"{self._current}: " if isinstance(self._current, str) else ""
-        text = now.text if isinstance(now, Spectrum) else now or "Click on the picture for a spectrum"
-        self._text.object = html.escape(name + text)
+        name = f"{self._selected}: " if isinstance(self._selected, str) else ""
+        text = (
+            spectrum_now.text
+            if isinstance(spectrum_now, Spectrum)
+            else spectrum_now or "Click on the picture for a spectrum"
+        )
+        self._spectrum_pane.object = html.escape(name + text)
         if isinstance(clicked, tuple):
-            self._picture.mark(np.array([(clicked[1] + a - 0.5, clicked[0] + b - 0.5) for a, b in _BOX]))
+            self._picture.mark(
+                np.array([(clicked[1] + a - 0.5, clicked[0] + b - 0.5) for a, b in _UNIT_SQUARE])
+            )
         else:
             self._picture.mark(clicked.polygon if isinstance(clicked, Region) else np.zeros((0, 2)))
-        if isinstance(now, Spectrum):
-            # the curve appears before its uncertainty is computed
-            panel.state.execute(self._show_uncertainty, schedule=True)
+        if isinstance(spectrum_now, Spectrum):
+            # show the curve before its uncertainty is computed
+            panel.state.execute(self._update_uncertainty, schedule=True)
 
-    def _show_uncertainty(self) -> None:
-        clicked = self._looked_at
-        now = None if clicked is None else self._state.spectrum_of(clicked)
-        if clicked is None or not isinstance(now, Spectrum):
+    def _update_uncertainty(self) -> None:
+        clicked = self._selected_place
+        spectrum = None if clicked is None else self._state.spectrum_of(clicked)
+        if clicked is None or not isinstance(spectrum, Spectrum):
             return
         uncertainty = self._state.uncertainty_of(clicked)
-        name = f"{self._current}: " if isinstance(self._current, str) else ""
+        name = f"{self._selected}: " if isinstance(self._selected, str) else ""
         if isinstance(uncertainty, str):
             text = f"uncertainty unknown: {uncertainty.splitlines()[-1].strip()}"
         else:
             colour = INK[self._theme]
-            if isinstance(self._current, str):
-                colour = _colour(self._state.drawn.names.index(self._current))
-            low, high = now.reflectance - uncertainty.u, now.reflectance + uncertainty.u
-            _fill(self._spectra.uncertainty, [{**band_around(now.wavelength, low, high), "colour": colour}])
+            if isinstance(self._selected, str):
+                colour = _colour(self._state.drawn.names.index(self._selected))
+            lower, upper = spectrum.reflectance - uncertainty.u, spectrum.reflectance + uncertainty.u
+            _fill(
+                self._spectra.uncertainty,
+                [{**band_around(spectrum.wavelength, lower, upper), "colour": colour}],
+            )
             text = uncertainty.text
-        self._text.object = f"{html.escape(name + now.text)}<br><small>{html.escape(text)}</small>"
+        self._spectrum_pane.object = (
+            f"{html.escape(name + spectrum.text)}<br><small>{html.escape(text)}</small>"
+        )
 
 
 def _curve(spectrum: Spectrum | NearPaint, name: str, colour: str, width: float, dash: str) -> dict[str, Any]:
@@ -451,8 +486,8 @@ def _fill(source: Any, rows: list[dict[str, Any]]) -> None:
     source.data = {name: [row[name] for row in rows] for name in source.data}
 
 
-def _nearest(values: list[float], value: float) -> float:
-    return min(values, key=lambda one: abs(one - value))
+def _nearest_option(values: list[float], value: float) -> float:
+    return min(values, key=lambda option: abs(option - value))
 
 
 def _colour(number: int) -> str:

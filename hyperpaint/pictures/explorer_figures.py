@@ -10,14 +10,14 @@ from hyperpaint.base.arrays import Array
 
 from .explorer_state import Explored, Picture
 
-# of the regions, in turn
+# colours of the regions, in turn
 COLOURS = ("#e6550d", "#1f9ed1", "#31a354", "#c51b8a", "#a6761d", "#6a51a3", "#d7b600", "#17becf")
 INK = {"light": "#1a1a1a", "dark": "#f2f2f2"}  # text colour of each theme
 NEAR_COLOUR = "#8c8c8c"
 DASHES = ("dashed", "dotted", "dotdash", "dashdot", "solid")
 PICTURE_HEIGHT, NAVIGATOR_HEIGHT, SPECTRA_HEIGHT = 380, 60, 330
 
-# reports the lines in view, once the view has been still for a moment
+# reports the lines in view 120 ms after the last change
 _WATCH = """
 const timers = (window.hyperpaint_timers = window.hyperpaint_timers || {});
 clearTimeout(timers[plot.id]);
@@ -27,7 +27,7 @@ timers[plot.id] = setTimeout(() => {
 """
 
 
-def source_of(*names: str) -> Any:
+def empty_source(*names: str) -> Any:
     """Return a bokeh data source with empty columns."""
     from bokeh.models import ColumnDataSource
 
@@ -35,22 +35,22 @@ def source_of(*names: str) -> Any:
 
 
 class PictureFigure:
-    """The picture of a flight line, flown to the right, with a small picture of the whole line below.
+    """The picture of a flight line, flown to the right, and a small picture of the complete line below.
 
-    ``view`` holds first and last line in view, and the size of the figure [pixel].
+    ``view`` holds the first and last line in view, and the size of the figure [pixel].
     """
 
     def __init__(self, state: Explored, theme: str) -> None:
         from bokeh.models import BoxSelectTool, CustomJS, PanTool, PointDrawTool, Range1d
         from bokeh.plotting import figure
 
-        self.base, self.detail, self.flags = (source_of("image", "x", "y", "dw", "dh") for _ in range(3))
-        self.outlines = source_of("along", "across", "name", "colour", "width")
-        self.draft, self.corners, self.spot = (source_of("along", "across") for _ in range(3))
-        self.view = source_of("along", "size")
+        self.base, self.detail, self.flags = (empty_source("image", "x", "y", "dw", "dh") for _ in range(3))
+        self.outlines = empty_source("along", "across", "name", "colour", "width")
+        self.draft, self.corners, self.spot = (empty_source("along", "across") for _ in range(3))
+        self.view = empty_source("along", "size")
         self._lines, columns = state.shape
         edges = (-0.5, columns - 0.5)
-        # flown to the right, the columns to the right of the flight are the lower ones
+        # the flight is to the right, so that columns on its right side are below
         self._edges = edges if state.orientation.is_mirrored else edges[::-1]
         self.plot = plot = figure(
             name="picture",
@@ -87,7 +87,7 @@ class PictureFigure:
         plot.add_tools(box, corners, pan)
         self._tools = {"spectrum": box, "draw": pan, "edit": corners, "move": pan}
         self.take_mode("spectrum")
-        _styled(plot, theme)
+        _set_style(plot, theme)
         plot.grid.visible = False
         watch = CustomJS(args={"plot": plot, "view": self.view}, code=_WATCH)
         for name in ("start", "end"):
@@ -95,11 +95,11 @@ class PictureFigure:
         plot.js_on_change("inner_width", watch)
 
     def take_mode(self, mode: str) -> None:
-        """Choose the effect of dragging over the picture: select, edit or move."""
+        """Set the effect of dragging on the picture: select, edit or move."""
         self.plot.toolbar.active_drag = self._tools[mode]
 
     def navigator(self) -> Any:
-        """Return a figure of the whole line with a draggable frame around the part in view."""
+        """Return a figure of the complete line with a draggable frame around the lines in view."""
         from bokeh.models import Range1d, RangeTool
         from bokeh.plotting import figure
 
@@ -127,19 +127,19 @@ class PictureFigure:
 
     def mark(self, corners: Array) -> None:
         """Outline the last click by its corners (vertex, 2), x across and y along the track."""
-        closed = np.vstack([corners, corners[:1]])
-        self.spot.data = {"along": closed[:, 1].tolist(), "across": closed[:, 0].tolist()}
+        outline = np.vstack([corners, corners[:1]])
+        self.spot.data = {"along": outline[:, 1].tolist(), "across": outline[:, 0].tolist()}
 
 
 class SpectraFigure:
-    """Curves of reflectance, the spread over regions' pixels, and the uncertainty of one curve."""
+    """Curves of reflectance, the spread over pixels of regions, and the uncertainty of a curve."""
 
     def __init__(self, theme: str) -> None:
         from bokeh.models import HoverTool, Span
         from bokeh.plotting import figure
 
-        self.curves = source_of("nm", "reflectance", "name", "colour", "width", "dash")
-        self.spreads, self.uncertainty = (source_of("nm", "reflectance", "colour") for _ in range(2))
+        self.curves = empty_source("nm", "reflectance", "name", "colour", "width", "dash")
+        self.spreads, self.uncertainty = (empty_source("nm", "reflectance", "colour") for _ in range(2))
         self.plot = plot = figure(
             name="spectra",
             height=SPECTRA_HEIGHT,
@@ -159,14 +159,14 @@ class SpectraFigure:
         plot.add_layout(self._band)
         tips = [("", "@name"), ("nm", "$x{0.0}"), ("reflectance", "$y{0.000}")]
         plot.add_tools(HoverTool(renderers=[curves], tooltips=tips))
-        _styled(plot, theme)
+        _set_style(plot, theme)
 
     def mark(self, wavelength: float | None) -> None:
         """Mark the wavelength [nm] of the band shown in the picture."""
         self._band.update(visible=wavelength is not None, location=wavelength or 0.0)
 
 
-def place(source: Any, picture: Picture | None) -> None:
+def show_picture(source: Any, picture: Picture | None) -> None:
     """Put a picture into a data source; None empties the source."""
     names = ("image", "x", "y", "dw", "dh")
     if picture is None:
@@ -177,15 +177,15 @@ def place(source: Any, picture: Picture | None) -> None:
     source.data = {name: [value] for name, value in zip(names, values, strict=True)}
 
 
-def band_around(wavelength: Array, low: Array, high: Array) -> dict[str, Array]:
+def band_around(wavelength: Array, lower: Array, upper: Array) -> dict[str, Array]:
     """Return the outline of the area between two curves, over wavelengths where both are finite."""
-    is_known = np.isfinite(low) & np.isfinite(high)
-    nm = wavelength[is_known]
-    outline = np.concatenate([low[is_known], high[is_known][::-1]])
+    is_finite = np.isfinite(lower) & np.isfinite(upper)
+    nm = wavelength[is_finite]
+    outline = np.concatenate([lower[is_finite], upper[is_finite][::-1]])
     return {"nm": np.concatenate([nm, nm[::-1]]), "reflectance": outline}
 
 
-def _styled(plot: Any, theme: str) -> None:
+def _set_style(plot: Any, theme: str) -> None:
     plot.toolbar.logo = None
     plot.border_fill_color = plot.background_fill_color = plot.outline_line_color = None
     colour = INK[theme]

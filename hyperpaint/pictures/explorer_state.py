@@ -1,4 +1,4 @@
-"""State of an explorer without any widget: pictures, spectra, flags, regions and similar paints."""
+"""State of an explorer, without widgets: pictures, spectra, flags, regions and similar paints."""
 
 from __future__ import annotations
 
@@ -33,40 +33,40 @@ from hyperpaint.regions.pixels_in_regions import renumbered
 from .drawn_regions import RegionFiles, corners_at, regions_on
 from .orientation import map_dims, orientation_of
 from .plot import STRETCH, flag_label, linear_srgb, percent, stored_picture, visible_bands
-from .plot_flags import FLAG_COLOURS, reduced_lines
-from .plot_spectra import good_of
+from .plot_flags import reduced_lines
+from .plot_spectra import good_bands
 
-# Recipe of a picture: true colour, or the wavelengths of one or of three bands [nm].
+# Recipe of a picture: empty for true colour, else the wavelengths of one or three bands [nm]
 TRUE_COLOUR: tuple[float, ...] = ()
 INFRARED = (860.0, 650.0, 550.0)
 
-DETAIL_LINES = 1536  # read completely for a picture; of a longer line, single lines are read
-_SPARSE_LINES = 48
-SPARSE_STEP = 64  # lines, from which on `pixels` reads single chunks
-_VISIBLE_BANDS = 24  # of a detailed true-colour picture: the observer's curves are smooth
-MAX_REGION_PIXELS = 20_000  # for a region's spectrum; of a larger region every n-th line is used
-_MAX_UNCERTAINTY_PIXELS = 4096  # of a region whose uncertainty is computed on a click
-_FLAG_OPACITY = 170
+DETAIL_LINES = 1536  # maximum number of lines that a picture reads completely; more are subsampled
+_SPARSE_LINES = 48  # number of lines of a subsampled picture
+SPARSE_STEP = 64  # step [lines] from which `pixels` reads single chunks
+_VISIBLE_BANDS = 24  # bands read for a detailed true-colour picture: colour matching functions are smooth
+MAX_REGION_PIXELS = 20_000  # maximum number of pixels for a region's spectrum; larger regions are subsampled
+_MAX_UNCERTAINTY_PIXELS = 4096  # maximum size of a region whose uncertainty is computed on a click
+_FLAG_OPACITY = 170  # of 255
 
 
 T = TypeVar("T")
-Place = tuple[int, int] | Region  # a pixel, by its position along and across the track, or a region
+Place = tuple[int, int] | Region  # position of a pixel along and across the track, or a region
 Lines = tuple[int, int, int]  # first, end and step, as of a slice
 
 
 class Picture(NamedTuple):
-    """Pixels of lines ``first`` to ``last``, flown to the right."""
+    """Picture of lines ``first`` to ``last - 1``, flown to the right."""
 
     rgba: npt.NDArray[np.uint32]  #: (column, line)
     first: int
     last: int
-    text: str  #: Lines or blocks shown, if not every line is
+    text: str  #: Subsampling of the picture; empty if every line is shown
 
 
 class Spectrum(NamedTuple):
     """Reflectance of a pixel, or the median over the pixels of a region."""
 
-    wavelength: Floats  #: (band,) [nm]: for a pixel those of its column
+    wavelength: Floats  #: (band,) [nm]: for a pixel the wavelengths of its column
     reflectance: Array  #: (band,) [1]: NaN in bad bands
     spread: Floats | None  #: (2, band): 5 and 95 % of a region's pixels
     text: str  #: Place or number of pixels, and their flags
@@ -76,11 +76,11 @@ class Uncertainty(NamedTuple):
     """Standard uncertainty of a spectrum."""
 
     u: Floats  #: (band,) [1]: standard uncertainty
-    text: str  #: Its size and its parts
+    text: str  #: Median over the bands, and missing parts
 
 
 class NearPaint(NamedTuple):
-    """A paint of the library that resembles a spectrum."""
+    """A paint of the library that is similar to a spectrum."""
 
     name: str
     angle: float  #: Spectral angle [degree]
@@ -90,7 +90,7 @@ class NearPaint(NamedTuple):
 
 
 class Explored:
-    """An opened flight line and the regions drawn on it; places are positions on the picture.
+    """An opened flight line and the regions drawn on it, in positions on the picture.
 
     Takes the arguments of `hyperpaint.pictures.explore`.
     """
@@ -104,7 +104,8 @@ class Explored:
         flightline: str = "",
         exclude: Quality | int | None = None,
     ) -> None:
-        # places on the picture are positions; given and drawn regions have the numbers of the line
+        # positions on the picture count from 0; regions of the user have the line and column numbers of the
+        # line
         self._numbered = schema.rename_to_roles(line)
         if map_dims(self._numbered):
             raise SchemaError(
@@ -115,15 +116,15 @@ class Explored:
         self.line = self._numbered.drop_vars((ALONG_TRACK, CROSS_TRACK), errors="ignore")
         self.shape = self.line.sizes[ALONG_TRACK], self.line.sizes[CROSS_TRACK]
         self.orientation = orientation_of(self._numbered)
-        axis = schema.require(self.line, ["wavelength"], "an explorer")["wavelength"]
-        self.wavelength = np.asarray(axis.values, np.float64)
+        variable = schema.require(self.line, ["wavelength"], "an explorer")["wavelength"]
+        self.wavelength = np.asarray(variable.values, np.float64)
         self.library = library
         self.flightline = flightline
         self._excluded = int(EXCLUDED if exclude is None else exclude)
-        self._files = RegionFiles(regions)  # as they are before they are read
-        of_line, self._others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
-        self._regions = renumbered(of_line, self._numbered, back=True)
-        self._saved = self._all.digest
+        self._files = RegionFiles(regions)  # takes checksums before the regions are read
+        line_regions, self._others = regions_on(regions, flightline or str(line.attrs.get("name", "")))
+        self._regions = renumbered(line_regions, self._numbered, back=True)
+        self._saved_digest = self._all_regions.digest
         self._linear = functools.lru_cache(6)(self._read_linear)
         self._spectra: dict[Any, Spectrum] = {}
         self._uncertainties: dict[Any, Uncertainty] = {}
@@ -144,53 +145,53 @@ class Explored:
         return self._others
 
     @property
-    def _all(self) -> Regions:
+    def _all_regions(self) -> Regions:
         return Regions((*self.regions, *self._others)) if self._others else self.regions
 
     @property
     def is_saved(self) -> bool:
-        """Whether all regions are as they were read or last saved."""
-        return self._all.digest == self._saved
+        """Whether the regions are unchanged since they were read or last saved."""
+        return self._all_regions.digest == self._saved_digest
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
         """Write the regions of this and of other lines as GeoJSON; see `hyperpaint.write_regions`."""
-        written = write_regions(self._all, path, overwrite=overwrite)
-        self._files.remember(written)
-        self._saved = self._all.digest
-        return written
+        file = write_regions(self._all_regions, path, overwrite=overwrite)
+        self._files.remember(file)
+        self._saved_digest = self._all_regions.digest
+        return file
 
     def save_again(self, path: Path) -> Path:
-        """Save to a new file, or to a file that no other program has changed since."""
+        """Save to a new file, or replace a file unless another program has changed it."""
         return self.save(path, overwrite=self._files.may_replace(path))
 
     # --- regions -------------------------------------------------------------------------------------------
 
     def add(self, along: Sequence[float], across: Sequence[float]) -> str | None:
-        """Add a region with these corners; return its name, None where the corners enclose no area."""
+        """Add a region with these corners; return its name, or None if the corners enclose no area."""
         corners = corners_at(along, across, self.shape)
         if corners is None:
             return None
         number = 1
-        while (name := f"region {number}") in self._all.names:
+        while (name := f"region {number}") in self._all_regions.names:
             number += 1
         self._regions = Regions((*self._regions, Region(name, corners, flightline=self.flightline)))
         return name
 
     def move(self, name: str, along: Sequence[float], across: Sequence[float]) -> bool:
-        """Move the corners of a region; return False where the new corners enclose no area."""
+        """Move the corners of a region; return False if the new corners enclose no area."""
         corners = corners_at(along, across, self.shape)
         if corners is not None:
             self._replace(name, polygon=corners)
         return corners is not None
 
     def rename(self, name: str, new: str) -> str | None:
-        """Rename a region; return the reason where that is not possible, else None."""
-        before = self._regions
+        """Rename a region; return the problem if that fails, else None."""
+        regions = self._regions
         try:
             self._replace(name, name=new.strip())
-            _ = self._all  # names must differ from those of other lines' regions too
+            _ = self._all_regions  # raises if a region of another line has this name
         except PaintError as error:
-            self._regions = before
+            self._regions = regions
             return str(error)
         return None
 
@@ -198,73 +199,75 @@ class Explored:
         """Remove a region."""
         self._regions = Regions(tuple(region for region in self._regions if region.name != name))
 
-    def _replace(self, old: str, **changes: Any) -> None:
+    def _replace(self, old_name: str, **changes: Any) -> None:
         self._regions = Regions(
-            tuple(replace(region, **changes) if region.name == old else region for region in self._regions)
+            tuple(
+                replace(region, **changes) if region.name == old_name else region for region in self._regions
+            )
         )
 
     # --- spectra -------------------------------------------------------------------------------------------
 
     def spectrum_of(self, place: Place) -> Spectrum | str:
-        """Return the spectrum of a pixel or the median spectrum of a region, or a message why there is none.
+        """Return the spectrum of a pixel or the median spectrum of a region, or a message with the problem.
 
-        The spectrum of a pixel equals ``line.paint.pixels(along, across)`` bit for bit. Pixels of a region
-        are excluded by their flags, as in signatures.
+        The spectrum of a pixel equals ``line.paint.pixels(along, across)`` bit for bit. Flagged pixels of a
+        region are excluded as in signatures.
         """
-        return _remembered(self._spectra, self._spectrum, place)
+        return _cached(self._spectra, self._spectrum, place)
 
     def uncertainty_of(self, place: Place) -> Uncertainty | str:
-        """Return the standard uncertainty of a pixel or of a region's mean, or why it is unknown."""
-        return _remembered(self._uncertainties, self._uncertainty, place)
+        """Return the standard uncertainty of a pixel or of a region's mean, or a message with the problem."""
+        return _cached(self._uncertainties, self._uncertainty, place)
 
     def _spectrum(self, place: Place) -> Spectrum:
-        return self._median(place) if isinstance(place, Region) else self._of_pixel(*place)
+        return self._median_spectrum(place) if isinstance(place, Region) else self._pixel_spectrum(*place)
 
-    def _of_pixel(self, along: int, across: int) -> Spectrum:
+    def _pixel_spectrum(self, along: int, across: int) -> Spectrum:
         pixel = pixels(self.line, along, across)
         shift = pixel["wavelength_shift"].values if "wavelength_shift" in pixel.coords else 0.0
-        values = np.where(good_of(self.line), pixel["reflectance"].values, np.float32(np.nan))
+        values = np.where(good_bands(self.line), pixel["reflectance"].values, np.float32(np.nan))
         rows, columns = (schema.numbers_of(self._numbered, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
         text = f"line {rows[along]:g}, column {columns[across]:g}"
         if "quality" in pixel:
             text += f": {_flag_text(schema.flag_names(int(pixel['quality'])))}"
         return Spectrum(self.wavelength + shift, values, None, text)
 
-    def _median(self, region: Region) -> Spectrum:
-        along, across, step = self._pixels_of(region)
+    def _median_spectrum(self, region: Region) -> Spectrum:
+        along, across, step = self._region_pixels(region)
         lines = slice(int(along.min()), int(along.max()) + 1, step)
         window = pixels(self.line, lines, slice(int(across.min()), int(across.max()) + 1))
-        places = (along - lines.start) // step, across - int(across.min())
-        values = window["reflectance"].transpose(ALONG_TRACK, CROSS_TRACK, BAND).values[places]
-        flags = window["quality"].values[places] if "quality" in window else np.zeros(along.size, np.uint16)
+        indices = (along - lines.start) // step, across - int(across.min())
+        values = window["reflectance"].transpose(ALONG_TRACK, CROSS_TRACK, BAND).values[indices]
+        flags = window["quality"].values[indices] if "quality" in window else np.zeros(along.size, np.uint16)
         is_used = (flags & excluded_of(region, self._excluded)) == 0
         shares = schema.flag_shares(flags)
-        named = [f"{flag_label(flag)} {percent(share)}" for flag, share in shares.items()]
+        flag_texts = [f"{flag_label(flag)} {percent(share)}" for flag, share in shares.items()]
         if not is_used.any():
             raise SchemaError(
-                f"{region.name}: all {along.size} pixels are excluded: {', '.join(named)}",
+                f"{region.name}: all {along.size} pixels are excluded: {', '.join(flag_texts)}",
                 code="region-empty",
             )
         quantiles = summarise(values[is_used], "median").quantiles
-        quantiles[:, ~good_of(self.line)] = np.nan
-        every = f" (every {step}. line)" if step > 1 else ""
-        text = f"median of {int(is_used.sum())} of {along.size} pixels{every}: {_flag_text(named)}"
+        quantiles[:, ~good_bands(self.line)] = np.nan
+        subsampling = f" (every {step}. line)" if step > 1 else ""
+        text = f"median of {int(is_used.sum())} of {along.size} pixels{subsampling}: {_flag_text(flag_texts)}"
         return Spectrum(self.wavelength, quantiles[2], quantiles[[0, -1]], text)
 
-    def _pixels_of(self, region: Region) -> tuple[Array, Array, int]:
-        # only every ``step``-th line of a large region
+    def _region_pixels(self, region: Region) -> tuple[Array, Array, int]:
+        # pixels along and across the track, in every ``step``-th line of a large region
         along, across = pixels_of(Regions((Region(region.name, region.polygon),)), self.line)[0]
         if not along.size:
             raise SchemaError(
-                f"{region.name} holds no pixel's centre", mend="draw it larger", code="region-empty"
+                f"{region.name} contains no pixel centre", mend="draw it larger", code="region-empty"
             )
         step = -(-along.size // MAX_REGION_PIXELS)
-        is_taken = (along - along.min()) % step == 0
-        return along[is_taken], across[is_taken], step
+        is_read = (along - along.min()) % step == 0
+        return along[is_read], across[is_read], step
 
     def _uncertainty(self, place: Place) -> Uncertainty:
         if isinstance(place, Region):
-            along, across, step = self._pixels_of(place)
+            along, across, step = self._region_pixels(place)
         else:
             along, across, step = *np.array(place).reshape(2, 1), 1
         if along.size > _MAX_UNCERTAINTY_PIXELS or step > 1:
@@ -275,49 +278,49 @@ class Explored:
                 code="region-too-large",
             )
         lines, columns = (slice(int(place.min()), int(place.max()) + 1) for place in (along, across))
-        part = reflectance(self.line.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}), uncertainty=True)
-        # computed together: separately each would read the same counts again
-        names = {"reflectance", *UNCERTAINTIES, "quality"} & set(part.data_vars)
-        part = part.assign(dict(part[list(names)].compute().data_vars))
-        inside = np.zeros((part.sizes[ALONG_TRACK], part.sizes[CROSS_TRACK]), bool)
-        inside[along - lines.start, across - columns.start] = True
-        if isinstance(place, Region) and "quality" in part.variables:
-            inside &= (part["quality"].values & excluded_of(place, self._excluded)) == 0
-        is_used = part["reflectance"].isel({BAND: 0}, drop=True).copy(data=inside)
-        mean = mean_uncertainty(part.assign(reflectance=part["reflectance"].where(is_used)))
+        window = reflectance(self.line.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}), uncertainty=True)
+        # computed together, because separate computations would read the same counts again
+        names = {"reflectance", *UNCERTAINTIES, "quality"} & set(window.data_vars)
+        window = window.assign(dict(window[list(names)].compute().data_vars))
+        in_region = np.zeros((window.sizes[ALONG_TRACK], window.sizes[CROSS_TRACK]), bool)
+        in_region[along - lines.start, across - columns.start] = True
+        if isinstance(place, Region) and "quality" in window.variables:
+            in_region &= (window["quality"].values & excluded_of(place, self._excluded)) == 0
+        is_used = window["reflectance"].isel({BAND: 0}, drop=True).copy(data=in_region)
+        mean = mean_uncertainty(window.assign(reflectance=window["reflectance"].where(is_used)))
         random, systematic = (mean[name].values for name in ("u_random", "u_systematic"))
-        is_known = bool(np.isfinite(systematic).any())
-        # random errors are shown even where systematic errors are unknown
-        u = np.hypot(random, np.nan_to_num(systematic)) if is_known else random
+        has_systematic = bool(np.isfinite(systematic).any())
+        # without systematic errors, the random errors are shown
+        u = np.hypot(random, np.nan_to_num(systematic)) if has_systematic else random
         subject = "a pixel" if along.size == 1 else "the mean"
         text = f"± {np.nanmedian(u):.1g} [1], k = 1, of {subject} in the median band"
-        return Uncertainty(u, text + ("" if is_known else "; systematic errors are unknown"))
+        return Uncertainty(u, text + ("" if has_systematic else "; systematic errors are unknown"))
 
     # --- paints --------------------------------------------------------------------------------------------
 
     def near_paints(self, spectrum: Spectrum, count: int = 5) -> list[NearPaint]:
         """Return the paints at the smallest spectral angles; none with fewer than five good bands."""
-        axis = (BAND, spectrum.wavelength, {"units": "nm"})
-        like = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": axis})
+        nm_axis = (BAND, spectrum.wavelength, {"units": "nm"})
+        like = xr.DataArray(spectrum.reflectance, dims=BAND, coords={"wavelength": nm_axis})
         try:
-            near = None if self.library is None else search_library(self.library, like=like, limit=count)
+            matches = None if self.library is None else search_library(self.library, like=like, limit=count)
         except PaintError:
-            near = None
-        if near is None:
+            matches = None
+        if matches is None:
             return []
-        # the spectrum on the bands of the library
-        library_nm = np.asarray(near["wavelength"].values, np.float64)
+        # resample the spectrum to the bands of the library
+        library_nm = np.asarray(matches["wavelength"].values, np.float64)
         order = np.argsort(spectrum.wavelength, kind="stable")
-        nm, values = (np.asarray(axis, np.float64)[order] for axis in spectrum[:2])
-        is_known = np.isfinite(nm) & np.isfinite(values)
-        resampled = np.interp(library_nm, nm[is_known], values[is_known], left=np.nan, right=np.nan)
+        nm, values = (np.asarray(nm_axis, np.float64)[order] for nm_axis in spectrum[:2])
+        is_finite = np.isfinite(nm) & np.isfinite(values)
+        resampled = np.interp(library_nm, nm[is_finite], values[is_finite], left=np.nan, right=np.nan)
         paints = []
-        for number, angle in enumerate(near["spectral_angle"].values.tolist()):
-            paint = near["reflectance"].values[number].astype(np.float64)
-            both = np.isfinite(resampled) & np.isfinite(paint)
-            power = max(paint[both] @ paint[both], np.finfo(float).tiny)
-            factor = float((resampled[both] @ paint[both]) / power)
-            name = str(near[schema.SIGNATURE].values[number])
+        for number, angle in enumerate(matches["spectral_angle"].values.tolist()):
+            paint = matches["reflectance"].values[number].astype(np.float64)
+            is_common = np.isfinite(resampled) & np.isfinite(paint)
+            power = max(paint[is_common] @ paint[is_common], np.finfo(float).tiny)
+            factor = float((resampled[is_common] @ paint[is_common]) / power)
+            name = str(matches[schema.SIGNATURE].values[number])
             if np.isfinite(angle):
                 paints.append(NearPaint(name, float(np.degrees(angle)), factor, library_nm, factor * paint))
         return paints
@@ -332,34 +335,33 @@ class Explored:
     ) -> Picture:
         """Return a picture of some lines, by default of all.
 
-        Up to 1536 lines are read completely. Of more lines, true colour is the stored overview where there is
-        one; else the stored means of blocks of pixels are shown, or single lines without these. Black and
-        white are percentiles (``stretch``) of brightness over the whole line, whatever the window; pixels
-        without a value are transparent.
+        Up to 1536 lines are read completely. Of more lines, the picture is the stored overview (true colour),
+        else the stored means of blocks of pixels, else a subsample of lines. Black and white are percentiles
+        (``stretch``) of brightness over the complete flight line; pixels without a value are transparent.
         """
         first, last = self._window(window)
         is_sparse = last - first > DETAIL_LINES
         if is_sparse and recipe == TRUE_COLOUR and stretch == STRETCH:
-            stored = stored_picture(self.line, None)
-            if stored is not None:
-                every = -(-self.shape[0] // stored.sizes[ALONG_TRACK])
-                rows = slice(first // every, -(-last // every))
-                shown = np.asarray(stored.isel({ALONG_TRACK: rows}).values)
-                ends = rows.start * every, min(rows.stop * every, self.shape[0])
-                return Picture(_rgba(shown), *ends, f"overview, every {every}. line")
+            overview = stored_picture(self.line, None)
+            if overview is not None:
+                line_step = -(-self.shape[0] // overview.sizes[ALONG_TRACK])
+                rows = slice(first // line_step, -(-last // line_step))
+                colours = np.asarray(overview.isel({ALONG_TRACK: rows}).values)
+                edges = rows.start * line_step, min(rows.stop * line_step, self.shape[0])
+                return Picture(_rgba(colours), *edges, f"overview, every {line_step}. line")
         if is_sparse and self._means is not None:
             side = int(self._means["reflectance"].attrs["block_side"])
             rows = slice(first // side, -(-last // side))
             linear = np.repeat(self._linear(None, recipe)[rows], side, axis=1)[:, : self.shape[1]]
             first, step, text = rows.start * side, side, f"means of {side} x {side} pixels"
         else:
-            step = self._step_of(last - first)
+            step = self._line_step(last - first)
             linear = self._linear((first, last, step), recipe)
             text = f"every {step}. line; zoom in for all" if is_sparse else ""
-        low, high = self._levels(recipe, stretch)
-        shown = encode_srgb(((linear - low) / np.maximum(high - low, 1e-6)).clip(0.0, 1.0))
+        black, white = self._levels(recipe, stretch)
+        colours = encode_srgb(((linear - black) / np.maximum(white - black, 1e-6)).clip(0.0, 1.0))
         last = first + step * len(linear)
-        return Picture(_rgba(shown, np.asarray(np.isfinite(linear).all(axis=-1))), first, last, text)
+        return Picture(_rgba(colours, np.asarray(np.isfinite(linear).all(axis=-1))), first, last, text)
 
     def _window(self, window: tuple[int, int] | None) -> tuple[int, int]:
         first, last = (0, self.shape[0]) if window is None else window
@@ -367,19 +369,19 @@ class Explored:
         return first, max(first + 1, min(last, self.shape[0]))
 
     @staticmethod
-    def _step_of(lines: int) -> int:
+    def _line_step(lines: int) -> int:
         return max(SPARSE_STEP, -(-lines // _SPARSE_LINES)) if lines > DETAIL_LINES else 1
 
     @functools.cached_property
     def _means(self) -> xr.Dataset | None:
-        # None where the store holds no means of blocks of pixels
+        # stored means of blocks of pixels; None if the store has no such means
         if "coarse_reflectance" not in self.line.variables:
             return None
         means = coarse(self.line)
         return means if means["reflectance"].attrs["level"] == "stored" else None
 
     def _read_linear(self, lines: Lines | None, recipe: tuple[float, ...]) -> Array:
-        # (line, column, 3) of some lines, or of the stored means
+        # linear sRGB (line, column, 3) of some lines, or with ``lines`` None of the stored means
         if recipe != TRUE_COLOUR:
             values = self._bands(lines, recipe)
             return np.broadcast_to(values, (*values.shape[:2], 3))
@@ -391,7 +393,7 @@ class Explored:
         return linear
 
     def _bands(self, lines: Lines | None, wavelength: Any) -> Array:
-        # (line, column, band)
+        # reflectance (line, column, band) of some lines, or with ``lines`` None of the stored means
         nm = list(wavelength)
         if lines is None and self._means is not None:
             values = at(self._means, nm)["reflectance"]
@@ -400,8 +402,8 @@ class Explored:
         return np.asarray(values.transpose(ALONG_TRACK, CROSS_TRACK, BAND).values)
 
     def _levels(self, recipe: tuple[float, ...], stretch: tuple[float, float]) -> tuple[Array, Array]:
-        # black and white for each colour, from lines over the whole line
-        step = self._step_of(self.shape[0])
+        # levels shown black and white, by colour, from lines spread over the flight line
+        step = self._line_step(self.shape[0])
         lines = (0, self.shape[0], step) if step == 1 or self._means is None else None
         linear = self._linear(lines, recipe).reshape(-1, 3)
         linear = linear[np.isfinite(linear).all(axis=1)]
@@ -437,16 +439,16 @@ class Explored:
         step = -(-(last - first) // DETAIL_LINES)
         last = min(first + step * -(-(last - first) // step), self.shape[0])
         rows = -(-(last - first) // step)
-        drawn = np.zeros((self.shape[1], rows, 4), np.uint8)
+        colours = np.zeros((self.shape[1], rows, 4), np.uint8)
         if self._quality is not None:
             bits = reduced_lines(self._quality[first:last], step, np.bitwise_or)
             for flag in sorted(flags, key=lambda flag: -self.flag_shares.get(flag, 0.0)):
-                colour = (*bytes.fromhex(FLAG_COLOURS[flag][1:]), _FLAG_OPACITY)
-                drawn[(bits.T & int(flag)) != 0] = colour
-        return Picture(drawn.view(np.uint32)[..., 0], first, first + rows * step, "")
+                colour = (*bytes.fromhex(flag.colour[1:]), _FLAG_OPACITY)
+                colours[(bits.T & int(flag)) != 0] = colour
+        return Picture(colours.view(np.uint32)[..., 0], first, first + rows * step, "")
 
 
-def _remembered(results: dict[Any, T], compute: Callable[[Place], T], place: Place) -> T | str:
+def _cached(results: dict[Any, T], compute: Callable[[Place], T], place: Place) -> T | str:
     key = place.polygon.tobytes() if isinstance(place, Region) else place
     if key not in results:
         try:
@@ -460,10 +462,10 @@ def _flag_text(names: Sequence[str]) -> str:
     return ", ".join(names).replace("_", " ") or "no flag"
 
 
-def _rgba(picture: Array, is_there: Array | None = None) -> npt.NDArray[np.uint32]:
-    # as bokeh draws it: columns are rows, lines run to the right
+def _rgba(picture: Array, is_opaque: Array | None = None) -> npt.NDArray[np.uint32]:
+    # pixels as bokeh draws them: columns of the flight line are rows, lines run to the right
     colours = np.full((*picture.shape[:2], 4), 255, np.uint8)
     colours[..., :3] = (np.nan_to_num(picture).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
-    if is_there is not None:
-        colours[..., 3] = np.where(is_there, 255, 0)
+    if is_opaque is not None:
+        colours[..., 3] = np.where(is_opaque, 255, 0)
     return np.ascontiguousarray(colours.swapaxes(0, 1)).view(np.uint32)[..., 0]

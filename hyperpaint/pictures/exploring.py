@@ -23,7 +23,7 @@ from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.paints.starter_paints import starter_library
 
-from .explorer import WIDE, Explorer
+from .explorer import FULL_WIDTH, Explorer
 from .explorer_figures import INK
 from .explorer_state import Explored
 
@@ -47,14 +47,14 @@ def explore(
     ----------
     line
     regions
-        Regions to begin with, in sensor coordinates, see `hyperpaint.read_regions`; also the proposals of
+        Regions to show and edit, in sensor coordinates, see `hyperpaint.read_regions`; also the proposals of
         `hyperpaint.regions.propose_regions`.
     library
         A paint library, or its path, whose paints are compared with clicked spectra; by default
         `hyperpaint.paints.starter_library`, of synthetic paints.
     flightline
-        Name of the flight line, given to new regions; needed to combine regions of several lines. Regions of
-        other lines, by this name or the name of the line itself, are not shown, but saved as well.
+        Name of the flight line, which new regions get; needed to combine regions of several lines. Regions of
+        other flight lines are hidden, and saved with the others.
     exclude
     theme
         Theme of the figures, ``"light"`` or ``"dark"``.
@@ -69,13 +69,13 @@ def explore(
     MissingExtraError
         panel or bokeh is not installed.
     SchemaError
-        There is no reflectance or no wavelength, or the regions are not in sensor coordinates.
+        Reflectance or wavelength is missing, or the regions are not in sensor coordinates.
 
     Notes
     -----
-    The spectrum of a pixel is `hyperpaint.radiometry.pixels`, bit for bit. The spectrum of a region is the
-    median of its pixels, without excluded ones, with 5 to 95 % of them shaded. The band around the curve
-    clicked last is its standard uncertainty, k = 1, where the noise of the line is known; see
+    The spectrum of a pixel is bit for bit that of `hyperpaint.radiometry.pixels`. The spectrum of a region is
+    the median of its pixels that are not excluded, with their 5 to 95 % range shaded. The shade around the
+    last clicked curve is its standard uncertainty, k = 1, if the noise of the line is known; see
     `hyperpaint.radiometry.mean_uncertainty`.
 
     A notebook loads the widget's scripts from the internet, as panel does by default; without internet, set
@@ -127,11 +127,11 @@ def serve_explorer(
     store
         A store with flight lines, or one line.
     line
-        The flight line shown at first; by default the first one. The page links to the others.
+        The flight line shown first; by default the first of the store. The page links to all lines.
     regions
-        GeoJSON file of this line's regions: read if it exists, and saved to. By default, and for other
-        lines, ``STORE-LINE-regions.geojson`` in the current folder. Regions of other flight lines in it are
-        kept; a file that another program changed meanwhile is not replaced.
+        GeoJSON file of this line's regions, read if it exists, and written on saving. By default, and for
+        other lines, ``STORE-LINE-regions.geojson`` in the current folder. Saving keeps regions of other
+        flight lines in the file, and never replaces a file that another program has changed.
     library
         A paint library to compare with; by default the starter library.
     port
@@ -146,9 +146,9 @@ def serve_explorer(
     MissingExtraError
         panel or bokeh is not installed.
     """
-    lines = _lines_of(store)
-    shown = next(iter(lines), "") if line is None else line.rpartition("/")[2]
-    if shown not in lines:
+    lines = _line_groups(store)
+    first_name = next(iter(lines), "") if line is None else line.rpartition("/")[2]
+    if first_name not in lines:
         raise StoreError(
             f"{store} has no flight line {line!r:.80}" if line else f"{store} has no flight line",
             expected=", ".join(lines) or "a group with reflectance, or counts, and wavelength",
@@ -160,28 +160,28 @@ def serve_explorer(
     paints = starter_library(members=0) if library is None else open_library(library)
     stem = Path(store).resolve().stem
 
-    def file_of(name: str) -> Path:
-        if regions is not None and name == shown:
+    def region_file(name: str) -> Path:
+        if regions is not None and name == first_name:
             return Path(regions)
-        # other stores have lines of the same name
+        # the name of the store is part, because lines of several stores may have the same name
         return Path(f"{stem}-regions.geojson" if name == stem else f"{stem}-{name}-regions.geojson")
 
     @functools.cache
-    def state_of(name: str) -> Explored:
-        # shared by all pages of a line, so that regions survive reloading a page
-        saved = file_of(name) if file_of(name).exists() else None
-        return Explored(open_store(store, lines[name]), saved, library=paints, flightline=name)
+    def line_state(name: str) -> Explored:
+        # all pages of a line share its state, so that regions survive reloading a page
+        file = region_file(name) if region_file(name).exists() else None
+        return Explored(open_store(store, lines[name]), file, library=paints, flightline=name)
 
     def page() -> Any:
         arguments = panel.state.session_args
         name, theme = (arguments.get(key, [b""])[0].decode("utf-8", "replace") for key in ("line", "colours"))
-        name, theme = name if name in lines else shown, theme if theme in INK else "light"
+        name, theme = name if name in lines else first_name, theme if theme in INK else "light"
         # widgets and figures read the theme when they are created
         panel.config.theme = "dark" if theme == "dark" else "default"
-        explorer = Explorer(state_of(name), theme=theme, save_to=file_of(name))
-        return panel.Column(_head(state_of(name), name, lines, theme), explorer.view, **WIDE)
+        explorer = Explorer(line_state(name), theme=theme, save_to=region_file(name))
+        return panel.Column(_head(line_state(name), name, lines, theme), explorer.view, **FULL_WIDTH)
 
-    state_of(shown)  # reading errors come before the server starts
+    line_state(first_name)  # raise reading errors before the server starts
     interrupted = signal.getsignal(signal.SIGINT)
     token = secrets.token_urlsafe(32)
     server = panel.serve(
@@ -192,9 +192,9 @@ def serve_explorer(
         show=False,
         start=False,
         verbose=False,
-        title=f"hyperpaint {shown}",
+        title=f"hyperpaint {first_name}",
     )
-    signal.signal(signal.SIGINT, interrupted)  # panel replaced the handler
+    signal.signal(signal.SIGINT, interrupted)  # panel replaced the handler of interrupts
     _guard(server, token)
     server.start()
     announce(f"http://localhost:{server.port}/{token}/")
@@ -202,10 +202,10 @@ def serve_explorer(
 
 
 def _guard(server: Any, token: str) -> None:
-    """Refuse every request to the server that does not come from its own page.
+    """Refuse requests to the server from elsewhere than its own page.
 
-    The host must be this machine, which fails for a page with a rebound DNS name; the path must begin with
-    the token; a websocket must have an origin, and any origin must be this server.
+    The host must be this machine, which excludes rebound DNS names; the path must start with the token; a
+    websocket must have an origin; and every origin must be this server.
     """
     from tornado.web import ErrorHandler
 
@@ -215,12 +215,12 @@ def _guard(server: Any, token: str) -> None:
     origins = [f"http://{host}" for host in hosts]
 
     def find_guarded(request: Any, **options: Any) -> Any:
-        first = request.path.split("/", 2)[1:2]
+        path_start = request.path.split("/", 2)[1:2]
         senders = request.headers.get_list("Origin")
         is_websocket = "websocket" in request.headers.get("Upgrade", "").lower()
         if (
             request.host.lower() in hosts
-            and secrets.compare_digest("".join(first).encode(), token.encode())
+            and secrets.compare_digest("".join(path_start).encode(), token.encode())
             and all(origin in origins for origin in senders)
             and (senders or not is_websocket)
         ):
@@ -230,7 +230,7 @@ def _guard(server: Any, token: str) -> None:
     application.find_handler = find_guarded
 
 
-def _lines_of(store: str | os.PathLike[str]) -> dict[str, str]:
+def _line_groups(store: str | os.PathLike[str]) -> dict[str, str]:
     groups = list_groups(store)
     lines = [group for group in groups if group.startswith("flightlines/")]
     lines += [group for group in groups if group not in lines and _is_line(open_store(store, group))]
@@ -259,4 +259,4 @@ def _head(state: Explored, name: str, lines: Iterable[str], theme: str) -> Any:
     size = f"{count:,} lines, {columns:,} columns, {nm.size} bands"
     size += f", {np.nanmin(nm):.0f} to {np.nanmax(nm):.0f} nm"
     text = f"<h2 style='margin:0'>{html.escape(name)}</h2>{size} &nbsp; {' &middot; '.join(links)}"
-    return panel.pane.HTML(text, **WIDE)
+    return panel.pane.HTML(text, **FULL_WIDTH)

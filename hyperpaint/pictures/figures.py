@@ -1,4 +1,4 @@
-"""Shared parts of all pictures: figures without a screen, escaped labels, legends, PNG."""
+"""Functions shared by all pictures: figures, labels, legends, PNG files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def new_figure(purpose: str, **options: Any) -> Any:
 
 
 def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
-    """Return the given axes, or new axes of pyplot, which a notebook shows by itself."""
+    """Return the axes passed, or new axes of pyplot, which a notebook displays."""
     if axes is not None:
         return axes
     with needs_extra("matplotlib", "viz", purpose):
@@ -41,16 +41,16 @@ def axes_or_new(axes: Any, purpose: str, **options: Any) -> Any:
 
 
 def ink_of(axes: Any, strength: float = 1.0) -> tuple[float, float, float]:
-    """Return the text colour of axes mixed with their background; it shows in light and in dark themes.
+    """Return the text colour of axes mixed with their background, visible in light and dark themes.
 
-    ``strength``: 1 for text itself, 0 for the background.
+    ``strength``: 1 is the text colour, 0 the background.
     """
     from matplotlib import rcParams
     from matplotlib.colors import to_rgb
 
-    ground = axes.get_facecolor()
-    ink, paper = np.array(to_rgb(rcParams["text.color"])), np.array(to_rgb(ground))
-    red, green, blue = (strength * ink + (1.0 - strength) * paper).tolist()
+    background = axes.get_facecolor()
+    ink, ground = np.array(to_rgb(rcParams["text.color"])), np.array(to_rgb(background))
+    red, green, blue = (strength * ink + (1.0 - strength) * ground).tolist()
     return red, green, blue
 
 
@@ -68,32 +68,32 @@ def axes_width(axes: Any) -> float:
 
 
 def legend_below(axes: Any, *others: Any, entries: Mapping[str, Any] | None = None, **options: Any) -> None:
-    """Place a legend below axes, with the curves of ``others`` too, in as many columns as fit.
+    """Place a legend of the curves of axes and ``others`` below the axes, in as many columns as fit.
 
-    Long names are wrapped, or they would squeeze the axes. ``entries``: more handles by name.
+    Long names are wrapped, so that they do not narrow the axes. ``entries``: additional handles by name.
     """
     from matplotlib.transforms import ScaledTranslation
 
-    named: dict[str, Any] = dict(entries or {})
-    for each in (*others, axes):
-        handles, labels = each.get_legend_handles_labels()
-        named |= dict(zip(labels, handles, strict=True))
-    if not named:
+    handles_by_label: dict[str, Any] = dict(entries or {})
+    for plot in (*others, axes):
+        handles, labels = plot.get_legend_handles_labels()
+        handles_by_label |= dict(zip(labels, handles, strict=True))
+    if not handles_by_label:
         return
     figure = axes.figure
     room = axes_width(axes) - 1.0
-    texts = [textwrap.fill(label, max(12, int(_CHARS_PER_INCH * (room - 0.4)))) for label in named]
-    longest = max(len(line) for text in texts for line in text.splitlines())
-    columns = max(1, min(len(texts), int(room / (longest / _CHARS_PER_INCH + 0.6))))
+    texts = [textwrap.fill(label, max(12, int(_CHARS_PER_INCH * (room - 0.4)))) for label in handles_by_label]
+    max_chars = max(len(line) for text in texts for line in text.splitlines())
+    columns = max(1, min(len(texts), int(room / (max_chars / _CHARS_PER_INCH + 0.6))))
     settings = {"fontsize": "small", "frameon": False, "ncols": columns, "handlelength": 1.6, **options}
     # below the label of the axis
-    place = axes.transAxes + ScaledTranslation(0.0, -_AXIS_HEIGHT_INCH, figure.dpi_scale_trans)
+    below_axes = axes.transAxes + ScaledTranslation(0.0, -_AXIS_HEIGHT_INCH, figure.dpi_scale_trans)
     axes.legend(
-        named.values(),
+        handles_by_label.values(),
         texts,
         loc="upper left",
         bbox_to_anchor=(0.0, 0.0),
-        bbox_transform=place,
+        bbox_transform=below_axes,
         borderaxespad=0.0,
         **settings,
     )
@@ -111,24 +111,26 @@ def columns_for(width: float, plot: float, most: int) -> int:
 
 
 def label_for(text: object, longest: int = _MAX_LABEL_CHARS) -> str:
-    r"""Return a text that matplotlib draws literally: no formula, no control character, cut to ``longest``.
+    r"""Return a text that matplotlib draws literally, without control characters, cut to ``longest``.
 
     Examples
     --------
     >>> print(label_for("$5 paint"))
     \$5 paint
     """
-    shown = "".join(sign if sign.isprintable() else "\ufffd" for sign in str(text))
-    if len(shown) > longest:
-        shown = shown[: longest - 3] + "..."
-    shown = shown.replace("$", r"\$")
-    return f" {shown}" if shown.startswith("_") else shown  # a legend leaves out what begins with one
+    label = "".join(sign if sign.isprintable() else "\ufffd" for sign in str(text))
+    if len(label) > longest:
+        label = label[: longest - 3] + "..."
+    label = label.replace("$", r"\$")
+    # a legend omits labels that start with an underscore
+    return f" {label}" if label.startswith("_") else label
 
 
 def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
     """Write a figure to ``path``, if any; an existing file is replaced atomically.
 
-    Raises `SchemaError`: matplotlib writes no such picture; `StoreError`: the file cannot be written.
+    Raises `SchemaError` if matplotlib does not write this file type, `StoreError` if the file cannot be
+    written.
     """
     if path is None:
         return
@@ -143,7 +145,7 @@ def save_figure(figure: Any, path: str | Path | None, dpi: int = 110) -> None:
 
 
 def check_picture(path: Path) -> None:
-    """Check a path before drawing: folder and file type; all problems are listed.
+    """Check folder and file type of a picture before drawing, and list all problems.
 
     Examples
     --------
@@ -162,7 +164,7 @@ def png_of(figure: Any, dpi: int = 110) -> bytes:
     """Return a figure as PNG."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
-        # names may be written in any script; missing glyphs become boxes
+        # names may be in any script; glyphs that the font lacks become boxes
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         figure.savefig(buffer, format="png", dpi=dpi)
     return buffer.getvalue()
@@ -177,17 +179,17 @@ def encode_png(picture: npt.NDArray[np.uint8]) -> bytes:
     b'\x89PNG\r\n\x1a\n'
     """
     lines, columns, _ = picture.shape
-    # each line opens with its filter: 0, none
+    # every line starts with its PNG filter type; 0 is no filter
     rows = np.zeros((lines, 1 + 3 * columns), np.uint8)
     rows[:, 1:] = picture.reshape(lines, -1)
-    parts = (
+    fields = (
         (b"IHDR", struct.pack(">IIBBBBB", columns, lines, 8, 2, 0, 0, 0)),
         (b"IDAT", zlib.compress(rows.tobytes(), 6)),
         (b"IEND", b""),
     )
     chunks = (
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in parts
+        for kind, data in fields
     )
     return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
 

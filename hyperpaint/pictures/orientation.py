@@ -1,7 +1,7 @@
-"""Orientation of pictures: never mirrored, pixels with the aspect ratio they have on the ground.
+"""Orientation of pictures: not mirrored, and pixels with their aspect ratio on the ground.
 
-A flight line stands upright, flown upwards, with its columns as they lie on the ground; a map has north up.
-On pages, where a line would be too tall, it lies: flown to the right.
+A flight line is flown upwards, with columns in their order on the ground; a map has north up. On pages, where
+an upright line would be too tall, it is flown to the right.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .figures import label_for
 class Orientation:
     """Position of a picture's pixels on its axes."""
 
-    extent: tuple[float, float, float, float]  # first and last column's edges, first and last line's edges
+    extent: tuple[float, float, float, float]  # outer edges of first and last column, of first and last line
     is_mirrored: bool  # whether columns run to the left of the flight, so that their axis is reversed
     goes_down: bool  # whether the vertical axis grows downwards
     aspect: float  # length of a pixel along the vertical axis over its length along the horizontal axis
@@ -30,20 +30,20 @@ class Orientation:
 
     @property
     def limits(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Ends of the horizontal axis from left to right, and of the vertical one upwards."""
+        """Limits of the horizontal axis from left to right, and of the vertical axis upwards."""
         left, right, *vertical = self.extent
-        across = (right, left) if self.is_mirrored else (left, right)
-        low, high = sorted(vertical)
-        return across, (high, low) if self.goes_down else (low, high)
+        horizontal = (right, left) if self.is_mirrored else (left, right)
+        minimum, maximum = sorted(vertical)
+        return horizontal, (maximum, minimum) if self.goes_down else (minimum, maximum)
 
     def height_of(self, width: float) -> float:
         """Return the height of a picture of a given width."""
-        left, right, low, high = self.extent
-        return width * self.aspect * abs((high - low) / (right - left))
+        left, right, first_line, last_line = self.extent
+        return width * self.aspect * abs((last_line - first_line) / (right - left))
 
 
 def map_dims(cube: xr.DataArray | xr.Dataset) -> dict[str, str]:
-    """Return "y" and "x" by role, if coordinates show that a dataset is a map; else nothing."""
+    """Return "y" and "x" by role if a dataset has the coordinates of a map, otherwise an empty dict."""
     pairs = {ALONG_TRACK: "y", CROSS_TRACK: "x"}
     is_map = all(name in cube.coords and cube[name].dims == (role,) for role, name in pairs.items())
     return pairs if is_map else {}
@@ -52,9 +52,9 @@ def map_dims(cube: xr.DataArray | xr.Dataset) -> dict[str, str]:
 def orientation_of(dataset: xr.Dataset) -> Orientation:
     """Return the orientation of a flight line or a map.
 
-    Columns are reversed where ``east`` and ``north`` of the pixels, or else ``look_across``, or else the
-    declared column order, show that they run to the left of the flight. Pixels have the aspect ratio of their
-    spacing on the ground where that is known, else they are square.
+    Columns are reversed if they run to the left of the flight, by ``east`` and ``north`` of the pixels, else
+    by ``look_across``, else by the declared column order. Pixels have the aspect ratio of their spacing on
+    the ground where it is known, else they are square.
     """
     lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
     if map_dims(dataset) and lines > 1 and columns > 1:
@@ -62,15 +62,20 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
         half_x, half_y = (0.5 * float(values[-1] - values[0]) / (values.size - 1) for values in (x, y))
         extent = (float(x[0]) - half_x, float(x[-1]) + half_x, float(y[0]) - half_y, float(y[-1]) + half_y)
         attrs = [dataset[name].attrs for name in ("x", "y")]
-        # the grid along a flight counts down from its corner
-        own_grid = any("along the flight" in f"{a.get('crs')} {a.get('long_name')}" for a in attrs)
-        names = ("to the right in the grid", "down in the grid") if own_grid else ("east", "north, up")
+        # rows of a grid along the flight count down from its corner
+        is_flight_grid = any("along the flight" in f"{a.get('crs')} {a.get('long_name')}" for a in attrs)
+        names = ("to the right in the grid", "down in the grid") if is_flight_grid else ("east", "north, up")
         units = [f" [{label_for(a['units'])}]" if a.get("units") else "" for a in attrs]
         labels = names[0] + units[0], names[1] + units[1]
-        return Orientation(extent, half_x < 0, own_grid, 1.0, labels)
-    # whole numbers are centres of pixels; a crop keeps those of its line
-    along, across = numbers_of(dataset, ALONG_TRACK), numbers_of(dataset, CROSS_TRACK)
-    extent = (across[0] - 0.5, across[-1] + 0.5, along[0] - 0.5, along[-1] + 0.5)
+        return Orientation(extent, half_x < 0, is_flight_grid, 1.0, labels)
+    # centres of pixels are whole numbers; a crop keeps the line and column numbers of its flight line
+    line_numbers, column_numbers = numbers_of(dataset, ALONG_TRACK), numbers_of(dataset, CROSS_TRACK)
+    extent = (
+        column_numbers[0] - 0.5,
+        column_numbers[-1] + 0.5,
+        line_numbers[0] - 0.5,
+        line_numbers[-1] + 0.5,
+    )
     labels = "cross_track [column]", "along_track [line], flown upwards"
     steps = _ground_steps(dataset)
     if steps is not None:
@@ -78,7 +83,7 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
         mirrored = right[0] * forward[1] - right[1] * forward[0] < 0.0
         aspect = float(np.hypot(*forward) / np.hypot(*right))
         return Orientation(extent, bool(mirrored), False, aspect, labels)
-    # the column order that the look angles imply, as `locate` uses them, else the declared one
+    # column order from the look angles, as in `locate`, else the declared column order
     slope = 0.0
     if "look_across" in dataset.variables and dataset["look_across"].dims == (CROSS_TRACK,):
         slope = _mean_step(dataset["look_across"].values)
@@ -89,7 +94,7 @@ def orientation_of(dataset: xr.Dataset) -> Orientation:
 
 
 def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
-    # (east, north) of one step along and one step across the track [m]; None where unknown
+    # (east, north) of a step along and a step across the track [m]; None where unknown
     if not all(
         name in dataset.coords and set(dataset[name].dims) == {ALONG_TRACK, CROSS_TRACK}
         for name in ("east", "north")
@@ -98,12 +103,12 @@ def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
     lines, columns = dataset.sizes[ALONG_TRACK], dataset.sizes[CROSS_TRACK]
     if lines < 2 or columns < 2:
         return None
-    # along the middle column and across the middle line: nothing else is computed
-    middle_column = dataset[["east", "north"]].isel({CROSS_TRACK: columns // 2}).compute()
-    middle_line = dataset[["east", "north"]].isel({ALONG_TRACK: lines // 2}).compute()
+    # computed along the central column and across the central line only
+    central_column = dataset[["east", "north"]].isel({CROSS_TRACK: columns // 2}).compute()
+    central_line = dataset[["east", "north"]].isel({ALONG_TRACK: lines // 2}).compute()
     steps = [
-        np.array([_mean_step(part[name].values) for name in ("east", "north")])
-        for part in (middle_column, middle_line)
+        np.array([_mean_step(positions[name].values) for name in ("east", "north")])
+        for positions in (central_column, central_line)
     ]
     if not all(np.isfinite(step).all() and np.hypot(*step) > 0.0 for step in steps):
         return None
@@ -111,22 +116,22 @@ def _ground_steps(dataset: xr.Dataset) -> tuple[Array, Array] | None:
 
 
 def _mean_step(values: Array) -> float:
-    # of neighbours between the first and the last finite value
+    # mean step between neighbours, from the first to the last finite value
     places = np.flatnonzero(np.isfinite(values))
     if places.size < 2:
         return float("nan")
     return float((values[places[-1]] - values[places[0]]) / (places[-1] - places[0]))
 
 
-def laid_down(picture: Array, orientation: Orientation) -> Array:
+def flown_right(picture: Array, orientation: Orientation) -> Array:
     """Return a picture (line, column, ...) as (row, line, ...) with the flight to the right."""
-    # flown to the right, the columns to the right of the flight are the lower ones
+    # the flight is to the right, so that columns on its right side are below
     return np.asarray((picture[:, ::-1] if orientation.is_mirrored else picture).swapaxes(0, 1))
 
 
 def show_picture(axes: Any, picture: Array, orientation: Orientation, **options: Any) -> Any:
     """Show a picture (line, column, ...) on axes, in pixels of the line or metres of the map."""
-    shown = axes.imshow(
+    image = axes.imshow(
         picture,
         origin="lower",
         extent=orientation.extent,
@@ -134,9 +139,9 @@ def show_picture(axes: Any, picture: Array, orientation: Orientation, **options:
         interpolation="nearest",
         **options,
     )
-    across, upwards = orientation.limits
-    axes.set(xlim=across, ylim=upwards, xlabel=orientation.labels[0], ylabel=orientation.labels[1])
+    horizontal, vertical = orientation.limits
+    axes.set(xlim=horizontal, ylim=vertical, xlabel=orientation.labels[0], ylabel=orientation.labels[1])
     axes.ticklabel_format(useOffset=False, style="plain")
     axes.tick_params(labelsize="small")
     axes.locator_params(axis="x", nbins=4)  # easting has six digits
-    return shown
+    return image

@@ -1,4 +1,4 @@
-"""The card of a paint: its place, the pixels left out, and its signature with the 95 % interval."""
+"""The card of a paint: its region, the excluded pixels, and its signature with the 95 % interval."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
 from .orientation import orientation_of, show_picture
 from .plot import flag_label, percent, rgb
-from .plot_flags import FLAG_COLOURS, draw_outlines
-from .plot_spectra import draw_band, draw_curve, find_usable, good_of, styles_of
+from .plot_flags import draw_outlines
+from .plot_spectra import draw_band, draw_curve, find_usable, good_bands, styles_of
 
-MARGIN = 0.6  # around a region, relative to its longer side
+MARGIN = 0.6  # margin drawn around a region, relative to the longer side of the region
 MIN_MARGIN_PX = 14
 COVERAGE = 1.96  # standard uncertainties in half of a 95 % interval
 _CHARS_PER_INCH = 14.0  # of small text
@@ -40,9 +40,9 @@ def paint_card(
 ) -> Any:
     r"""Draw one paint of a library on the flight line it was measured on.
 
-    The card shows the surroundings in true colour with the region; the flags there, and the pixels used for
-    the signature; the signature with the middle half of its pixels and its 95 % interval; and the reasons
-    that the region states. Eager: only the lines around the region are read.
+    The card shows the surroundings in true colour with the region; flags of the surroundings, and the pixels
+    used for the signature; the signature with the middle half of its pixels and its 95 % interval; and the
+    reasons stored with the region. Eager: only the lines around the region are read.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def paint_card(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        The library is no paint library or has no such paint; the paint has no region in sensor coordinates,
-        or the region no pixel of this line; or matplotlib cannot write this type of picture.
+        The library is no paint library or lacks the paint; the paint has no region in sensor coordinates, or
+        the region contains no pixel of this line; or matplotlib cannot write this type of picture.
 
     Notes
     -----
@@ -82,15 +82,15 @@ def paint_card(
     >>> len(paint_card(line, paints, "grass").axes)
     4
     """
-    line, (signature, colour) = schema.rename_to_roles(line), _paint_of(library, paint)
-    region = _region_of(signature)
-    around, inside = _surroundings(line, region)
+    line, (signature, colour) = schema.rename_to_roles(line), _find_paint(library, paint)
+    region = _paint_region(signature)
+    surroundings, in_region = _surroundings(line, region)
     is_wide = columns_for(width, 3.0, 3) == 3
-    # name, kind and finish of the paint, and the reasons that its region states
-    facts = region.properties
+    # name, kind and finish of the paint, and the reasons stored with its region
+    properties = region.properties
     head = [label_for(signature[SIGNATURE].item())]
-    head += [label_for(facts[name]) for name in ("kind", "finish") if facts.get(name)]
-    reasons, chars = facts.get("reasons", ()), int(_CHARS_PER_INCH * (width - 0.3))
+    head += [label_for(properties[name]) for name in ("kind", "finish") if properties.get(name)]
+    reasons, chars = properties.get("reasons", ()), int(_CHARS_PER_INCH * (width - 0.3))
     reasons = reasons if isinstance(reasons, list | tuple) else ()
     text = label_for("; ".join(map(str, reasons)), longest=6 * chars)
     lines_of_text = ["  |  ".join(head), *textwrap.wrap(text, chars)]
@@ -105,21 +105,25 @@ def paint_card(
     plots = figure.subplot_mosaic(mosaic, **ratios)
     plots["text"].set_axis_off()
     plots["text"].text(0.0, 1.0, "\n".join(lines_of_text), fontsize="small", va="top", in_layout=False)
-    show_picture(plots["place"], np.asarray(rgb(around).values), orientation_of(around))
+    show_picture(plots["place"], np.asarray(rgb(surroundings).values), orientation_of(surroundings))
     draw_outlines(plots["place"], [region], width=1.2, named=False)
     plots["place"].set_title("region on the flight line", fontsize="small", loc="left")
     # flags that the library excluded
     names = set(str(library.attrs.get("exclude", "")).split())
     excluded = sum(int(flag) for flag in Quality if str(flag.name).lower() in names)
     _draw_exclusions(
-        plots["used"], around, inside, region, excluded_of(region, excluded if names else int(EXCLUDED))
+        plots["used"],
+        surroundings,
+        in_region,
+        region,
+        excluded_of(region, excluded if names else int(EXCLUDED)),
     )
     _draw_signature(plots["signature"], signature, colour)
     save_figure(figure, path)
     return figure
 
 
-def _region_of(paint: xr.Dataset) -> Region:
+def _paint_region(paint: xr.Dataset) -> Region:
     name = str(paint[SIGNATURE].item())
     if "region" not in paint.variables or not str(paint["region"].item()):
         raise SchemaError(
@@ -134,7 +138,7 @@ def _region_of(paint: xr.Dataset) -> Region:
     return regions_from(json.loads(str(paint["region"].item())))[0]
 
 
-def _paint_of(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
+def _find_paint(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
     usable, _ = find_usable(library)
     if "reflectance" not in usable.variables or SIGNATURE not in usable["reflectance"].dims:
         raise SchemaError(
@@ -147,55 +151,55 @@ def _paint_of(library: xr.Dataset, paint: str) -> tuple[xr.Dataset, Array]:
         raise SchemaError(
             f"there is no paint {paint!r}", expected=", ".join(names[:20]), code="paint-unknown"
         )
-    chosen = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
-    return chosen.isel({SIGNATURE: 0}), np.asarray(paint_colours(chosen)[0])
+    selection = usable.isel({SIGNATURE: [names.index(paint)]}).compute()
+    return selection.isel({SIGNATURE: 0}), np.asarray(paint_colours(selection)[0])
 
 
 def _surroundings(line: xr.Dataset, region: Region) -> tuple[xr.Dataset, Bools]:
-    # lines and columns around the region, and the pixels inside (line, column)
-    ((along, across),) = pixels_of(Regions((region,)), line)
-    if not along.size:
-        raise SchemaError(f"region {region.name!r} holds no pixel of this line", code="region-empty")
-    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(along), np.ptp(across)) + 1)))
+    # crop of the line around the region, and which of its pixels (line, column) are in the region
+    ((line_indices, column_indices),) = pixels_of(Regions((region,)), line)
+    if not line_indices.size:
+        raise SchemaError(f"region {region.name!r} contains no pixel of this line", code="region-empty")
+    margin = max(MIN_MARGIN_PX, int(MARGIN * (max(np.ptp(line_indices), np.ptp(column_indices)) + 1)))
     rows, columns = (
         slice(max(int(places.min()) - margin, 0), int(places.max()) + margin + 1)
-        for places in (along, across)
+        for places in (line_indices, column_indices)
     )
     cropped = line.isel({ALONG_TRACK: rows, CROSS_TRACK: columns})
     shape = cropped.sizes[ALONG_TRACK], cropped.sizes[CROSS_TRACK]
-    inside = np.zeros(shape, bool)
-    inside[along - rows.start, across - columns.start] = True
-    # whole numbers are centres of pixels, also of a line without coordinates
+    in_region = np.zeros(shape, bool)
+    in_region[line_indices - rows.start, column_indices - columns.start] = True
+    # centres of pixels have their numbers in the line, also if the line has no coordinates
     numbers = {
         dim: np.arange(span.start, span.start + size)
         for dim, span, size in zip((ALONG_TRACK, CROSS_TRACK), (rows, columns), shape, strict=True)
         if dim not in cropped.coords
     }
-    return cropped.assign_coords(numbers), inside
+    return cropped.assign_coords(numbers), in_region
 
 
-def _draw_exclusions(axes: Any, around: xr.Dataset, inside: Bools, region: Region, excluded: int) -> None:
+def _draw_exclusions(axes: Any, around: xr.Dataset, in_region: Bools, region: Region, excluded: int) -> None:
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
     orientation = orientation_of(around)
     grey = np.asarray(rgb(around).values).mean(axis=2, keepdims=True)
-    drawn = np.broadcast_to(0.35 + 0.5 * np.nan_to_num(grey), (*inside.shape, 3)).copy()
-    bits = np.zeros(inside.shape, np.uint16)
+    picture = np.broadcast_to(0.35 + 0.5 * np.nan_to_num(grey), (*in_region.shape, 3)).copy()
+    bits = np.zeros(in_region.shape, np.uint16)
     if "quality" in around.variables:
         bits = around["quality"].transpose(ALONG_TRACK, CROSS_TRACK).values
-    used = inside & ((bits & np.uint16(excluded)) == 0)
-    drawn[used] = np.asarray(rgb(around).values)[used]
-    entries = {f"used  {used.sum()} px": Patch(facecolor="none", edgecolor="0.5", lw=0.5)}
-    shares = {flag: float(((bits & int(flag)) != 0)[inside].mean()) for flag in Quality if flag & excluded}
+    is_used = in_region & ((bits & np.uint16(excluded)) == 0)
+    picture[is_used] = np.asarray(rgb(around).values)[is_used]
+    entries = {f"used  {is_used.sum()} px": Patch(facecolor="none", edgecolor="0.5", lw=0.5)}
+    shares = {flag: float(((bits & int(flag)) != 0)[in_region].mean()) for flag in Quality if flag & excluded}
     for flag, share in sorted(shares.items(), key=lambda pair: -pair[1]):
-        here = (bits & int(flag)) != 0
-        if not here.any():
+        has_flag = (bits & int(flag)) != 0
+        if not has_flag.any():
             continue
-        drawn[here] = to_rgb(FLAG_COLOURS[flag])
+        picture[has_flag] = to_rgb(flag.colour)
         name = f"{flag_label(flag)}  {percent(share) if share else 'outside only'}"
-        entries[name] = Patch(facecolor=FLAG_COLOURS[flag], edgecolor="0.5", lw=0.5)
-    show_picture(axes, drawn, orientation)
+        entries[name] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
+    show_picture(axes, picture, orientation)
     axes.set(ylabel="")
     draw_outlines(axes, [region], width=1.2, named=False)
     axes.set_title("pixels used, and excluded pixels by flag", fontsize="small", loc="left")
@@ -203,16 +207,18 @@ def _draw_exclusions(axes: Any, around: xr.Dataset, inside: Bools, region: Regio
 
 
 def _draw_signature(axes: Any, signature: xr.Dataset, colour: Array) -> None:
-    wavelength, is_good = np.asarray(signature["wavelength"].values), good_of(signature)
-    centre = np.where(is_good, signature["reflectance"].values, np.nan)
+    wavelength, is_good = np.asarray(signature["wavelength"].values), good_bands(signature)
+    reflectance = np.where(is_good, signature["reflectance"].values, np.nan)
     interval = _interval(signature)
     (style,) = styles_of(colour[np.newaxis])
     if interval is not None:
         for sign, label in ((-1, "95 % interval"), (1, None)):
-            axes.plot(wavelength, centre + sign * interval, color=ink_of(axes), lw=0.8, ls=":", label=label)
+            axes.plot(
+                wavelength, reflectance + sign * interval, color=ink_of(axes), lw=0.8, ls=":", label=label
+            )
     draw_band(axes, signature, wavelength, is_good, "quantiles", style["color"])
     count = f", n = {int(signature['n'])}" if "n" in signature.variables else ""
-    draw_curve(axes, wavelength, centre, style, f"signature{count}")
+    draw_curve(axes, wavelength, reflectance, style, f"signature{count}")
     axes.set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]")
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     axes.spines[["top", "right"]].set_visible(False)
@@ -221,21 +227,21 @@ def _draw_signature(axes: Any, signature: xr.Dataset, colour: Array) -> None:
 
 
 def _interval(signature: xr.Dataset) -> Array | None:
-    # half of the 95 % interval (band,) [1]; None without stated uncertainty
+    # half width of the 95 % interval (band,) [1]; None if the library has no uncertainty
     names = ["reflectance_u_random", "reflectance_u_systematic"]
     if "reflectance_u_coat" in signature.variables and not (
         names[1] in signature.variables and np.isfinite(signature[names[1]]).any()
     ):
-        names[1] = "reflectance_u_coat"  # part of the systematic uncertainty where that is known
-    parts = [
+        names[1] = "reflectance_u_coat"  # already a part of the systematic uncertainty if that is known
+    uncertainties = [
         np.nan_to_num(signature[name].values.astype(np.float64))
         for name in names
         if name in signature.variables
     ]
     if "level_uncertainty" in signature.variables and np.isfinite(signature["level_uncertainty"].item()):
-        parts.append(
+        uncertainties.append(
             float(signature["level_uncertainty"]) * signature["reflectance"].values.astype(np.float64)
         )
-    if not parts or not any(part.any() for part in parts):
+    if not uncertainties or not any(u.any() for u in uncertainties):
         return None
-    return np.asarray(COVERAGE * np.sqrt(sum(part**2 for part in parts)))
+    return np.asarray(COVERAGE * np.sqrt(sum(u**2 for u in uncertainties)))

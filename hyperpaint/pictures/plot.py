@@ -22,7 +22,7 @@ from .figures import columns_for, ink_of, label_for, legend_below, new_figure, s
 from .orientation import map_dims, orientation_of, show_picture
 
 OVERVIEW_SHAPE = (1000, 640)  # maximum lines and columns of the stored picture
-STRETCH = (2.0, 98.0)
+STRETCH = (2.0, 98.0)  # percentiles of brightness shown black and white
 
 
 def rgb(
@@ -30,8 +30,8 @@ def rgb(
 ) -> xr.DataArray:
     """Return a true-colour picture: reflectance through the CIE 1931 observer to sRGB.
 
-    A line without irradiance shows radiance, a raw cube its counts: a preview only, since these have the
-    colour of the light and of the camera too. ``long_name`` of the picture names the quantity.
+    Without irradiance the picture shows radiance, and of a raw cube the counts: only a preview, because these
+    also have the colour of the light and of the camera. ``long_name`` of the picture names the quantity.
 
     Lazy; computing it reads every band between 380 and 780 nm.
 
@@ -41,26 +41,26 @@ def rgb(
         A flight line with ``reflectance``, or with the variables to compute it, or a raw cube, and
         ``wavelength`` (band).
     stretch
-        Percentiles of brightness shown black and white, found in at most 64 lines; (0, 100) shows
-        reflectance from 0 to 1, radiance and counts from their lowest to their highest value.
+        Percentiles of brightness shown black and white, taken over about 64 lines; (0, 100) shows reflectance
+        from 0 to 1, radiance and counts from minimum to maximum.
     lines
-        Maximum picture height [lines]; longer flight lines are subsampled; all lines by default. Where the
-        stored overview has enough lines and the stretch is the default, it is read instead of the cube; the
-        attribute ``level`` names the source. A dataset without a cube shows its overview.
+        Maximum picture height [lines]; longer flight lines are subsampled; all lines by default. With the
+        default stretch, a stored overview with enough lines is read instead of the cube; the attribute
+        ``level`` names the source. A dataset without a cube shows its overview.
 
     Returns
     -------
     (along_track, cross_track, rgb), float32
         sRGB from 0 to 1, with the coordinates of the pixels; for a map (y, x, rgb), with its ``spatial_ref``.
-        Saturated pixels are white: some bands have no value, or none has and ``quality`` is saturated. Other
-        pixels without any value are black. The array is named ``true_colour``; dim ``rgb`` has the labels
-        ``red``, ``green``, ``blue``: ``picture.hvplot.rgb(x="x", y="y", bands="rgb")``,
+        Saturated pixels are white: some of their bands have no value, or no band has one and ``quality`` is
+        saturated. Other pixels without a value are black. The array is named ``true_colour``; dim ``rgb`` has
+        the labels ``red``, ``green``, ``blue``: ``picture.hvplot.rgb(x="x", y="y", bands="rgb")``,
         ``picture.transpose("rgb", "y", "x").rio.to_raster(...)``.
 
     Raises
     ------
     SchemaError
-        There is no cube, or there are no visible bands.
+        There is no cube, or there are fewer than three visible bands.
 
     Examples
     --------
@@ -78,20 +78,20 @@ def rgb(
     has_cube = bool({"reflectance", "counts", "radiance", "values"} & set(dataset.variables))
     if lines is not None or not has_cube:
         step = max(1, -(-dataset.sizes.get(schema.ALONG_TRACK, 1) // lines)) if lines else None
-        stored = stored_picture(dataset, step, at_most=True) if stretch == STRETCH else None
-        if stored is not None:
-            return stored
+        picture_of_store = stored_picture(dataset, step, at_most=True) if stretch == STRETCH else None
+        if picture_of_store is not None:
+            return picture_of_store
         if has_cube and step:
-            few = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
-            return rgb(few, stretch=stretch).assign_attrs(level=_level_text("cube", step, 1))
+            subsample = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
+            return rgb(subsample, stretch=stretch).assign_attrs(level=_level_text("cube", step, 1))
     dataset, shown_name = with_shown_cube(dataset)
     cube = dataset[shown_name]
     wavelength = schema.require(dataset, ["wavelength"], "a true-colour picture")["wavelength"].values
     visible = visible_bands(wavelength)
     shift = None
     if "wavelength_shift" in dataset.variables:
-        stored = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
-        shift = (stored.isel({schema.BAND: visible}) if schema.BAND in stored.dims else stored).values
+        shifts = schema.require(dataset, ["wavelength_shift"], "a true-colour picture")["wavelength_shift"]
+        shift = (shifts.isel({schema.BAND: visible}) if schema.BAND in shifts.dims else shifts).values
     source = cube.isel({schema.BAND: visible})
     if source.chunks is not None:
         source = source.chunk({schema.BAND: -1, schema.CROSS_TRACK: -1})
@@ -106,29 +106,30 @@ def rgb(
         output_dtypes=[np.float32],
         dask_gufunc_kwargs={"output_sizes": {"rgb": 3}},
     ).drop_vars(["wavelength", "fwhm", "good", "wavelength_shift"], errors="ignore")
-    own_dims = map_dims(cube)
+    renamed_dims = map_dims(cube)
     dims = [dim for dim in source.dims if dim != schema.BAND]
     is_absolute = shown_name == "reflectance" and stretch == (0.0, 100.0)
-    low, high = (np.float32(0.0), np.float32(1.0)) if is_absolute else _levels(linear, dims[0], stretch)
-    shown = ((linear - low) / np.maximum(high - low, np.float32(1e-6))).clip(0.0, 1.0)
+    black, white = (np.float32(0.0), np.float32(1.0)) if is_absolute else _levels(linear, dims[0], stretch)
+    scaled = ((linear - black) / np.maximum(white - black, np.float32(1e-6))).clip(0.0, 1.0)
     if "quality" in dataset.variables and set(dataset["quality"].dims) == set(dims):
         saturated = (dataset["quality"].reset_coords(drop=True) & schema.Quality.SATURATED.value) != 0
-        empty = (linear == 0.0).all("rgb").reset_coords(drop=True)
-        shown = shown.where(~(saturated & empty), np.float32(1.0))
+        is_black = (linear == 0.0).all("rgb").reset_coords(drop=True)
+        scaled = scaled.where(~(saturated & is_black), np.float32(1.0))
     picture: xr.DataArray = xr.apply_ufunc(
-        encode_srgb, shown, dask="parallelized", output_dtypes=[np.float32]
+        encode_srgb, scaled, dask="parallelized", output_dtypes=[np.float32]
     )
     picture = picture.transpose(*dims, "rgb").rename("true_colour")
-    axes = {name: (name, cube[name].values, cube[name].attrs) for name in own_dims.values()}
-    picture = picture.drop_vars(list(axes)).rename(own_dims).assign_coords(axes)
+    axes = {name: (name, cube[name].values, cube[name].attrs) for name in renamed_dims.values()}
+    picture = picture.drop_vars(list(axes)).rename(renamed_dims).assign_coords(axes)
     picture = picture.assign_coords(rgb=("rgb", ["red", "green", "blue"]))
-    of = {
+    titles = {
         "reflectance": "True colour",
         "radiance": "Colours of radiance",
         "counts": "Colours of raw counts",
-    }.get
+        "values": "Colours of values",
+    }
     picture.attrs = {
-        "long_name": f"{of(shown_name, 'Colours of values')} (sRGB)",
+        "long_name": f"{titles[shown_name]} (sRGB)",
         "stretch": f"{stretch[0]:g} to {stretch[1]:g} %",
     }
     for entries in (cube.attrs, cube.encoding):
@@ -138,7 +139,7 @@ def rgb(
 
 
 def visible_bands(wavelength: Array) -> Array:
-    """Return the numbers of the visible bands; SchemaError for fewer than three."""
+    """Return the indices of the visible bands; SchemaError for fewer than three."""
     visible = np.flatnonzero((wavelength > 380) & (wavelength < 780))
     if visible.size < 3:
         raise SchemaError(
@@ -150,7 +151,7 @@ def visible_bands(wavelength: Array) -> Array:
 
 
 def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
-    """Return a line with the cube that pictures show, and its name: reflectance, else radiance, counts."""
+    """Return a line with the cube to show, and its name: reflectance, else radiance, else counts."""
     names = set(dataset.variables)
     if "reflectance" in names:
         return dataset, "reflectance"
@@ -164,27 +165,27 @@ def with_shown_cube(dataset: xr.Dataset) -> tuple[xr.Dataset, str]:
 
 
 def stored_picture(dataset: xr.Dataset, step: int | None, *, at_most: bool = False) -> xr.DataArray | None:
-    """Return the stored overview, thinned to about every ``step``-th line, as `rgb` returns pictures.
+    """Return the stored overview, subsampled to about every ``step``-th line, in the form of `rgb`.
 
-    None without an overview, for a part of a line, whose overview shows the whole, or if the overview has
-    fewer lines than wanted. With ``step`` None all its lines. ``at_most``: rather fewer lines than more.
+    None without an overview, for a crop of a line, or if the overview has fewer lines than requested. With
+    ``step`` None all lines are returned. ``at_most``: the step is rounded up instead of down.
     """
     row = schema.VARIABLES["overview"]
     if "overview" not in dataset.variables or set(dataset["overview"].dims) != set(row.dims):
         return None
-    stored = dataset["overview"].transpose(*row.dims)
-    every = [stored.attrs.get(name) for name in ("line_step", "column_step")]
-    steps = [int(number) if isinstance(number, int | np.integer) else 0 for number in every]
-    # a part of a line still has the picture of the whole
+    overview = dataset["overview"].transpose(*row.dims)
+    attrs = [overview.attrs.get(name) for name in ("line_step", "column_step")]
+    steps = [int(number) if isinstance(number, int | np.integer) else 0 for number in attrs]
+    # a crop keeps the overview of its complete line, whose shape differs
     sizes = [dataset.sizes.get(dim, 0) for dim in (schema.ALONG_TRACK, schema.CROSS_TRACK)]
-    held = [-(-size // number) for size, number in zip(sizes, steps, strict=True) if number > 0 and size]
-    if min(steps) < 1 or any(a != b for a, b in zip(held, stored.shape, strict=False)):
+    shape = [-(-size // number) for size, number in zip(sizes, steps, strict=True) if number > 0 and size]
+    if min(steps) < 1 or any(a != b for a, b in zip(shape, overview.shape, strict=False)):
         return None
     if step is not None and steps[0] > step:
         return None
-    times = 1 if step is None else -(-step // steps[0]) if at_most else step // steps[0]
-    values = stored[::times].astype(np.float32) / np.float32(255.0)
-    every_line, every_column = steps[0] * times, steps[1]
+    stride = 1 if step is None else -(-step // steps[0]) if at_most else step // steps[0]
+    values = overview[::stride].astype(np.float32) / np.float32(255.0)
+    every_line, every_column = steps[0] * stride, steps[1]
     picture = xr.DataArray(
         values.data,
         {"rgb": ["red", "green", "blue"]},
@@ -208,23 +209,23 @@ def _level_text(source: str, lines: int, columns: int) -> str:
 
 
 def linear_srgb(values: Array, *, weights: Array) -> Array:
-    """Return linear sRGB of spectra (..., band, column); a missing band of a lit pixel is over-bright."""
+    """Return linear sRGB (..., column, 3) of spectra (..., band, column); missing bands make pixels white."""
     *lines, bands, columns = values.shape
-    out = np.empty((math.prod(lines), columns, 3), np.float32)
+    colours = np.empty((math.prod(lines), columns, 3), np.float32)
     cube = np.ascontiguousarray(values, np.float32).reshape(-1, bands, columns)
-    mix_bands(cube, np.ascontiguousarray(np.broadcast_to(weights, (3, bands, columns))), out)
-    return out.reshape(*lines, columns, 3)
+    mix_bands(cube, np.ascontiguousarray(np.broadcast_to(weights, (3, bands, columns))), colours)
+    return colours.reshape(*lines, columns, 3)
 
 
 def _levels(linear: xr.DataArray, lines: Any, stretch: tuple[float, float]) -> tuple[Any, Any]:
-    # brightness of black and white (lazy), from at most some 64 lines
-    some = linear.isel({lines: slice(None, None, max(1, linear.sizes[lines] // 64))})
-    if some.chunks is not None:
-        some = some.chunk(-1)
+    # brightness shown black and white (lazy), from about 64 lines
+    sample = linear.isel({lines: slice(None, None, max(1, linear.sizes[lines] // 64))})
+    if sample.chunks is not None:
+        sample = sample.chunk(-1)
     levels = xr.apply_ufunc(
         _percentiles,
-        some.transpose(..., "rgb"),
-        input_core_dims=[list(some.dims)],
+        sample.transpose(..., "rgb"),
+        input_core_dims=[list(sample.dims)],
         kwargs={"stretch": stretch},
         output_core_dims=[["level"]],
         dask="parallelized",
@@ -240,26 +241,24 @@ def _percentiles(picture: Array, *, stretch: tuple[float, float]) -> Array:
 
 
 def overview(dataset: xr.Dataset) -> xr.DataArray | None:
-    """Return a small true-colour picture of a flight line to be stored beside it.
+    """Return a small true-colour picture of a flight line to be stored, (overview_y, overview_x, rgb).
 
-    Lazy, from the slabs that are written, so that no cube is read twice. (overview_y, overview_x, rgb) uint8,
-    at most `OVERVIEW_SHAPE`; None without three visible bands.
+    Lazy, computed from the slabs being written, so that a cube is read once. uint8, at most `OVERVIEW_SHAPE`;
+    None with fewer than three visible bands.
     """
-    along, across = schema.ALONG_TRACK, schema.CROSS_TRACK
-    steps = {
-        dim: -(-dataset.sizes[dim] // most) for dim, most in zip((along, across), OVERVIEW_SHAPE, strict=True)
-    }
-    shown = [name for name in ("reflectance", "quality") if name in dataset.variables]
-    few = dataset[shown].isel({dim: slice(None, None, step) for dim, step in steps.items()})
+    dims = schema.ALONG_TRACK, schema.CROSS_TRACK
+    steps = {dim: -(-dataset.sizes[dim] // size) for dim, size in zip(dims, OVERVIEW_SHAPE, strict=True)}
+    names = [name for name in ("reflectance", "quality") if name in dataset.variables]
+    subsample = dataset[names].isel({dim: slice(None, None, step) for dim, step in steps.items()})
     try:
-        picture = rgb(few)
+        picture = rgb(subsample)
     except SchemaError:  # fewer than three visible bands
         return None
     row = schema.VARIABLES["overview"]
-    small = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
-    small = small.drop_vars(list(small.coords)).rename(dict(zip(small.dims, row.dims, strict=True)))
-    small.attrs = {**row.attrs, "line_step": steps[along], "column_step": steps[across]}
-    return small.rename("overview")
+    pixels = (picture * np.float32(255.0) + np.float32(0.5)).astype(np.uint8).reset_coords(drop=True)
+    pixels = pixels.drop_vars(list(pixels.coords)).rename(dict(zip(pixels.dims, row.dims, strict=True)))
+    pixels.attrs = {**row.attrs, "line_step": steps[dims[0]], "column_step": steps[dims[1]]}
+    return pixels.rename("overview")
 
 
 @documented(path="picture")
@@ -288,7 +287,7 @@ def quicklook(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        There is no reflectance and no variables to compute it; or matplotlib cannot write this type of
+        Reflectance and the variables to compute it are missing; or matplotlib cannot write this type of
         picture.
 
     Examples
@@ -304,9 +303,9 @@ def quicklook(
     dataset = schema.rename_to_roles(dataset)
     if "reflectance" in dataset.variables and "quality" not in dataset.variables:
         dataset = reflectance(dataset)
-    dataset, shown = with_shown_cube(dataset)
+    dataset, cube_name = with_shown_cube(dataset)
     has_flags = "quality" in dataset.variables
-    schema.require(dataset, [shown, *(["quality"] if has_flags else [])], "a quicklook")
+    schema.require(dataset, [cube_name, *(["quality"] if has_flags else [])], "a quicklook")
     step = max(1, dataset.sizes[schema.ALONG_TRACK] // lines)
     orientation = orientation_of(dataset)
     dataset = dataset.isel({schema.ALONG_TRACK: slice(None, None, step)})
@@ -315,15 +314,17 @@ def quicklook(
     heights = (1.3, 1.0, 1.0) if is_wide else (2.0, 1.0, 1.0, 1.0)
     plots = figure.subplot_mosaic(mosaic, height_ratios=heights)
     show_picture(plots["picture"], rgb(dataset).values, orientation)
-    every = f", every {step}th line" if step > 1 else ""
+    line_text = f", every {step}th line" if step > 1 else ""
     name = label_for(dataset.attrs.get("name", "flight line"))
-    plots["picture"].set_title(f"{name}: {'true colour' if shown == 'reflectance' else shown}{every}")
+    plots["picture"].set_title(
+        f"{name}: {'true colour' if cube_name == 'reflectance' else cube_name}{line_text}"
+    )
     if has_flags:
         _draw_flags(plots["flags"], flags_of(dataset))
     else:
         plots["flags"].set_axis_off()
     draw_irradiance(plots["light"], dataset)
-    draw_spread(plots["spectra"], dataset, shown)
+    draw_spread(plots["spectra"], dataset, cube_name)
     save_figure(figure, path)
     return figure
 
@@ -342,7 +343,7 @@ def flag_label(flag: schema.Quality) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share as text; a share above 0 never reads 0 %, a share below 1 never reads 100 %.
+    """Return a share as text in per cent; 0 % and 100 % stand only for exactly 0 and 1.
 
     Examples
     --------
@@ -359,8 +360,8 @@ def percent(share: float) -> str:
 def _draw_flags(axes: Any, quality: Array) -> None:
     shares = schema.flag_shares(quality)
     names = [name.replace("_", " ") for name in schema.flag_names(sum(shares))] or ["no flag set"]
-    bars = axes.barh(names, [100 * part for part in shares.values()] or [0.0], height=0.6, color="#b5543c")
-    axes.bar_label(bars, [f" {percent(part)}" for part in shares.values()] or [""], fontsize="small")
+    bars = axes.barh(names, [100 * share for share in shares.values()] or [0.0], height=0.6, color="#b5543c")
+    axes.bar_label(bars, [f" {percent(share)}" for share in shares.values()] or [""], fontsize="small")
     axes.set(title="flags", xlabel="share of pixels [%]", ylim=(max(len(names), 8) - 0.4, -0.6))
     axes.set_xlim(0, 1.3 * axes.get_xlim()[1])
 
@@ -374,7 +375,7 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
     moments = series.coords.get(schema.IRRADIANCE_TIME)
     if moments is None or not moments.size or moments.dtype.kind != "M":
         raise SchemaError(
-            "a picture of irradiance needs the coordinate irradiance_time, with one moment or more",
+            "a picture of irradiance needs the coordinate irradiance_time with at least one time",
             code="variable-missing",
         )
     series = series.compute()
@@ -387,9 +388,9 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
                 seconds, series.values[:, np.abs(samples - nm).argmin()], color=colour, label=f"{nm:.0f} nm"
             )
     times = dataset["time"].values if "time" in dataset.coords else np.empty(0, "datetime64[ns]")
-    flown = (times[~np.isnat(times)] - start) / np.timedelta64(1, "s")
-    if flown.size:
-        axes.axvspan(flown.min(), flown.max(), color=ink_of(axes, 0.15), zorder=0, label="line")
+    line_seconds = (times[~np.isnat(times)] - start) / np.timedelta64(1, "s")
+    if line_seconds.size:
+        axes.axvspan(line_seconds.min(), line_seconds.max(), color=ink_of(axes, 0.15), zorder=0, label="line")
     day, _, clock = str(start)[:19].partition("T")
     axes.set(title=f"irradiance, {day}", xlabel=f"time after {clock} UTC [s]")
     axes.set_ylabel("irradiance [W m$^{-2}$ nm$^{-1}$]")
@@ -399,15 +400,17 @@ def draw_irradiance(axes: Any, dataset: xr.Dataset) -> None:
 
 def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> None:
     """Draw the quantiles of a cube over the pixels, band by band."""
-    some = dataset[name].isel(
+    sample = dataset[name].isel(
         {schema.ALONG_TRACK: slice(None, None, max(1, dataset.sizes[schema.ALONG_TRACK] // 50))}
     )
-    values = some.transpose(..., schema.BAND).astype(np.float32).values.reshape(-1, some.sizes[schema.BAND])
-    parts = known_quantiles(values, (0.05, 0.25, 0.5, 0.75, 0.95))
+    values = (
+        sample.transpose(..., schema.BAND).astype(np.float32).values.reshape(-1, sample.sizes[schema.BAND])
+    )
+    quantiles = finite_quantiles(values, (0.05, 0.25, 0.5, 0.75, 0.95))
     wavelength = dataset["wavelength"].values
-    axes.fill_between(wavelength, parts[0], parts[4], color=ink_of(axes, 0.12), label="5 to 95 %")
-    axes.fill_between(wavelength, parts[1], parts[3], color=ink_of(axes, 0.3), label="middle half")
-    axes.plot(wavelength, parts[2], color=ink_of(axes, 0.9), label="median")
+    axes.fill_between(wavelength, quantiles[0], quantiles[4], color=ink_of(axes, 0.12), label="5 to 95 %")
+    axes.fill_between(wavelength, quantiles[1], quantiles[3], color=ink_of(axes, 0.3), label="middle half")
+    axes.plot(wavelength, quantiles[2], color=ink_of(axes, 0.9), label="median")
     units = label_for(dataset[name].attrs.get("units", "count"))
     unit = "reflectance factor [1]" if name == "reflectance" else f"{name} [{units}]"
     axes.set(title=f"{name} of all pixels", xlabel="wavelength [nm]", ylabel=unit)
@@ -415,15 +418,15 @@ def draw_spread(axes: Any, dataset: xr.Dataset, name: str = "reflectance") -> No
     legend_below(axes)
 
 
-def known_quantiles(values: Array, levels: Sequence[float]) -> Array:
-    """Return quantiles of finite samples (sample, band) as (level, band); NaN in bands without any.
+def finite_quantiles(values: Array, levels: Sequence[float]) -> Array:
+    """Return quantiles (level, band) of finite samples (sample, band); NaN in bands without a finite sample.
 
     Examples
     --------
-    >>> known_quantiles(np.array([[1.0, np.nan], [3.0, np.nan]]), [0.5])
+    >>> finite_quantiles(np.array([[1.0, np.nan], [3.0, np.nan]]), [0.5])
     array([[ 2., nan]])
     """
-    parts = np.full((len(levels), values.shape[1]), np.nan)
-    is_known = np.isfinite(values).any(axis=0)
-    parts[:, is_known] = np.nanquantile(values[:, is_known], levels, axis=0)
-    return parts
+    quantiles = np.full((len(levels), values.shape[1]), np.nan)
+    has_value = np.isfinite(values).any(axis=0)
+    quantiles[:, has_value] = np.nanquantile(values[:, has_value], levels, axis=0)
+    return quantiles

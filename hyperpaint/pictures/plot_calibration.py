@@ -20,14 +20,14 @@ from .figures import axes_width, check_picture, columns_for, ink_of, legend_belo
 
 Values = dict[str, Any]
 
-# of Okabe and Ito's palette for colour-blind readers
+# colours of Okabe and Ito for colour-blind readers
 _BLUE, _VERMILION = "#3399DD", "#D55E00"
 _UNTRUSTED = "#E69F00"
 
-_NARROW_INCH = 4.4  # colour bars of narrower axes stand below them
+_NARROW_INCH = 4.4  # width of axes below which their colour bar is below them
 _LAMP_LINES_SHOWN = 5
-_PARTS = ("random", "systematic")
-_MAX_CURVES = 200  # columns drawn in one axes
+_UNCERTAINTIES = ("random", "systematic")
+_MAX_CURVES = 200  # maximum number of columns drawn in one plot
 
 _DIMS: dict[str, tuple[str, ...]] = {
     "wavelength": (BAND,),
@@ -67,7 +67,7 @@ def calibration_report(
         only the fits are drawn.
     path
     column
-        Column of the lamp lines shown and of the highlighted curve; by default the centre of the lit columns.
+        Column whose lamp lines are shown and whose curve is highlighted; by default the central lit column.
     width
         Width of the figure [inch]; each of the six plots takes 4.5.
 
@@ -80,8 +80,8 @@ def calibration_report(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        The calibration does not come from a sweep, the sweep is a part or belongs to another camera, there is
-        no such column, or matplotlib cannot write this type of picture.
+        The calibration does not come from a sweep, the sweep has other sizes than its calibration, ``column``
+        is outside the camera, or matplotlib cannot write this type of picture.
 
     Examples
     --------
@@ -97,11 +97,11 @@ def calibration_report(
         check_picture(Path(path))
     values = _values(calibration, sweep, column)
     figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.08)
-    trusted, good = values["line_trusted"], values["good"]
+    is_trusted, is_good = values["line_trusted"], values["good"]
     facts = [
         str(calibration.attrs.get("sweep", "lab sweep")),
-        f"{int(trusted.any(axis=1).sum())} of {len(trusted)} steps used",
-        f"{int(good.sum())} of {good.size} bands have a gain",
+        f"{int(is_trusted.any(axis=1).sum())} of {len(is_trusted)} steps used",
+        f"{int(is_good.sum())} of {is_good.size} bands have a gain",
         f"line shape {calibration.attrs['srf_shape']}, FWHM {np.nanmedian(values['fwhm']):.2f} nm",
         f"smile {np.ptp(values['wavelength_shift']):.2f} nm",
     ]
@@ -110,9 +110,11 @@ def calibration_report(
     heights = (1.3,) + (1.0,) * (rows - 1)  # the first cell holds two axes
     cells = figure.add_gridspec(rows, columns, height_ratios=heights if columns == 1 else None)
     grid = [cells[divmod(number, columns)] for number in range(6)]
-    fits = grid[0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
-    lines = figure.add_subplot(fits[0])
-    _draw_lamp_lines(lines, figure.add_subplot(fits[1], sharex=lines), calibration, sweep, values)
+    fit_cells = grid[0].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.05)
+    lamp_axes = figure.add_subplot(fit_cells[0])
+    _draw_lamp_lines(
+        lamp_axes, figure.add_subplot(fit_cells[1], sharex=lamp_axes), calibration, sweep, values
+    )
     _draw_residuals(figure.add_subplot(grid[1]), values)
     _draw_smile(figure.add_subplot(grid[2]), values)
     _draw_widths(figure.add_subplot(grid[3]), values)
@@ -125,15 +127,15 @@ def calibration_report(
 
 
 def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | None) -> Values:
-    # in the units of the schema; last, the column that stands out
+    # variables in the units of the schema, and the highlighted column
     variables = schema.require(calibration, list(_DIMS), "a calibration report")
     sizes = {dim: calibration.sizes[dim] for dim in (STEP, BAND, CROSS_TRACK)}
     problems = Problems("the calibration report cannot be drawn", SchemaError)
     if sweep is not None and any(sweep.sizes.get(dim) != size for dim, size in sizes.items()):
-        there = {dim: sweep.sizes.get(dim) for dim in sizes}
+        sweep_sizes = {dim: sweep.sizes.get(dim) for dim in sizes}
         problems.add(
-            f"the sweep has sizes {there}, its calibration {sizes}",
-            expected="sizes of one camera",
+            f"the sweep has sizes {sweep_sizes}, its calibration {sizes}",
+            expected="equal sizes",
             code="grid-mismatch",
         )
     if column is not None and not 0 <= column < sizes[CROSS_TRACK]:
@@ -141,11 +143,11 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
     problems.raise_if_any()
     values: Values = {}
     for name, dims in _DIMS.items():
-        missing = {dim: sizes[dim] for dim in dims if dim not in variables[name].dims}
-        values[name] = variables[name].expand_dims(missing).transpose(*dims).to_numpy()
+        absent = {dim: sizes[dim] for dim in dims if dim not in variables[name].dims}
+        values[name] = variables[name].expand_dims(absent).transpose(*dims).to_numpy()
     if column is None:
-        lit = np.flatnonzero(values["line_trusted"].any(axis=0))
-        column = int(lit[lit.size // 2]) if lit.size else sizes[CROSS_TRACK] // 2
+        lit_columns = np.flatnonzero(values["line_trusted"].any(axis=0))
+        column = int(lit_columns[lit_columns.size // 2]) if lit_columns.size else sizes[CROSS_TRACK] // 2
     return values | {"column": column}
 
 
@@ -153,28 +155,36 @@ def _values(calibration: xr.Dataset, sweep: xr.Dataset | None, column: int | Non
 
 
 def _draw_lamp_lines(
-    axes: Any, below: Any, calibration: xr.Dataset, sweep: xr.Dataset | None, values: Values
+    axes: Any, residual_axes: Any, calibration: xr.Dataset, sweep: xr.Dataset | None, values: Values
 ) -> None:
     from matplotlib import colormaps
 
     usable = np.flatnonzero(values["line_trusted"][:, values["column"]])
-    # not the outermost, some of whose light falls outside the array
-    parts = np.linspace(0, max(usable.size - 1, 0), _LAMP_LINES_SHOWN + 2)[1:-1].round().astype(int)
-    steps = sorted(set(usable[parts].tolist())) if usable.size else []
-    drawn = fitted_lines(calibration, sweep, steps, values["column"])
-    colours = colormaps["viridis"](np.linspace(0.3, 0.85, max(len(drawn), 1)))
-    for line, colour in zip(drawn, colours, strict=False):
-        axes.plot(line.curve_distance, line.curve, color=colour, lw=1.2, label=f"{line.wavelength:g} nm")
-        axes.plot(line.distance, line.counts, "o", color=colour, ms=4)
-        below.plot(line.distance, 100 * line.residual, "o-", color=colour, ms=2.5, lw=0.6)
+    # without the outermost lamp lines, some of whose light falls outside the detector
+    positions = np.linspace(0, max(usable.size - 1, 0), _LAMP_LINES_SHOWN + 2)[1:-1].round().astype(int)
+    steps = sorted(set(usable[positions].tolist())) if usable.size else []
+    lamp_lines = fitted_lines(calibration, sweep, steps, values["column"])
+    colours = colormaps["viridis"](np.linspace(0.3, 0.85, max(len(lamp_lines), 1)))
+    for lamp_line, colour in zip(lamp_lines, colours, strict=False):
+        axes.plot(
+            lamp_line.curve_distance,
+            lamp_line.curve,
+            color=colour,
+            lw=1.2,
+            label=f"{lamp_line.wavelength:g} nm",
+        )
+        axes.plot(lamp_line.distance, lamp_line.counts, "o", color=colour, ms=4)
+        residual_axes.plot(lamp_line.distance, 100 * lamp_line.residual, "o-", color=colour, ms=2.5, lw=0.6)
     axes.set(title=f"lamp lines and fits, column {values['column']}", ylabel="counts above dark [count]")
     axes.tick_params(labelbottom=False)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-    below.axhline(0, color="0.6", lw=0.8, zorder=0)
-    below.set(xlabel="distance from the lamp line [nm]", ylabel="counts - fit\n[% of height]")
-    largest = max((float(np.abs(100 * line.residual).max(initial=0.0)) for line in drawn), default=0.0)
-    legend_below(below, axes)
-    below.set_ylim(*(np.array([-1.15, 1.15]) * max(largest, 0.1)))
+    residual_axes.axhline(0, color="0.6", lw=0.8, zorder=0)
+    residual_axes.set(xlabel="distance from the lamp line [nm]", ylabel="counts - fit\n[% of height]")
+    max_residual = max(
+        (float(np.abs(100 * lamp_line.residual).max(initial=0.0)) for lamp_line in lamp_lines), default=0.0
+    )
+    legend_below(residual_axes, axes)
+    residual_axes.set_ylim(*(np.array([-1.15, 1.15]) * max(max_residual, 0.1)))
 
 
 def _edges(centres: Array) -> Array:
@@ -186,27 +196,27 @@ def _edges(centres: Array) -> Array:
 
 def _draw_map(axes: Any, wavelength: Array, values: Array, label: str, **style: Any) -> Any:
     columns = np.arange(values.shape[1] + 1) - 0.5
-    picture = axes.pcolormesh(
+    mesh = axes.pcolormesh(
         _edges(wavelength), columns, np.ma.masked_invalid(values.T), rasterized=True, **style
     )
     axes.set_facecolor(ink_of(axes, 0.15))
-    # beside narrow axes a colour bar would squeeze the axes above and below
-    place = {"location": "bottom", "pad": 0.03} if axes_width(axes) < _NARROW_INCH else {"pad": 0.02}
-    axes.figure.colorbar(picture, ax=axes, label=label, **place)
+    # a colour bar beside narrow axes would shrink the plots above and below
+    options = {"location": "bottom", "pad": 0.03} if axes_width(axes) < _NARROW_INCH else {"pad": 0.02}
+    axes.figure.colorbar(mesh, ax=axes, label=label, **options)
     axes.set(xlabel="wavelength [nm]", ylabel="cross_track [column]")
-    return picture
+    return mesh
 
 
 def _draw_residuals(axes: Any, values: Values) -> None:
-    # map minus monochromator, for every lamp line
+    # wavelength from the calibration minus wavelength of the monochromator, for every lamp line
     residual = values["line_centre"] - values["step_wavelength"][:, None]
     residual = np.where(values["line_trusted"], residual, np.nan)
     finite = residual[np.isfinite(residual)]
     limit = max(float(np.percentile(np.abs(finite), 98)), 1e-6) if finite.size else 1.0
-    spread = f"r.m.s. {np.sqrt(np.mean(finite**2)):.2g} nm" if finite.size else "no lamp line is used"
+    rms = f"r.m.s. {np.sqrt(np.mean(finite**2)):.2g} nm" if finite.size else "no lamp line is used"
     colours = {"cmap": "PuOr", "vmin": -limit, "vmax": limit}
     _draw_map(axes, values["step_wavelength"], residual, "map - monochromator [nm]", **colours)
-    axes.set_title(f"wavelength residual, {spread}")
+    axes.set_title(f"wavelength residual, {rms}")
 
 
 # --- detector elements -------------------------------------------------------------------------------------
@@ -227,30 +237,33 @@ def _draw_smile(axes: Any, values: Values) -> None:
 
 def _shade_untrusted(axes: Any, values: Values) -> None:
     edges = _edges(values["wavelength"])
-    lost = np.concatenate([[False], ~values["good"], [False]])
-    begins, ends = np.flatnonzero(lost[1:] & ~lost[:-1]), np.flatnonzero(~lost[1:] & lost[:-1])
-    for number, (begin, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True)):
+    has_no_gain = np.concatenate([[False], ~values["good"], [False]])
+    starts, stops = (
+        np.flatnonzero(has_no_gain[1:] & ~has_no_gain[:-1]),
+        np.flatnonzero(~has_no_gain[1:] & has_no_gain[:-1]),
+    )
+    for number, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
         label = None if number else "no gain"
-        axes.axvspan(edges[begin], edges[end], color=_UNTRUSTED, alpha=0.2, lw=0, zorder=0, label=label)
+        axes.axvspan(edges[start], edges[stop], color=_UNTRUSTED, alpha=0.2, lw=0, zorder=0, label=label)
     axes.set_xlim(edges.min(), edges.max())
     axes.set_xlabel("wavelength [nm]")
 
 
 def _draw_widths(axes: Any, values: Values) -> None:
-    trusted, at = values["line_trusted"], values["step_wavelength"]
-    widths = np.where(trusted, values["line_own_fwhm"], np.nan)
-    used = trusted.any(axis=1)
-    low, middle, high = (
-        np.nanpercentile(widths[used], (5, 50, 95), axis=1) if used.any() else np.empty((3, 0))
+    is_trusted, step_nm = values["line_trusted"], values["step_wavelength"]
+    widths = np.where(is_trusted, values["line_own_fwhm"], np.nan)
+    is_used = is_trusted.any(axis=1)
+    lower, median, upper = (
+        np.nanpercentile(widths[is_used], (5, 50, 95), axis=1) if is_used.any() else np.empty((3, 0))
     )
     label = "lamp lines: median, 5 to 95 % of the columns"
-    spread = (middle - low, high - middle)
-    axes.errorbar(at[used], middle, spread, fmt="o", ms=3, lw=0.8, color=_BLUE, label=label)
+    intervals = (median - lower, upper - median)
+    axes.errorbar(step_nm[is_used], median, intervals, fmt="o", ms=3, lw=0.8, color=_BLUE, label=label)
     axes.plot(values["wavelength"], values["fwhm"], color=_VERMILION, lw=1.8, zorder=3, label="calibration")
-    if used.sum() > 4:  # lamp lines cut off at the edges of the array would set the scale for all others
+    if is_used.sum() > 4:  # lamp lines cut off at the edges of the detector do not set the scale
         inner = slice(2, -2)
-        margin = 0.4 * float(high[inner].max() - low[inner].min()) + 1e-3
-        axes.set_ylim(low[inner].min() - margin, high[inner].max() + margin)
+        margin = 0.4 * float(upper[inner].max() - lower[inner].min()) + 1e-3
+        axes.set_ylim(lower[inner].min() - margin, upper[inner].max() + margin)
     _shade_untrusted(axes, values)
     axes.set(title="width of the bands, monochromator removed", ylabel="FWHM [nm]")
     legend_below(axes)
@@ -262,10 +275,10 @@ def _draw_responsivity(axes: Any, values: Values) -> None:
     wavelength, responsivity = values["wavelength"], values["responsivity"]
     step = -(-responsivity.shape[1] // _MAX_CURVES)
     curves = [np.column_stack([wavelength, curve]) for curve in responsivity[:, ::step].T]
-    every = "all columns" if step == 1 else f"every {step}th column"
-    axes.add_collection(LineCollection(curves, colors=[ink_of(axes, 0.3)], linewidths=0.5, label=every))
-    chosen = values["column"]
-    axes.plot(wavelength, responsivity[:, chosen], color=_BLUE, lw=1.8, label=f"column {chosen}")
+    label = "all columns" if step == 1 else f"every {step}th column"
+    axes.add_collection(LineCollection(curves, colors=[ink_of(axes, 0.3)], linewidths=0.5, label=label))
+    column = values["column"]
+    axes.plot(wavelength, responsivity[:, column], color=_BLUE, lw=1.8, label=f"column {column}")
     axes.autoscale_view()
     _shade_untrusted(axes, values)
     axes.set(title="responsivity", ylabel="counts per joule in a pixel [count J$^{-1}$]")
@@ -277,24 +290,28 @@ def _draw_uncertainty(axes: Any, values: Values) -> None:
     from matplotlib.ticker import LogFormatter
 
     wavelength = values["wavelength"]
-    random, common = (_over_columns(100 * values[f"radiance_gain_u_{part}"]) for part in _PARTS)
-    axes.semilogy(wavelength, np.hypot(random, common), color=ink_of(axes), lw=2.5, label="both")
-    axes.semilogy(wavelength, common, "--", color=_VERMILION, lw=1.5, label="systematic: power meter, optics")
+    random, systematic = (
+        _median_of_columns(100 * values[f"radiance_gain_u_{kind}"]) for kind in _UNCERTAINTIES
+    )
+    axes.semilogy(wavelength, np.hypot(random, systematic), color=ink_of(axes), lw=2.5, label="both")
+    axes.semilogy(
+        wavelength, systematic, "--", color=_VERMILION, lw=1.5, label="systematic: power meter, optics"
+    )
     axes.semilogy(wavelength, random, color=_BLUE, lw=1.2, label="random: noise of the lamp lines")
     _shade_untrusted(axes, values)
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # else labels lie on each other
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, 2.0 * high)
+    axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))  # otherwise labels overlap
+    minimum, maximum = axes.get_ylim()
+    axes.set_ylim(minimum, 2.0 * maximum)
     axes.set(title="standard uncertainty of the gain", ylabel="relative to the gain [%]")
     legend_below(axes)
 
 
-def _over_columns(values: Array) -> Array:
+def _median_of_columns(values: Array) -> Array:
     has_value = np.isfinite(values).any(axis=1)
-    middle = np.full(len(values), np.nan)
-    middle[has_value] = np.nanmedian(values[has_value], axis=1)
-    return middle
+    median = np.full(len(values), np.nan)
+    median[has_value] = np.nanmedian(values[has_value], axis=1)
+    return median
 
 
 def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
@@ -303,11 +320,13 @@ def draw_gain(figure: Any, calibration: xr.Dataset) -> None:
     values = schema.require(calibration, [n for n in names if n in calibration.variables], "a calibration")
     nm, gain = values["wavelength"].values, values["radiance_gain"].values
     plots = figure.subplots(1, 3)
-    low, middle, high = (np.full(len(gain), np.nan) for _ in range(3))
-    is_known = np.isfinite(gain).any(axis=1)
-    low[is_known], middle[is_known], high[is_known] = np.nanpercentile(gain[is_known], (5, 50, 95), axis=1)
-    plots[0].fill_between(nm, low, high, color=_BLUE, alpha=0.25, lw=0)
-    plots[0].semilogy(nm, middle, color=_BLUE, lw=1.6)
+    lowest, median, highest = (np.full(len(gain), np.nan) for _ in range(3))
+    has_gain = np.isfinite(gain).any(axis=1)
+    lowest[has_gain], median[has_gain], highest[has_gain] = np.nanpercentile(
+        gain[has_gain], (5, 50, 95), axis=1
+    )
+    plots[0].fill_between(nm, lowest, highest, color=_BLUE, alpha=0.25, lw=0)
+    plots[0].semilogy(nm, median, color=_BLUE, lw=1.6)
     plots[0].set_title("gain, 5 to 95 % of the columns", fontsize="medium")
     plots[0].set_ylabel(values["radiance_gain"].attrs.get("units", ""), fontsize="small")
     if "fwhm" in values:

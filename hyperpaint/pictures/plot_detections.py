@@ -26,7 +26,7 @@ def detection_curve(
     *,
     width: float = 6.0,
 ) -> Any:
-    """Draw the share of a paint's pixels above a threshold against the share of all other pixels (ROC).
+    """Draw the detection rate of paints against the false alarm rate, over all thresholds (ROC).
 
     Eager.
 
@@ -42,38 +42,39 @@ def detection_curve(
     Returns
     -------
     matplotlib.figure.Figure
-        One curve per result, along which the same amount is added to all thresholds. A dot marks the
-        detections after rejection of unknown paints; the vertical line is the requested false alarm rate.
+        One curve per result: along it the thresholds of all paints are shifted by the same amount. A dot
+        marks the detections after rejection of unknown paints; the vertical line is the requested false alarm
+        rate.
 
     Raises
     ------
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        The input holds no detections, or truth has another shape, or is the same everywhere.
+        The input holds no detections, or ``truth`` has another shape, or is True or False everywhere.
 
     Examples
     --------
     >>> import numpy as np, xarray as xr
-    >>> pixel, one = ("along_track", "cross_track"), {"units": "1"}
-    >>> found = xr.Dataset({"detection_score": (pixel, np.float32([[0.1, 0.9, 0.2, 0.8]]), one),
+    >>> pixel, unit = ("along_track", "cross_track"), {"units": "1"}
+    >>> result = xr.Dataset({"detection_score": (pixel, np.float32([[0.1, 0.9, 0.2, 0.8]]), unit),
     ...                     "best_paint": (pixel, np.int16([[0, 0, 0, 0]])),
-    ...                     "score_threshold": ("signature", [0.5], one),
+    ...                     "score_threshold": ("signature", [0.5], unit),
     ...                     "detected": (pixel, [[False, True, False, True]])})
-    >>> figure = detection_curve({"ACE": found}, [[False, True, False, False]])
+    >>> figure = detection_curve({"ACE": result}, [[False, True, False, False]])
     >>> figure.axes[0].lines[0].get_ydata().tolist()
     [1.0, 1.0, 1.0, 1.0]
     """
-    named: Any = {"": detections} if "detected" in detections else detections
+    by_name: Any = {"": detections} if "detected" in detections else detections
     is_target = np.asarray(getattr(truth, "values", truth), bool)
     figure = new_figure("a detection curve", figsize=(width, 0.8 * width), layout="constrained")
     axes = figure.add_subplot()
-    for number, (name, each) in enumerate(dict[str, Any](named).items()):
-        alarms, hits, dot = _curve(each, is_target)
+    for number, (name, result) in enumerate(dict[str, Any](by_name).items()):
+        alarms, hits, dot = _curve(result, is_target)
         colour = _COLOURS[number % len(_COLOURS)]
-        axes.plot(alarms, hits, color=colour, label=name or str(each.attrs.get("method", "")))
+        axes.plot(alarms, hits, color=colour, label=name or str(result.attrs.get("method", "")))
         axes.plot(max(dot[0], alarms[0]), dot[1], "o", color=colour)
-        rate = each.attrs.get("false_alarm_rate")
+        rate = result.attrs.get("false_alarm_rate")
         if rate is not None:
             axes.axvline(rate, color=ink_of(axes, 0.5), linewidth=0.8, linestyle="--")
     axes.set(xscale="log", ylim=(0.0, 1.02))
@@ -85,7 +86,7 @@ def detection_curve(
 
 
 def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[float, float]]:
-    # false alarm and detection rates along all thresholds, and the rates of the detections
+    # false alarm and detection rates over all thresholds, and the two rates of the stored detections
     names = ("detection_score", "best_paint", "score_threshold", "detected")
     arrays = schema.require(schema.rename_to_roles(detections), names, "a detection curve")
     score, paint, threshold, detected = (arrays[name].values for name in names)
@@ -95,16 +96,16 @@ def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[floa
             expected=f"{score.shape}, as the detections",
             code="grid-mismatch",
         )
-    scored = paint >= 0
-    above = (score - threshold[paint])[scored]
-    true = is_target[scored]
-    if not true.any() or true.all():
+    has_score = paint >= 0
+    margin = (score - threshold[paint])[has_score]
+    is_hit = is_target[has_score]
+    if not is_hit.any() or is_hit.all():
         raise SchemaError(
-            f"truth is {bool(true.any())} everywhere",
-            expected="pixels with a paint, and others",
+            f"truth is {bool(is_hit.any())} everywhere",
+            expected="True for pixels with a paint, False for all other pixels",
             code="truth-uniform",
         )
-    order = np.argsort(-above, kind="stable")
-    hits, alarms = np.cumsum(true[order]) / true.sum(), np.cumsum(~true[order]) / (~true).sum()
-    dot = detected[scored & ~is_target].mean(), detected[scored & is_target].mean()
-    return np.maximum(alarms, 0.5 / (~true).sum()), hits, dot
+    order = np.argsort(-margin, kind="stable")
+    hits, alarms = np.cumsum(is_hit[order]) / is_hit.sum(), np.cumsum(~is_hit[order]) / (~is_hit).sum()
+    dot = detected[has_score & ~is_target].mean(), detected[has_score & is_target].mean()
+    return np.maximum(alarms, 0.5 / (~is_hit).sum()), hits, dot

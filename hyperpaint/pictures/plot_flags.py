@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,27 +32,6 @@ from .figures import (
 from .orientation import Orientation, orientation_of, show_picture
 from .plot import flag_label, flags_of, percent, rgb, stored_picture
 
-#: Colour of every flag, the same in all pictures.
-#:
-#: Palettes for colour-blind readers have 8 colours (Okabe and Ito) or 10 (Tol), flags are 13: these were
-#: searched so that any two differ by 15 or more in CIEDE2000, also as protanopes and deuteranopes see them
-#: (Machado et al., IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009).
-FLAG_COLOURS: Mapping[Quality, str] = {
-    Quality.SATURATED: "#ff3300",
-    Quality.BELOW_DARK: "#330080",
-    Quality.BAD_DETECTOR: "#808080",
-    Quality.IRRADIANCE_GAP: "#80334d",
-    Quality.ILLUMINATION_UNSTABLE: "#e6ffb3",
-    Quality.LOW_SUN: "#990000",
-    Quality.GLINT: "#4de6cc",
-    Quality.SHADOW: "#0033ff",
-    Quality.ADJACENCY: "#9980ff",
-    Quality.MIXED_EDGE: "#66b380",
-    Quality.OFF_SWATH: "#99ccff",
-    Quality.NO_DATA: "#000000",
-    Quality.TIMING_SENSITIVE: "#e6cc00",
-}
-
 
 @documented()
 def flag_overlay(
@@ -66,35 +45,36 @@ def flag_overlay(
 ) -> Any:
     """Draw flags, or a continuous layer, over the true-colour picture of a flight line.
 
-    Eager. Of a longer line a pixel of the picture combines several: it has each of their flags, and the
-    largest value of a layer. Of several flags on a pixel the rarest is shown. Shares count all pixels.
+    Eager. In a subsampled picture a pixel combines several pixels of the line: all their flags, and the
+    maximum of a layer. Of several flags on a pixel the rarest is shown. Shares count all pixels of the line.
 
     Parameters
     ----------
     dataset
         A flight line with ``quality``, or with the variables to compute it.
     flags
-        Flags to draw: `Quality`, or names such as ``"glint"``; by default all that occur, or none where a
-        layer is drawn.
+        Flags to draw: `Quality`, or names such as ``"glint"``; by default all flags that occur, or with a
+        layer no flags.
     layer
         Name of a variable (along_track, cross_track), such as a fraction of glint.
     lines
     opacity
-        From 0, the picture alone, to 1.
+        Opacity of flags or layer, from 0 to 1.
     axes
 
     Returns
     -------
     matplotlib.axes.Axes
-        x is cross_track, y is along_track, flown upwards, in pixels of the flight line; for a map its x and
-        y, north up. Nothing is mirrored, and pixels have their aspect ratio on the ground where known.
+        x is cross_track, y is along_track, flown upwards, in pixels of the flight line; for a map x and y of
+        the map, north up. The picture is not mirrored; pixels have their aspect ratio on the ground where
+        known.
 
     Raises
     ------
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        There is no such flag or layer, or neither quality nor the variables to compute it.
+        A flag or the layer does not exist, or quality and the variables to compute it are missing.
 
     Examples
     --------
@@ -105,11 +85,11 @@ def flag_overlay(
     'cross_track [column]'
     """
     dataset = schema.rename_to_roles(dataset)
-    wanted: tuple[Quality, ...] = ()  # all flags
+    chosen: tuple[Quality, ...] = ()  # all flags
     if isinstance(flags, Quality):
-        wanted = tuple(flag for flag in Quality if flag & flags)
+        chosen = tuple(flag for flag in Quality if flag & flags)
     elif flags is not None:
-        wanted = tuple(schema.flags_named([flags] if isinstance(flags, str) else map(str, flags)))
+        chosen = tuple(schema.flags_named([flags] if isinstance(flags, str) else map(str, flags)))
     planes = [
         str(name)
         for name, array in dataset.variables.items()
@@ -121,7 +101,7 @@ def flag_overlay(
             expected=", ".join(planes) or "a line with layers",
             code="variable-missing",
         )
-    if "quality" not in dataset.variables and (layer is None or wanted):
+    if "quality" not in dataset.variables and (layer is None or chosen):
         dataset = reflectance(dataset)
     schema.require(dataset, ["quality"] if layer is None else [], "a picture of flags")
     step = max(1, -(-dataset.sizes[ALONG_TRACK] // max(lines, 1)))
@@ -132,16 +112,16 @@ def flag_overlay(
     axes.set(title=label_for(dataset.attrs.get("name", "flight line")))
     if layer is not None:
         _draw_layer(axes, dataset, orientation, layer, step, opacity)
-    if layer is None or wanted:
-        _draw_flags(axes, dataset, orientation, wanted, step, opacity)
+    if layer is None or chosen:
+        _draw_flags(axes, dataset, orientation, chosen, step, opacity)
     return axes
 
 
 def background(dataset: xr.Dataset, step: int) -> Array:
-    """Return a picture of every ``step``-th line (line, column, rgb), 0 to 1; stored if it fits."""
-    stored = stored_picture(dataset, step)
-    if stored is not None:
-        return np.asarray(stored.values)
+    """Return a picture (line, column, rgb) of every ``step``-th line, 0 to 1, stored or computed."""
+    overview = stored_picture(dataset, step)
+    if overview is not None:
+        return np.asarray(overview.values)
     return np.asarray(rgb(dataset.isel({ALONG_TRACK: slice(None, None, step)})).values)
 
 
@@ -160,7 +140,7 @@ def draw_outlines(axes: Any, regions: Iterable[Region], *, width: float = 1.0, n
             axes.text(across, along, label_for(region.name), path_effects=rim, **style)
 
 
-_NARROW_INCH = 5.0  # legends of narrower pictures stand below them
+_NARROW_INCH = 5.0  # width of a picture below which its legend is below it
 
 
 # --- flags -------------------------------------------------------------------------------------------------
@@ -170,37 +150,37 @@ def _draw_flags(
     axes: Any,
     dataset: xr.Dataset,
     orientation: Orientation,
-    wanted: tuple[Quality, ...],
+    chosen: tuple[Quality, ...],
     step: int,
     opacity: float,
 ) -> None:
-    # one colour a flag, the rarest on top, with a legend of shares
+    # draw flags in their colours, the rarest on top, with a legend of shares
     from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
     quality = flags_of(dataset)
     shares = schema.flag_shares(quality)
-    shown = wanted or tuple(shares)
+    flags = chosen or tuple(shares)
     bits = reduced_lines(quality, step, np.bitwise_or)
-    drawn = np.zeros((*bits.shape, 4), np.float32)
-    for flag in sorted(shown, key=lambda flag: -shares.get(flag, 0.0)):
-        drawn[(bits & int(flag)) != 0] = (*to_rgb(FLAG_COLOURS[flag]), opacity)
-    show_picture(axes, drawn, orientation)
+    picture = np.zeros((*bits.shape, 4), np.float32)
+    for flag in sorted(flags, key=lambda flag: -shares.get(flag, 0.0)):
+        picture[(bits & int(flag)) != 0] = (*to_rgb(flag.colour), opacity)
+    show_picture(axes, picture, orientation)
     entries = {}
-    for flag in shown:
+    for flag in flags:
         label = f"{flag_label(flag)}  {percent(shares.get(flag, 0.0))}"
-        entries[label] = Patch(facecolor=FLAG_COLOURS[flag], edgecolor="0.5", lw=0.5)
+        entries[label] = Patch(facecolor=flag.colour, edgecolor="0.5", lw=0.5)
     entries = entries or {"no flag set": Patch(facecolor="none")}
     title = "share of pixels"
     if axes_width(axes) < _NARROW_INCH:
         legend_below(axes, entries=entries, title=title, alignment="left")
     else:
-        place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-        axes.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, title=title, **place)
+        options = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+        axes.legend(entries.values(), entries.keys(), fontsize="small", frameon=False, title=title, **options)
 
 
 def reduced_lines(values: Array, step: int, combine: Any) -> Array:
-    """Return one line for every ``step`` lines, combined by the ufunc ``combine``."""
+    """Combine every ``step`` lines into one by the ufunc ``combine``."""
     if step == 1:
         return values
     return np.asarray(combine.reduceat(values, np.arange(0, len(values), step), axis=0))
@@ -212,34 +192,36 @@ def reduced_lines(values: Array, step: int, combine: Any) -> Array:
 def _draw_layer(
     axes: Any, dataset: xr.Dataset, orientation: Orientation, layer: str, step: int, opacity: float
 ) -> None:
-    # transparent at zero, opaque from a third of the range on
+    # draw a layer that is transparent at zero and has full opacity from a third of its range
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
 
     array = dataset[layer].transpose(ALONG_TRACK, CROSS_TRACK)
     values = reduced_lines(array.values.astype(np.float32), step, np.fmax)
     finite = values[np.isfinite(values)]
-    low, high = np.percentile(finite, (0.2, 99.8)).tolist() if finite.size else (0.0, 0.0)
-    both = -low > 0.05 * max(high, 0.0) and low < 0  # values slightly below zero are noise
-    size = max(abs(low), abs(high)) if both else high
-    size = size if size > 0 else 1.0
-    colours = ScalarMappable(Normalize(-size if both else 0.0, size), "PuOr_r" if both else "inferno")
+    minimum, maximum = np.percentile(finite, (0.2, 99.8)).tolist() if finite.size else (0.0, 0.0)
+    is_signed = -minimum > 0.05 * max(maximum, 0.0) and minimum < 0  # values slightly below zero are noise
+    limit = max(abs(minimum), abs(maximum)) if is_signed else maximum
+    limit = limit if limit > 0 else 1.0
+    colours = ScalarMappable(
+        Normalize(-limit if is_signed else 0.0, limit), "PuOr_r" if is_signed else "inferno"
+    )
     masked = np.ma.masked_invalid(values)
-    shown = show_picture(axes, masked, orientation, cmap=colours.cmap, norm=colours.norm)
-    part = np.abs(values) if both else np.maximum(values, 0.0)
-    shown.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * part / size, 0.0, 1.0)))
+    image = show_picture(axes, masked, orientation, cmap=colours.cmap, norm=colours.norm)
+    magnitude = np.abs(values) if is_signed else np.maximum(values, 0.0)
+    image.set_alpha(np.nan_to_num(opacity * np.clip(3.0 * magnitude / limit, 0.0, 1.0)))
     units = str(array.attrs.get("units", ""))
     caption = f"{label_for(layer)} [{label_for(units)}]" if units else label_for(layer)
-    place = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
-    axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **place)
+    options = {"location": "bottom", "pad": 0.02} if axes_width(axes) < _NARROW_INCH else {"pad": 0.01}
+    axes.figure.colorbar(colours, ax=axes, label=caption, fraction=0.04, **options)
 
 
 # --- light of neighbours -------------------------------------------------------------------------------
 
 
-# of bands by rising wavelength; for more bands those of matplotlib
+# colours of up to four bands by rising wavelength; more bands take matplotlib's colours
 _COLOURS = ("#3399DD", "#009E73", "#D55E00", "#CC79A7")
-_NEAR, _FAR = "#D55E00", "#808080"
+_NEAR_COLOUR, _FAR_COLOUR = "#D55E00", "#808080"
 _QUARTILES = (0.25, 0.75)
 
 
@@ -266,11 +248,11 @@ def adjacency_figure(
         A flight line with ``reflectance`` and ``wavelength``; ``adjacency``, from
         `hyperpaint.surroundings.flag`, is drawn along the transect as well.
     near, far
-        Regions of one surface, beside the neighbour and away from it, see `hyperpaint.regions.regions_from`.
-        The transect leads from the middle of the first to the middle of the second.
+        Regions of the same surface, beside the neighbour and away from it, see
+        `hyperpaint.regions.regions_from`. The transect leads from the centre of ``near`` to that of ``far``.
     path
     without
-        The same place without the neighbour's colour, such as another render of it: drawn dashed.
+        The same scene without the neighbour's colour, such as another render, drawn dashed.
     wavelengths
         Wavelengths of the bands along the transect [nm].
     width
@@ -287,13 +269,13 @@ def adjacency_figure(
     MissingExtraError
         matplotlib is not installed.
     SchemaError, UnitsError
-        There is no reflectance or wavelength; ``without`` has another size; a region holds no pixel, or both
-        have the same middle; ``width`` is not positive. All problems are listed.
+        Reflectance or wavelength is missing; ``without`` has another size; a region holds no pixel, or both
+        regions have the same centre; ``width`` is not positive. All problems are listed.
 
     Notes
     -----
     A neighbour of reflectance :math:`\rho_n` adds :math:`F \rho_n` to the light of a surface, with F the part
-    of its hemisphere that the lit neighbour fills: the nearer, the more, and only in the neighbour's colour.
+    of its hemisphere that the lit neighbour fills, which increases towards the neighbour.
 
     Examples
     --------
@@ -311,47 +293,53 @@ def adjacency_figure(
     line = schema.rename_to_roles(line)
     variables = schema.require(line, ["reflectance", "wavelength"], "a figure of adjacency")
     lines = {"": line} if without is None else {"": line, "without": schema.rename_to_roles(without)}
-    pair = _checked(lines, near, far, width)
-    places = pixels_of(pair, line)
-    route, away = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
+    regions = _checked_regions(lines, near, far, width)
+    places = pixels_of(regions, line)
+    route, distance = _transect(places, line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK], width)
     nm = variables["wavelength"].values
     order = np.argsort(nm, kind="stable")
-    beside = {"width_ratios": (0.9, 1.2, 1.2), "height_ratios": (3, 2)}
+    ratios = {"width_ratios": (0.9, 1.2, 1.2), "height_ratios": (3, 2)}
     plots = (
-        figure.subplot_mosaic([["picture", "along", "spectra"], ["picture", "added", "spectra"]], **beside)
+        figure.subplot_mosaic([["picture", "along", "spectra"], ["picture", "added", "spectra"]], **ratios)
         if is_wide
         else figure.subplot_mosaic([["picture"], ["along"], ["added"], ["spectra"]])
     )
-    _draw_picture(plots["picture"], line, pair, route[:, width // 2])
+    _draw_picture(plots["picture"], line, regions, route[:, width // 2])
     transects = {}
-    for name, each in lines.items():
-        cube = schema.require(each, ["reflectance"], "a figure of adjacency")["reflectance"]
-        style, named = ("--", False) if name else ("-", True)
-        values = _gathered(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1)
+    for name, dataset in lines.items():
+        cube = schema.require(dataset, ["reflectance"], "a figure of adjacency")["reflectance"]
+        style, is_labelled = ("--", False) if name else ("-", True)
+        values = _spectra_at(cube, *route.reshape(-1, 2).T).reshape(*route.shape[:2], -1)
         transects[name] = _mean(values, axis=1)
-        _draw_bands(plots["along"], away, transects[name], nm, wavelengths, style, named)
-        for region, place, colour in zip(pair, places, (_NEAR, _FAR), strict=True):
-            # the mean of the region's pixels; for a named curve also the middle half of them
-            spectra, axes = _gathered(cube, *place)[:, order], plots["spectra"]
+        _draw_bands(plots["along"], distance, transects[name], nm, wavelengths, style, is_labelled)
+        for region, place, colour in zip(regions, places, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
+            # mean of the region's pixels; for the line itself also their middle half
+            spectra, axes = _spectra_at(cube, *place)[:, order], plots["spectra"]
             mean = _mean(spectra, axis=0)
-            if named:
+            if is_labelled:
                 is_finite = np.isfinite(mean)
-                low, high = np.nanquantile(spectra[:, is_finite], _QUARTILES, axis=0)
-                axes.fill_between(nm[order][is_finite], low, high, color=colour, alpha=0.15, linewidth=0)
-            axes.plot(nm[order], mean, style, color=colour, label=label_for(region.name) if named else None)
+                lower, upper = np.nanquantile(spectra[:, is_finite], _QUARTILES, axis=0)
+                axes.fill_between(nm[order][is_finite], lower, upper, color=colour, alpha=0.15, linewidth=0)
+            axes.plot(
+                nm[order], mean, style, color=colour, label=label_for(region.name) if is_labelled else None
+            )
     if without is not None:
-        _draw_bands(plots["added"], away, transects[""] - transects["without"], nm, wavelengths, "-", False)
+        _draw_bands(
+            plots["added"], distance, transects[""] - transects["without"], nm, wavelengths, "-", False
+        )
     if "adjacency" in line.variables:
         layer = line["adjacency"].transpose(ALONG_TRACK, CROSS_TRACK).values
-        flagged = _mean(layer[route[..., 0], route[..., 1]], axis=1)
+        adjacency = _mean(layer[route[..., 0], route[..., 1]], axis=1)
         ink = ink_of(plots["added"])
-        plots["added"].plot(away, flagged, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]")
-    _finish(plots, without is not None)
+        plots["added"].plot(
+            distance, adjacency, ":", color=ink, linewidth=1.8, label="adjacency, as flagged [1]"
+        )
+    _label_adjacency(plots, without is not None)
     save_figure(figure, path)
     return figure
 
 
-def _finish(plots: dict[str, Any], compared: bool) -> None:
+def _label_adjacency(plots: dict[str, Any], compared: bool) -> None:
     plots["along"].set(ylabel="reflectance factor [1]")
     plots["added"].set(xlabel="distance from the near end [pixel]", ylabel="added [1]")
     plots["spectra"].set(xlabel="wavelength [nm]", ylabel="reflectance factor [1]", ylim=(0, None))
@@ -372,12 +360,12 @@ def _finish(plots: dict[str, Any], compared: bool) -> None:
         legend_below(plots["along"])
 
 
-def _checked(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> Any:
+def _checked_regions(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> Any:
     problems = Problems("adjacency cannot be drawn", SchemaError)
-    first, *others = lines.values()
-    shape = dict(first["reflectance"].sizes)
-    for other in others:
-        if "reflectance" not in other.variables or dict(other["reflectance"].sizes) != shape:
+    line, *comparisons = lines.values()
+    shape = dict(line["reflectance"].sizes)
+    for comparison in comparisons:
+        if "reflectance" not in comparison.variables or dict(comparison["reflectance"].sizes) != shape:
             problems.add(
                 "without= has no reflectance of the line's size",
                 expected=f"shape {shape}",
@@ -391,7 +379,7 @@ def _checked(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> A
             problems.add(f"{name}= holds {len(regions)} regions", expected="one", code="region-number")
     problems.raise_if_any()
     pair = type(pairs[0])((pairs[0][0], pairs[1][0]), pairs[0].coordinates, pairs[0].crs)
-    for region, (along, _) in zip(pair, pixels_of(pair, first), strict=True):
+    for region, (along, _) in zip(pair, pixels_of(pair, line), strict=True):
         if not along.size:
             problems.add(f"region {region.name!r} holds no pixel of the line", code="region-empty")
     problems.raise_if_any()
@@ -399,39 +387,42 @@ def _checked(lines: dict[str, xr.Dataset], near: Any, far: Any, width: int) -> A
 
 
 def _transect(places: Sequence[Any], lines: int, columns: int, width: int) -> tuple[Array, Array]:
-    # pixels (step, across, 2) from one region's middle to the other's, and distances
+    # pixels (step, width, 2) from the centre of the near region to that of the far one, and distances [pixel]
     start, stop = (np.array([np.mean(along), np.mean(across)]) for along, across in places)
     length = float(np.hypot(*(stop - start)))
     if length < 1.0:
         raise SchemaError(
-            "adjacency cannot be drawn: both regions have the same middle",
-            mend="choose them apart",
+            "adjacency cannot be drawn: both regions have the same centre",
+            mend="choose regions at different distances from the neighbour",
             code="region-overlap",
         )
-    ahead = (stop - start) / length
-    away = np.arange(int(length) + 1, dtype=np.float64)
-    aside = np.arange(width) - (width - 1) / 2
-    exact = start + away[:, None, None] * ahead + aside[None, :, None] * np.array([-ahead[1], ahead[0]])
-    return np.clip(np.floor(exact + 0.5).astype(np.intp), 0, (lines - 1, columns - 1)), away
+    direction = (stop - start) / length
+    distance = np.arange(int(length) + 1, dtype=np.float64)
+    offset = np.arange(width) - (width - 1) / 2
+    positions = (
+        start
+        + distance[:, None, None] * direction
+        + offset[None, :, None] * np.array([-direction[1], direction[0]])
+    )
+    return np.clip(np.floor(positions + 0.5).astype(np.intp), 0, (lines - 1, columns - 1)), distance
 
 
-def _gathered(cube: xr.DataArray, along: Array, across: Array) -> Array:
-    # spectra (pixel, band)
+def _spectra_at(cube: xr.DataArray, along: Array, across: Array) -> Array:
     spectra, _ = gather({"reflectance": cube}, {}, along, across, slice(0, cube.sizes[BAND]), {})
     return spectra["reflectance"].astype(np.float64)
 
 
 def _mean(values: Array, axis: int) -> Array:
-    # of finite values; NaN where there are none
-    there = np.isfinite(values)
-    count = there.sum(axis=axis)
-    mean = np.where(there, values, 0.0).sum(axis=axis) / np.maximum(count, 1)
+    # mean of finite values; NaN where all are missing
+    is_finite = np.isfinite(values)
+    count = is_finite.sum(axis=axis)
+    mean = np.where(is_finite, values, 0.0).sum(axis=axis) / np.maximum(count, 1)
     return np.asarray(np.where(count > 0, mean, np.nan))
 
 
-def _draw_picture(axes: Any, line: xr.Dataset, pair: Sequence[Region], route: Array) -> None:
+def _draw_picture(axes: Any, line: xr.Dataset, regions: Sequence[Region], route: Array) -> None:
     show_picture(axes, background(line, 1), orientation_of(line))
-    for region, colour in zip(pair, (_NEAR, _FAR), strict=True):
+    for region, colour in zip(regions, (_NEAR_COLOUR, _FAR_COLOUR), strict=True):
         across, along = np.vstack([region.polygon, region.polygon[:1]]).T
         axes.plot(across, along, color="white", linewidth=3.0)
         axes.plot(across, along, color=colour, linewidth=1.5)
@@ -443,10 +434,18 @@ def _draw_picture(axes: Any, line: xr.Dataset, pair: Sequence[Region], route: Ar
 
 
 def _draw_bands(
-    axes: Any, away: Array, values: Array, nm: Array, wavelengths: Sequence[float], style: str, named: bool
+    axes: Any,
+    distance: Array,
+    values: Array,
+    nm: Array,
+    wavelengths: Sequence[float],
+    style: str,
+    is_labelled: bool,
 ) -> None:
-    bands = [int(np.nanargmin(np.abs(nm - wanted))) for wanted in wavelengths]
+    bands = [int(np.nanargmin(np.abs(nm - nm_chosen))) for nm_chosen in wavelengths]
     colours = _COLOURS if len(bands) <= len(_COLOURS) else [f"C{number}" for number in range(len(bands))]
     for band, colour in zip(bands, colours, strict=False):
-        name = f"{nm[band]:.0f} nm" if named else None
-        axes.plot(away, values[:, band], style, color=colour, linewidth=1.5 if named else 1.0, label=name)
+        name = f"{nm[band]:.0f} nm" if is_labelled else None
+        axes.plot(
+            distance, values[:, band], style, color=colour, linewidth=1.5 if is_labelled else 1.0, label=name
+        )

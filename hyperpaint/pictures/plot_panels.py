@@ -15,9 +15,9 @@ from hyperpaint.radiometry.panel_judging import PANEL_STATES
 from hyperpaint.radiometry.panels import CLOSURE
 
 from .figures import ink_of, legend_below, new_figure, save_figure
-from .plot_spectra import good_of
+from .plot_spectra import good_bands
 
-MAX_PANELS = 12  # of one figure, the first in time
+MAX_PANELS = 12  # panels drawn in a figure, in order of time
 _COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
 _DASHES = ("-", "--")
 
@@ -46,7 +46,7 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        There are no factors of panels.
+        The dataset has no panel factors.
 
     Examples
     --------
@@ -60,7 +60,7 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
     """
     if not set(CLOSURE) <= set(closure.variables):
         raise SchemaError(
-            "no panel was measured: 'panel_factor' is missing",
+            "the dataset has no panels: variable 'panel_factor' is missing",
             mend="see hyperpaint.radiometry.panel_closure, or scale by reflectance(panel=)",
             code="variable-missing",
         )
@@ -70,12 +70,12 @@ def panel_figure(closure: xr.Dataset, path: str | Path | None = None, *, width: 
     return figure
 
 
-def noticed_of(state: int) -> str:
+def state_text(state: int) -> str:
     """Return the bits of ``panel_state`` in words.
 
     Examples
     --------
-    >>> noticed_of(0), noticed_of(3)
+    >>> state_text(0), state_text(3)
     ('as expected', 'saturated, partly other')
     """
     words = [name.replace("_", " ") for bit, name in enumerate(PANEL_STATES) if state >> bit & 1]
@@ -85,7 +85,7 @@ def noticed_of(state: int) -> str:
 def draw_panels(axes: Any, closure: xr.Dataset) -> None:
     """Draw the factors over wavelength on axes; bad bands stay blank."""
     values = closure[list(CLOSURE)].isel({schema.PANEL: slice(MAX_PANELS)}).compute()
-    nm, is_good = closure["wavelength"].values, good_of(closure)
+    nm, is_good = closure["wavelength"].values, good_bands(closure)
     order = np.argsort(nm, kind="stable")
     axes.axhline(1.0, color=ink_of(axes, 0.7), linewidth=0.8)
     for number in range(values.sizes[schema.PANEL]):
@@ -93,7 +93,7 @@ def draw_panels(axes: Any, closure: xr.Dataset) -> None:
         factor, u = (np.where(is_good, panel[name].values, np.nan)[order] for name in CLOSURE[:2])
         colour = _COLOURS[number % len(_COLOURS)]
         time = np.datetime_as_string(panel["panel_time"].values, "s")
-        label = f"panel {number}, {time}: {noticed_of(int(panel['panel_state']))}"
+        label = f"panel {number}, {time}: {state_text(int(panel['panel_state']))}"
         dashes = _DASHES[number // len(_COLOURS) % len(_DASHES)]
         axes.plot(nm[order], factor, dashes, color=colour, linewidth=1.4, label=label)
         axes.fill_between(nm[order], factor - 2.0 * u, factor + 2.0 * u, color=colour, alpha=0.12, lw=0)

@@ -20,10 +20,10 @@ from hyperpaint.paints.colours import paint_colours, srgb
 from .figures import label_for, new_figure, save_figure
 from .orientation import orientation_of, show_picture
 from .plot import rgb
-from .plot_spectra import find_usable, good_of
+from .plot_spectra import find_usable, good_bands
 
 MAX_CHIPS = 60
-_CHIP_PX = 16  # pixels along a chip's side, each a member of the population
+_CHIP_PX = 16  # pixels along a chip's side; a pixel shows a member of the population
 _CHIP_INCH, _RENDER_INCH = 0.85, 4.2  # widths
 
 
@@ -42,7 +42,7 @@ def chips_and_renders(
     Parameters
     ----------
     paints
-        A paint library. The pixels of a chip are members of its population, where the library has one.
+        A paint library. The pixels of a chip show members of the paint's population, if the library has it.
     renders
         A render from `hyperpaint.simulation.relight` or a group of `hyperpaint.render_scene`; or several by
         the name of their light.
@@ -62,8 +62,8 @@ def chips_and_renders(
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        It is no paint library, or has no paints; there is no render, or one without three visible bands; or
-        matplotlib cannot write this type of picture.
+        The library is no paint library or has no paints; there is no render, or a render has fewer than three
+        visible bands; or matplotlib cannot write this type of picture.
 
     Examples
     --------
@@ -74,27 +74,29 @@ def chips_and_renders(
     >>> [axes.get_title() for axes in figure.axes][:2]
     ['Synthetic Polar White', 'Synthetic Signal Red']
     """
-    paints, wrong = find_usable(paints)
+    paints, problems = find_usable(paints)
     variables = schema.require(paints, ["reflectance", "wavelength"], "chips", schema.LIBRARY_VARIABLES)
     lines: dict[str, Any] = {"": renders}
     if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
         lines = dict(renders)
-    if wrong or not paints.sizes[SIGNATURE] or not lines:
-        found = "; ".join(wrong) or f"found {paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
-        raise SchemaError(f"a collage needs a paint library and a render: {found}", code="empty-input")
+    if problems or not paints.sizes[SIGNATURE] or not lines:
+        reason = "; ".join(problems) or f"{paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
+        raise SchemaError(f"a collage needs a paint library and a render: {reason}", code="empty-input")
     count = min(paints.sizes[SIGNATURE], MAX_CHIPS)
     columns = max(1, min(columns, count))
     rows = -(-count // columns)
     orientations = {name: orientation_of(line) for name, line in lines.items()}
-    tallest = max(min(each.height_of(_RENDER_INCH), 2.5 * _RENDER_INCH) for each in orientations.values())
+    tallest = max(
+        min(orientation.height_of(_RENDER_INCH), 2.5 * _RENDER_INCH) for orientation in orientations.values()
+    )
     chip_height = 1.25 * _CHIP_INCH * rows
     width = max(_RENDER_INCH * len(lines), (_CHIP_INCH + 0.2) * columns)
     figure = new_figure(
         "a collage of chips and renders", figsize=(width, chip_height + tallest + 0.6), layout="constrained"
     )
-    above, below = figure.subfigures(2, 1, height_ratios=(chip_height, tallest + 0.4))
+    chip_figure, render_figure = figure.subfigures(2, 1, height_ratios=(chip_height, tallest + 0.4))
     colours = paint_colours(paints)
-    for number, axes in enumerate(above.subplots(rows, columns, squeeze=False).ravel()):
+    for number, axes in enumerate(chip_figure.subplots(rows, columns, squeeze=False).ravel()):
         axes.set_axis_off()
         if number < count:
             paint = paints.isel({SIGNATURE: number})
@@ -102,7 +104,7 @@ def chips_and_renders(
                 _chip(paint, variables["wavelength"].values, colours[number]), interpolation="nearest"
             )
             axes.set_title(label_for(str(paint[SIGNATURE].values), 26), fontsize=6, pad=2)
-    plots = below.subplots(1, len(lines), squeeze=False)[0]
+    plots = render_figure.subplots(1, len(lines), squeeze=False)[0]
     for axes, (name, line) in zip(plots, lines.items(), strict=True):
         show_picture(axes, rgb(line, stretch=stretch).values, orientations[name])
         axes.set_axis_off()
@@ -112,14 +114,18 @@ def chips_and_renders(
 
 
 def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
-    # (row, column, rgb), 0 to 1; pixels are members of the population
-    flat = np.broadcast_to(np.nan_to_num(colour), (_CHIP_PX, _CHIP_PX, 3))
+    # (row, column, rgb), 0 to 1; pixels show random members of the population, else the colour of the paint
+    uniform = np.broadcast_to(np.nan_to_num(colour), (_CHIP_PX, _CHIP_PX, 3))
     if "member_reflectance" not in paint.variables:
-        return np.asarray(flat)
-    good = good_of(paint) & (wavelength > 380.0) & (wavelength < 780.0)
-    members = np.asarray(paint["member_reflectance"].transpose(schema.MEMBER, schema.BAND).values)[:, good]
+        return np.asarray(uniform)
+    is_visible = good_bands(paint) & (wavelength > 380.0) & (wavelength < 780.0)
+    members = np.asarray(paint["member_reflectance"].transpose(schema.MEMBER, schema.BAND).values)[
+        :, is_visible
+    ]
     members = members[np.isfinite(members).all(axis=1)]
-    if len(members) < 2 or good.sum() < 3:
-        return np.asarray(flat)
-    place = np.random.default_rng(0).integers(len(members), size=_CHIP_PX**2)
-    return np.asarray(srgb(members, wavelength[good])[place].reshape(_CHIP_PX, _CHIP_PX, 3)).clip(0.0, 1.0)
+    if len(members) < 2 or is_visible.sum() < 3:
+        return np.asarray(uniform)
+    numbers = np.random.default_rng(0).integers(len(members), size=_CHIP_PX**2)
+    return np.asarray(srgb(members, wavelength[is_visible])[numbers].reshape(_CHIP_PX, _CHIP_PX, 3)).clip(
+        0.0, 1.0
+    )

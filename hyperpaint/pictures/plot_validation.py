@@ -1,4 +1,4 @@
-"""Signatures over their references, and their differences."""
+"""Picture of a validation: signatures, references and their differences."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ _MIN_SPAN = 0.005  # half range of the axis of differences [1]
 def validation_figure(
     validation: Validation, path: str | Path | None = None, *, columns: int = 3, limit: float | None = None
 ) -> Any:
-    """Draw every signature over its references with their spread, and the differences below.
+    """Draw every signature with its references and their spread, and the differences below.
 
-    References of several instruments are drawn over one another.
+    References of several instruments share a plot.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def validation_figure(
     Returns
     -------
     matplotlib.figure.Figure
-        At most 24 paints; of more, the worst, as the title notes. Shades are a standard deviation of pixels
-        or readings; for the difference, its standard uncertainty. Bands not compared are blank.
+        At most 24 paints, those with the largest RMSE, as the title notes. Shades are a standard deviation of
+        pixels or readings; for differences, the standard uncertainty. Bands not compared are blank.
 
     Raises
     ------
@@ -65,8 +65,8 @@ def validation_figure(
     >>> axis = {"wavelength": ("band", nm, {"units": "nm"}), "signature": ["hood"]}
     >>> level = 0.2 + 0.001 * (nm - 400.0)
     >>> field = xr.Dataset({"reflectance": (("signature", "band"), [level], {"units": "1"})}, axis)
-    >>> paints = field.assign(reflectance=field.reflectance + 0.002)
-    >>> agreement = validate(paints, field, reference_fwhm=5.0)
+    >>> library = field.assign(reflectance=field.reflectance + 0.002)
+    >>> agreement = validate(library, field, reference_fwhm=5.0)
     >>> len(validation_figure(agreement).axes)
     2
     """
@@ -74,19 +74,23 @@ def validation_figure(
         raise SchemaError(
             f"columns={columns}, limit={limit}", expected="positive numbers", code="value-out-of-range"
         )
-    shown = _chosen(validation)
-    columns = min(columns, len(shown))
-    rows = -(-len(shown) // columns)
+    paints = _worst_paints(validation)
+    columns = min(columns, len(paints))
+    rows = -(-len(paints) // columns)
     size = (_AXES_INCH[0] * columns, _AXES_INCH[1] * rows + 0.7)
     figure = new_figure("a picture of a validation", figsize=size, layout="constrained")
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=[2.4, 1.0] * rows)
     if limit is None:
-        drawn = [pair for pairs in shown for pair in pairs]
-        largest = [float(np.abs(validation.spectra[pair]["difference"]).max()) for pair in drawn]
-        limits = float(np.nan_to_num(validation.statistics["rmse_limit"].values[drawn]).max())
-        limit = 1.15 * max(_MIN_SPAN, limits, *(each for each in largest if np.isfinite(each)))
-    for place, pairs in enumerate(shown):
-        row, column = divmod(place, columns)
+        drawn_pairs = [pair for pairs in paints for pair in pairs]
+        max_differences = [
+            float(np.abs(validation.spectra[pair]["difference"]).max()) for pair in drawn_pairs
+        ]
+        limits = float(np.nan_to_num(validation.statistics["rmse_limit"].values[drawn_pairs]).max())
+        limit = 1.15 * max(
+            _MIN_SPAN, limits, *(difference for difference in max_differences if np.isfinite(difference))
+        )
+    for panel, pairs in enumerate(paints):
+        row, column = divmod(panel, columns)
         upper = figure.add_subplot(grid[2 * row, column])
         lower = figure.add_subplot(grid[2 * row + 1, column], sharex=upper)
         _draw_spectra(upper, validation, pairs)
@@ -96,24 +100,24 @@ def validation_figure(
         if column == 0:
             upper.set_ylabel("reflectance factor [1]", fontsize="small")
         lower.set_xlabel("wavelength [nm]", fontsize="small")
-    count = len(_by_paint(validation))
-    cut = f", the {len(shown)} worst of {count} shown" if count > len(shown) else ""
-    title = textwrap.fill(label_for(validation.verdict, longest=150) + cut, max(30, int(13 * size[0])))
+    count = len(_pairs_by_paint(validation))
+    ending = f", the {len(paints)} worst of {count} shown" if count > len(paints) else ""
+    title = textwrap.fill(label_for(validation.verdict, longest=150) + ending, max(30, int(13 * size[0])))
     figure.suptitle(title, fontsize="small")
     save_figure(figure, path)
     return figure
 
 
-def _by_paint(validation: Validation) -> list[list[int]]:
+def _pairs_by_paint(validation: Validation) -> list[list[int]]:
     pairs: dict[str, list[int]] = {}
     for number, spectra in enumerate(validation.spectra):
         pairs.setdefault(str(spectra.attrs["signature"]), []).append(number)
     return list(pairs.values())
 
 
-def _chosen(validation: Validation) -> list[list[int]]:
-    # pairs of each paint: of all paints, or of those with the largest RMSE
-    paints = _by_paint(validation)
+def _worst_paints(validation: Validation) -> list[list[int]]:
+    # pairs by paint, of the `MAX_PAIRS` paints with the largest RMSE
+    paints = _pairs_by_paint(validation)
     if len(paints) <= MAX_PAIRS:
         return paints
     rmse = np.nan_to_num(validation.statistics["rmse"].max("part").values)
@@ -121,18 +125,18 @@ def _chosen(validation: Validation) -> list[list[int]]:
 
 
 def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
-    first = validation.spectra[pairs[0]]
-    _draw_side(axes, first, "signature", "signature", _SIGNATURE, "-")
+    signature = validation.spectra[pairs[0]]
+    _draw_side(axes, signature, "signature", "signature", _SIGNATURE, "-")
     for number, pair in enumerate(pairs):
         spectra = validation.spectra[pair]
-        # over the part of the spectrum with most bands
+        # agreement over the part of the spectrum with most bands
         part = _largest_part(validation, pair)
         limit = f" of {float(part['rmse_limit']):.4f}" if np.isfinite(part["rmse_limit"]) else ""
         agreement = f"RMSE {float(part['rmse']):.4f}{limit}, scale {float(part['scale']):.3f}"
         label = f"reference ({spectra.attrs['instrument']}): {agreement}"
         _draw_side(axes, spectra, "reference", label, *_REFERENCES[number % len(_REFERENCES)])
     names = [
-        str(first.attrs["signature"]),
+        str(signature.attrs["signature"]),
         *(str(validation.spectra[pair].attrs["reference"]) for pair in pairs),
     ]
     axes.set_title(label_for(" / ".join(dict.fromkeys(names)), longest=34), fontsize="small", loc="left")
@@ -141,11 +145,11 @@ def _draw_spectra(axes: Any, validation: Validation, pairs: list[int]) -> None:
 
 
 def _draw_side(axes: Any, spectra: xr.Dataset, name: str, label: str, colour: str, dashes: Any) -> None:
-    at, values = _whole(spectra, spectra[name])
-    axes.plot(at, values, color=colour, ls=dashes, lw=1.5, label=label_for(label, longest=120))
+    nm, values = _values_on_wavelengths(spectra, spectra[name])
+    axes.plot(nm, values, color=colour, ls=dashes, lw=1.5, label=label_for(label, longest=120))
     if f"{name}_sd" in spectra:
-        _, sd = _whole(spectra, spectra[f"{name}_sd"])
-        axes.fill_between(at, values - sd, values + sd, color=colour, alpha=0.2, lw=0)
+        _, sd = _values_on_wavelengths(spectra, spectra[f"{name}_sd"])
+        axes.fill_between(nm, values - sd, values + sd, color=colour, alpha=0.2, lw=0)
 
 
 def _largest_part(validation: Validation, pair: int) -> xr.Dataset:
@@ -160,25 +164,27 @@ def _draw_differences(
     for number, pair in enumerate(pairs):
         spectra = validation.spectra[pair]
         colour, dashes = _REFERENCES[number % len(_REFERENCES)]
-        at, values = _whole(spectra, spectra["difference"])
+        nm, values = _values_on_wavelengths(spectra, spectra["difference"])
         edge = float(_largest_part(validation, pair)["rmse_limit"])
         if np.isfinite(edge) and not number:
             axes.axhspan(-edge, edge, color="#009E73", alpha=0.12, lw=0)
-        axes.plot(at, values, color=colour, ls=dashes, lw=1.2)
+        axes.plot(nm, values, color=colour, ls=dashes, lw=1.2)
         uncertainties = [
-            _whole(spectra, spectra[name])[1] for name in ("signature_u", "reference_u") if name in spectra
+            _values_on_wavelengths(spectra, spectra[name])[1]
+            for name in ("signature_u", "reference_u")
+            if name in spectra
         ]
         if uncertainties:
-            u = np.sqrt(sum(each**2 for each in uncertainties))
-            axes.fill_between(at, values - u, values + u, color=colour, alpha=0.2, lw=0)
+            u = np.sqrt(sum(u_part**2 for u_part in uncertainties))
+            axes.fill_between(nm, values - u, values + u, color=colour, alpha=0.2, lw=0)
     axes.set_ylim(-limit, limit)
     axes.tick_params(labelsize="small")
     if labelled:
         axes.set_ylabel("difference [1]", fontsize="small")
 
 
-def _whole(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:
-    # sorted wavelengths [nm], and values, NaN in bands not compared
+def _values_on_wavelengths(spectra: xr.Dataset, array: xr.DataArray) -> tuple[Any, Any]:
+    # sorted wavelengths [nm], and values; NaN in bands not compared
     order = np.argsort(spectra["wavelength"].values, kind="stable")
     values = np.where(spectra["used"].values, array.values, np.nan)
     return spectra["wavelength"].values[order], values[order]

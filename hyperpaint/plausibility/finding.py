@@ -1,4 +1,4 @@
-"""Faults that the inputs of a flight line may have: every kind with its name, weight and mend."""
+"""Faults of the inputs of a flight line: kinds of fault with names and remedies, and findings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Kind:
     mend
         Remedy.
     refused
-        Whether processing stops, since results would be wrong; else it goes on with a warning.
+        Whether processing stops, because results would be wrong; otherwise a warning is given.
     """
 
     name: str
@@ -43,18 +43,18 @@ _ROWS = (
     ),
     Kind(
         "byte-order",
-        "The picture is noise, and smooth with the two bytes of every count exchanged.",
+        "Spectra are noise as stored, and smooth with the two bytes of every count exchanged.",
         "mend `byte order` in the header of the cube",
     ),
     Kind(
         "interleave",
-        "Neighbouring bands look alike in another interleave, but not in the declared one.",
+        "Neighbouring bands are similar in another interleave, but not in the declared one.",
         "mend `interleave` in the header of the cube",
     ),
     Kind(
         "band-order",
-        "The absorption bands of daylight (oxygen at 760 nm, and all others) are in other bands than "
-        "wavelengths and gains give, or neighbouring bands have nothing in common.",
+        "Absorption bands of daylight (such as oxygen at 760 nm) are not in the bands that wavelengths and "
+        "gains predict, or neighbouring bands are uncorrelated.",
         "mend the order of the bands in cube and dark, or name the calibration of this camera and binning",
     ),
     Kind(
@@ -79,8 +79,8 @@ _ROWS = (
     ),
     Kind(
         "dark-pattern",
-        "The pattern of the dark is not part of the scene: it belongs to another camera, binning or order of "
-        "columns or bands.",
+        "The scene does not contain the fixed pattern of the dark, which belongs to another camera, binning "
+        "or order of columns or bands.",
         "name the dark of this camera, in the same binning and orientation",
     ),
     Kind(
@@ -108,13 +108,13 @@ _ROWS = (
     ),
     Kind(
         "irradiance-constant",
-        "All spectra of irradiance are bit-identical, or stay so over the whole line: the spectrometer had "
+        "All spectra of irradiance are bit-identical, or those during the line are: the spectrometer had "
         "stopped.",
         "name the record of this flight, with spectra measured during the line",
     ),
     Kind(
         "irradiance-level",
-        "Irradiance is a small part or a multiple of a clear sky's at the place and time.",
+        "Irradiance is far below or far above that of a clear sky at the place and time.",
         "check the units of the record (units in [irradiance]), its receptor, its time and the line's place",
     ),
     Kind(
@@ -125,7 +125,7 @@ _ROWS = (
     ),
     Kind(
         "navigation-gaps",
-        "Positions or angles are missing for a good part of the lines.",
+        "Positions or angles are missing for many lines.",
         "name the navigation of this flight; check its clock",
         refused=False,
     ),
@@ -136,16 +136,16 @@ KINDS = {kind.name: kind for kind in _ROWS}
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault of a flight line that is impossible, or nearly so.
+    """A fault found in the inputs of a flight line.
 
     Attributes
     ----------
     kind
         Its row in `KINDS`.
     line
-        Flight line, or the cube of one.
+        Name of the flight line or cube.
     found, expected
-        With the figures.
+        Measured and accepted values, in words.
     """
 
     kind: Kind
@@ -157,7 +157,7 @@ class Finding:
         return str(self.problem())
 
     def problem(self, *, acceptable: bool = False) -> Problem:
-        """Return it as a `Problem`; an ``acceptable`` one names the option that accepts it."""
+        """Return the finding as a `Problem`; ``acceptable`` adds the option that accepts it."""
         name, mend = self.kind.name, self.kind.mend
         option = mend
         if acceptable:

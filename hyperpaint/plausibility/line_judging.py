@@ -1,4 +1,4 @@
-"""Run all checks of one flight line."""
+"""Checks of the inputs of a flight line: counts, bands, layout, dark, frames, irradiance and navigation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hyperpaint.radiometry.plausible_light import light_level
 
 from .finding import KINDS, Finding
 
-# -- A sample of a cube: blocks of whole lines, spread over it, and sums of them.
+# -- Statistics of a sample of a cube: blocks of complete lines, spread over the cube.
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class SampleRules:
     """Size of the sample of a cube.
 
     blocks, lines
-        Blocks, and lines in each: 128 lines give a mean to a tenth of the noise, and a cube of 640 x 4000 x
-        272 is read in a tenth of a second [1].
+        Number of blocks, and of lines in a block: 128 lines give a mean to a tenth of the noise, and the
+        sample of a cube of 640 x 4000 x 272 is read in a tenth of a second [1].
     """
 
     blocks: int = 8
@@ -54,7 +54,7 @@ class CubeSample:
 
     lines: int  #: Lines of the sample
     mean: Floats
-    highest: Floats
+    maximum: Floats
     divisor: int  #: Greatest common divisor of all counts
 
 
@@ -70,7 +70,7 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
     )
     shape = counts.shape[1:]
     sums = np.zeros(shape)
-    highest = np.full(shape, -np.inf)
+    maximum = np.full(shape, -np.inf)
     lines, divisor = 0, 0
     for start in starts.tolist():
         block = counts[start : start + size].to_numpy()[recorded[start : start + size]]
@@ -78,47 +78,51 @@ def sample_cube(counts: xr.DataArray, recorded: Bools) -> CubeSample | None:
             continue
         lines += len(block)
         sums += block.sum(axis=0, dtype=np.float64)
-        highest = np.maximum(highest, block.max(axis=0))
+        maximum = np.maximum(maximum, block.max(axis=0))
         divisor = int(np.gcd.reduce(block, axis=None, initial=divisor))
-    return None if not lines else CubeSample(lines, sums / lines, highest, divisor)
+    return None if not lines else CubeSample(lines, sums / lines, maximum, divisor)
 
 
-# -- Check the order of the bands by the solar lines and absorption bands of daylight in the cube.
+# -- Check the order of the bands by the solar lines and absorption bands in the cube.
 
 
 @dataclass(frozen=True)
 class BandRules:
-    """Thresholds beyond which bands are in another order than their wavelengths.
+    """Thresholds beyond which bands are not in the order of their wavelengths.
 
     bands, spacing_nm, fwhm_nm
-        Fewest bands, widest spacing and width [nm]: the bands of oxygen and water are 5 to 40 nm wide, and
-        have to be resolved.
+        Minimum number of bands, maximum spacing and width [nm]: absorption bands of oxygen and water are 5 to
+        40 nm wide and have to be resolved.
     explained, unexplained
-        Correlation of the cube's curvature over wavelength with the curvature of daylight and gain, in the
-        best order, and in the declared order [1]. The first is set between 0.85, the highest of 100 lamps of
-        one to six peaks by chance (right), and 0.94, the least of the campaign's orders (wrong).
+        Correlation of the cube's curvature over wavelength with the curvature of daylight over gain [1]: at
+        least `explained` in the best order, at most `unexplained` in the declared one. `explained` is set
+        between 0.85, the maximum by chance over 100 lamps of one to six peaks in the right order, and 0.94,
+        the minimum over the wrong orders of the fault campaign.
     margin
-        Least difference of the best order to the best one with inverted curvature [1]: among 22 000 orders a
-        lamp's lines match some by chance, inverted as well. Orders of the campaign (wrong) exceed it by 0.15
-        and more.
+        Minimum excess of the best correlation over the best one with inverted curvature [1]: among 22 000
+        orders, lamp lines match some by chance, and some inverted. Wrong orders of the fault campaign have an
+        excess of 0.15 and more.
     common
-        Part of the lit bands [1] that an order has to explain, and at least `bands`.
+        Minimum share of the lit bands [1] over which a correlation is taken, and at least `bands`.
     daylight
-        Correlation of the record's curvature with a clear sky's [1] from which it is daylight.
+        Correlation of the curvatures of irradiance record and clear sky [1], above which the record is
+        daylight.
     shift_nm
-        Smallest shift [nm]: a smaller one is measured and corrected by `hyperpaint.alignment`.
+        Minimum shift that is tried [nm]; `hyperpaint.alignment` measures and corrects smaller ones.
     stretches, shifts_nm
-        Other wavelengths that are tried: intervals of bands over the declared ones [1], and shifts of the
-        middle band [nm].
+        Range of wavelengths that are tried: band spacing over the declared spacing [1], and shift of the
+        mean wavelength [nm].
     rough
-        Median squared difference of neighbouring bands over the median of all pairs [1], of lit bands: 1 for
-        bands in any order. A median, since one dead band or the lines of a lamp dominate a mean. Set
-        between 0.1, the highest of right collects of the campaign, and 0.38, the least of mixed bands.
+        Squared ratio of the median difference of neighbouring lit bands to the median difference of all pairs
+        [1]: 1 for bands in random order. Medians, because a dead band or lamp lines dominate a mean. Set
+        between 0.1, the maximum over right collects of the fault campaign, and 0.38, the minimum over mixed
+        bands.
     lit_counts, lit_share
-        Light from which a band is lit [count], and part of the brightest band [1]: darks drift by so much.
+        Light above which a band is lit [count], and as a share of the brightest band [1]: darks drift by this
+        much.
     spread
-        Median difference of all pairs over the median light [1], below which the spectrum is even: a
-        saturated line leaves the pattern of the dark, some per cent of it.
+        Median difference of all pairs over the median light [1], below which the spectrum is flat and not
+        judged: a saturated line minus its dark varies by some per cent.
     """
 
     bands: int = 24
@@ -149,10 +153,10 @@ def judge_bands(
     fwhm: float,
     record: tuple[Floats, Floats] | None,
 ) -> Iterator[Finding]:
-    """Judge the mean light above the dark [count] of every band, (band,) as gain and wavelength [nm].
+    """Judge the order of bands by their mean counts above the dark, ``light`` [count].
 
-    fwhm: of the camera [nm]; record: wavelengths [nm] and irradiance, None without one: the light may then be
-    a lamp, and its lines are not judged.
+    light, gain, wavelength [nm]: (band,); fwhm: of the camera [nm]; record: wavelengths [nm] and irradiance.
+    Without a record (None) the source may be a lamp, and only the roughness is judged.
     """
     spacing = float(np.median(np.abs(np.diff(wavelength)))) if wavelength.size > 1 else np.inf
     if (
@@ -162,7 +166,7 @@ def judge_bands(
     ):
         return
     rising = np.argsort(wavelength)
-    # a camera of many filters has unlike gains in neighbouring bands, and a smooth radiance
+    # gains of neighbouring bands differ in cameras with many filters: counts are rough, radiance is smooth
     roughness = min(_roughness(spectrum[rising], light[rising]) for spectrum in (light, light * gain))
     if roughness > BAND_RULES.rough:
         yield Finding(
@@ -175,101 +179,109 @@ def judge_bands(
     if record is None:
         return
     daylight = _Daylight(wavelength, fwhm, record)
-    clear = _curvature(_Daylight(wavelength, fwhm, None).at(wavelength))
-    if not _correlation(_curvature(daylight.at(wavelength)), clear) > BAND_RULES.daylight:
+    clear_curvature = _curvature(_Daylight(wavelength, fwhm, None).irradiance_at(wavelength))
+    if (
+        not _correlation(_curvature(daylight.irradiance_at(wavelength)), clear_curvature)
+        > BAND_RULES.daylight
+    ):
         return
-    expected = _curvature(daylight.at(wavelength) / gain)
-    measured = _curvature(light)
-    declared = float(_correlation(measured, expected))
-    if not declared < BAND_RULES.unexplained:
+    expected_curvature = _curvature(daylight.irradiance_at(wavelength) / gain)
+    curvature = _curvature(light)
+    agreement = float(_correlation(curvature, expected_curvature))
+    if not agreement < BAND_RULES.unexplained:
         return
-    # reversed, rotated, and at other wavelengths
-    orders = {"reversed": float(_correlation(measured[::-1], expected))}
+    # correlations of reversed bands, rotated bands, and other wavelengths
+    orders = {"reversed": float(_correlation(curvature[::-1], expected_curvature))}
     for shift in range(1, wavelength.size):
         if min(shift, wavelength.size - shift) * spacing >= BAND_RULES.shift_nm:
-            # a rotation by more than half of the bands is one the other way
-            by = shift if shift <= wavelength.size // 2 else shift - wavelength.size
-            orders[f"shifted by {-by} bands"] = float(_correlation(np.roll(measured, -shift), expected))
+            # report a rotation by more than half of the bands as one in the opposite direction
+            rotation = shift if shift <= wavelength.size // 2 else shift - wavelength.size
+            orders[f"shifted by {-rotation} bands"] = float(
+                _correlation(np.roll(curvature, -shift), expected_curvature)
+            )
     orders |= _agreements(_curvature(light * gain), wavelength, daylight)
-    turned = _agreements(-_curvature(light * gain), wavelength, daylight)
-    order, best = max(orders.items(), key=lambda item: -1.0 if np.isnan(item[1]) else item[1])
-    chance = np.nanmax([-value for value in orders.values()] + list(turned.values()))
-    if best > max(BAND_RULES.explained, chance + BAND_RULES.margin):
+    inverted = _agreements(-_curvature(light * gain), wavelength, daylight)
+    order, best_agreement = max(orders.items(), key=lambda item: -1.0 if np.isnan(item[1]) else item[1])
+    chance = np.nanmax([-value for value in orders.values()] + list(inverted.values()))
+    if best_agreement > max(BAND_RULES.explained, chance + BAND_RULES.margin):
         yield Finding(
             KINDS["band-order"],
             name,
-            f"the correlation of the bands with daylight is {declared:.2f}, and {best:.2f} where their order "
-            f"is {order}",
+            f"the correlation of the bands with daylight is {agreement:.2f}, and {best_agreement:.2f} where "
+            f"their order is {order}",
             f"at least {BAND_RULES.unexplained:g} in the declared order",
         )
 
 
 def _roughness(spectrum: Floats, light: Floats) -> float:
-    # Squared difference of neighbouring bands relative to all pairs; 0 where too few are lit
-    lit = (light > max(BAND_RULES.lit_counts, BAND_RULES.lit_share * np.nanmax(light))) & np.isfinite(
+    # Squared median difference of neighbouring bands relative to all pairs of bands; 0 with too few lit bands
+    is_lit = (light > max(BAND_RULES.lit_counts, BAND_RULES.lit_share * np.nanmax(light))) & np.isfinite(
         spectrum
     )
-    if lit.sum() < BAND_RULES.bands:
+    if is_lit.sum() < BAND_RULES.bands:
         return 0.0
-    pairs = np.abs(np.subtract.outer(spectrum[lit], spectrum[lit]))[np.triu_indices(lit.sum(), 1)]
-    steps = np.abs(np.diff(np.where(lit, spectrum, np.nan)))
-    typical = float(np.median(pairs))
-    even = typical < BAND_RULES.spread * float(np.median(spectrum[lit]))
-    return 0.0 if even else float(np.nanmedian(steps) / typical) ** 2
+    pairs = np.abs(np.subtract.outer(spectrum[is_lit], spectrum[is_lit]))[np.triu_indices(is_lit.sum(), 1)]
+    steps = np.abs(np.diff(np.where(is_lit, spectrum, np.nan)))
+    pair_step = float(np.median(pairs))
+    is_flat = pair_step < BAND_RULES.spread * float(np.median(spectrum[is_lit]))
+    return 0.0 if is_flat else float(np.nanmedian(steps) / pair_step) ** 2
 
 
-def _agreements(radiance: Floats, wavelength: Floats, daylight: _Daylight) -> dict[str, float]:
+def _agreements(curvature: Floats, wavelength: Floats, daylight: _Daylight) -> dict[str, float]:
+    # Best correlation of a curvature with daylight over all shifts, by the wavelengths of each stretch
     agreements = {}
-    middle = float(wavelength.mean())
+    mean_nm = float(wavelength.mean())
     shifts = np.arange(-BAND_RULES.shifts_nm, BAND_RULES.shifts_nm, 3.0)[:, None]
     for stretch in np.geomspace(*BAND_RULES.stretches, 140):
         for signed in (stretch, -stretch):
-            nm = middle + shifts + signed * (wavelength - middle)
-            agreement = _correlation(radiance, _curvature(daylight.at(nm)))
+            nm = mean_nm + shifts + signed * (wavelength - mean_nm)
+            agreement = _correlation(curvature, _curvature(daylight.irradiance_at(nm)))
             best = int(np.argmax(np.nan_to_num(agreement, nan=-1.0)))
             agreements[f"{nm[best, 0]:.0f} to {nm[best, -1]:.0f} nm"] = float(agreement[best])
     return agreements
 
 
 class _Daylight:
-    # Daylight at the resolution of the bands, NaN outside its range
+    # Irradiance of the record, or of a clear sky, at the resolution of the bands; NaN outside its wavelengths
     def __init__(self, wavelength: Floats, fwhm: float, record: tuple[Floats, Floats] | None) -> None:
-        beyond = 2.0 * BAND_RULES.shifts_nm
-        nm = np.arange(max(wavelength.min() - beyond, 300.0), min(wavelength.max() + beyond, 2500.0), 0.5)
-        clear = sum(ClearSky(45.0).irradiance(nm)) if record is None else None
-        fine = np.asarray(clear if record is None else np.interp(nm, *record, np.nan, np.nan))
-        steps = round(2.0 * max(fwhm, 1.0))  # of half a nanometre: one width to either side
-        weights = np.exp(-0.5 * (2.3548 * np.linspace(-1.0, 1.0, 2 * steps + 1)) ** 2)
-        self._nm, self._values = nm, np.convolve(fine, weights / weights.sum(), "same")
+        margin = 2.0 * BAND_RULES.shifts_nm
+        nm = np.arange(max(wavelength.min() - margin, 300.0), min(wavelength.max() + margin, 2500.0), 0.5)
+        clear_sky = sum(ClearSky(45.0).irradiance(nm)) if record is None else None
+        irradiance = np.asarray(clear_sky if record is None else np.interp(nm, *record, np.nan, np.nan))
+        half_width = round(2.0 * max(fwhm, 1.0))  # in steps of 0.5 nm: one FWHM to either side
+        weights = np.exp(-0.5 * (2.3548 * np.linspace(-1.0, 1.0, 2 * half_width + 1)) ** 2)
+        self._nm, self._values = nm, np.convolve(irradiance, weights / weights.sum(), "same")
 
-    def at(self, wavelength: Floats) -> Floats:
+    def irradiance_at(self, wavelength: Floats) -> Floats:
         return np.asarray(np.interp(wavelength, self._nm, self._values, np.nan, np.nan))
 
 
 def _curvature(spectrum: Floats) -> Floats:
     # Second differences of the logarithm (..., band), NaN where there is almost no light
-    least = 0.03 * np.nan_to_num(spectrum).max(axis=-1, keepdims=True)
+    min_light = 0.03 * np.nan_to_num(spectrum).max(axis=-1, keepdims=True)
     curvature = np.full(spectrum.shape, np.nan)
-    curvature[..., 1:-1] = np.diff(np.log(np.where(spectrum > least, spectrum, np.nan)), 2)
+    curvature[..., 1:-1] = np.diff(np.log(np.where(spectrum > min_light, spectrum, np.nan)), 2)
     return curvature
 
 
 def _correlation(first: Floats, second: Floats) -> Floats:
-    # Correlation over the last axis, where both are known; NaN where few of the first are
-    both = np.isfinite(first) & np.isfinite(second)
-    count = both.sum(axis=-1)
-    a, b = (np.where(both, part, 0.0) for part in (first, second))
+    # Correlation over the last axis, where both are finite; NaN where too few bands of the first are
+    is_finite = np.isfinite(first) & np.isfinite(second)
+    count = is_finite.sum(axis=-1)
+    a, b = (np.where(is_finite, values, 0.0) for values in (first, second))
     a, b = (
-        np.where(both, part - part.sum(axis=-1, keepdims=True) / np.maximum(count, 1)[..., None], 0.0)
-        for part in (a, b)
+        np.where(
+            is_finite, values - values.sum(axis=-1, keepdims=True) / np.maximum(count, 1)[..., None], 0.0
+        )
+        for values in (a, b)
     )
     size = np.sqrt((a**2).sum(axis=-1) * (b**2).sum(axis=-1))
-    lit = np.isfinite(first).sum(axis=-1)
-    enough = (count >= np.maximum(BAND_RULES.bands, BAND_RULES.common * lit)) & (size > 0.0)
+    first_count = np.isfinite(first).sum(axis=-1)
+    enough = (count >= np.maximum(BAND_RULES.bands, BAND_RULES.common * first_count)) & (size > 0.0)
     return np.where(enough, (a * b).sum(axis=-1) / np.where(enough, size, 1.0), np.nan)
 
 
-# -- Check that records of irradiance and navigation belong to the flight.
+# -- Check that irradiance and navigation belong to the flight.
 
 
 @dataclass(frozen=True)
@@ -277,19 +289,20 @@ class RecordRules:
     """Thresholds beyond which records do not belong to the flight.
 
     samples
-        Fewest equal spectra in a row that are not a coincidence [1].
+        Minimum number of equal spectra in a row that is reported [1].
     still_factor
-        Length of a standstill relative to the others of the record [1]: loggers write a reading several
-        times.
+        Length of the longest run of equal spectra over the median of the other runs [1], above which it is
+        reported: loggers write every reading several times.
     least_share, most_share
-        Irradiance over a clear sky's [1]: a thunderstorm transmits 0.02, sides of clouds add 0.5.
+        Accepted irradiance over that of a clear sky [1]: a thunderstorm transmits 0.02, sides of clouds add
+        0.5.
     still_lines, still_share, still_m
-        Fewest lines, share of the lines [1] with bit-identical positions, and extent of all positions [m]
-        below which a platform does not move.
+        Minimum number of lines to judge; a platform does not move if more than this share of the lines [1]
+        repeats the position before, or if all positions lie within this extent [m].
     turned
-        Change of attitude that shows a camera turning in place [degree].
+        Range of an angle [degree] from which a camera turns in place, and need not move.
     gap_share
-        Lines without a position or angle [1].
+        Accepted share of lines without a position or angle [1].
     """
 
     samples: int = 3
@@ -308,7 +321,7 @@ _ANGLES = ("roll", "pitch", "heading")
 
 
 def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
-    """Judge the record that lights a line."""
+    """Judge the irradiance record of a line."""
     if "irradiance" not in line:
         return
     spectra = line["irradiance"].transpose(IRRADIANCE_TIME, ...).values
@@ -323,8 +336,8 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
         return
     yield from _judge_changes(name, spectra, times, line["time"].values)
     channels = line["irradiance_wavelength"].values.astype(np.float64)
-    place = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
-    level = light_level(place, spectra, channels, times)
+    position = {key: line[key].values for key in ("latitude", "longitude") if key in line.coords}
+    level = light_level(position, spectra, channels, times)
     share = level.median / level.clear
     if math.isfinite(share) and not RECORD_RULES.least_share <= share <= RECORD_RULES.most_share:
         slip = f", {level.slip}" if level.slip else ""
@@ -337,24 +350,24 @@ def judge_irradiance(name: str, line: xr.Dataset) -> Iterator[Finding]:
         )
 
 
-def _judge_changes(name: str, spectra: Array, times: Array, flown: Array) -> Iterator[Finding]:
-    same = (spectra[1:] == spectra[:-1]) | (np.isnan(spectra[1:]) & np.isnan(spectra[:-1]))
-    same = same.all(axis=1) & np.isfinite(spectra[1:]).any(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
+def _judge_changes(name: str, spectra: Array, times: Array, line_times: Array) -> Iterator[Finding]:
+    is_repeat = (spectra[1:] == spectra[:-1]) | (np.isnan(spectra[1:]) & np.isnan(spectra[:-1]))
+    is_repeat = is_repeat.all(axis=1) & np.isfinite(spectra[1:]).any(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_repeat, [False]]).astype(int)))
     starts, lengths = edges[::2], edges[1::2] - edges[::2] + 1
     if not lengths.size or lengths.max() < RECORD_RULES.samples:
         return
-    longest = int(np.argmax(lengths))
-    first, last = starts[longest], starts[longest] + lengths[longest] - 1
-    others = float(np.median(np.delete(lengths, longest))) if lengths.size > 1 else 1.0
-    flown = flown[~np.isnat(flown)]
-    covers = flown.size and times[first] <= flown.min() and flown.max() <= times[last]
-    if lengths[longest] == len(spectra) or (covers and lengths[longest] > RECORD_RULES.still_factor * others):
-        seconds = (times[last] - times[first]) / np.timedelta64(1, "s")
+    run = int(np.argmax(lengths))
+    start, end = starts[run], starts[run] + lengths[run] - 1
+    median_length = float(np.median(np.delete(lengths, run))) if lengths.size > 1 else 1.0
+    line_times = line_times[~np.isnat(line_times)]
+    covers = line_times.size and times[start] <= line_times.min() and line_times.max() <= times[end]
+    if lengths[run] == len(spectra) or (covers and lengths[run] > RECORD_RULES.still_factor * median_length):
+        seconds = (times[end] - times[start]) / np.timedelta64(1, "s")
         yield Finding(
             KINDS["irradiance-constant"],
             name,
-            f"{lengths[longest]} of {len(spectra)} spectra in a row are bit-identical, for {seconds:.3g} s",
+            f"{lengths[run]} of {len(spectra)} spectra in a row are bit-identical, for {seconds:.3g} s",
             "spectra that differ, at least by noise",
         )
 
@@ -372,16 +385,16 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
         if key in line.coords
     }
     gaps = {key: float(np.mean(~np.isfinite(values))) for key, values in pose.items()}
-    # angles that were never measured are no gap: functions that need them ask for them
+    # angles that were never measured are not gaps: functions that need them raise their own error
     gaps = {key: share for key, share in gaps.items() if share < 1.0 or key not in _ANGLES}
     if max(gaps.values()) > RECORD_RULES.gap_share:
-        lost = ", ".join(
+        shares = ", ".join(
             f"{key} {100 * share:.3g} %" for key, share in gaps.items() if share > RECORD_RULES.gap_share
         )
         yield Finding(
             KINDS["navigation-gaps"],
             name,
-            f"missing for the lines: {lost}",
+            f"missing for the lines: {shares}",
             f"at most {100 * RECORD_RULES.gap_share:g} %",
         )
     located = np.isfinite(pose["latitude"]) & np.isfinite(pose["longitude"])
@@ -392,20 +405,21 @@ def judge_navigation(name: str, line: xr.Dataset) -> Iterator[Finding]:
     extent = float(np.hypot(*np.ptp(metres, axis=1)))
     angles = [pose[key][located] for key in _ANGLES if key in pose]
     finite = [values[np.isfinite(values)] for values in angles]
-    turned = max(
-        (float(np.ptp(np.unwrap(angle, period=360.0))) for angle in finite if angle.size), default=0.0
-    )
-    still = float(np.mean((np.diff(metres, axis=1) == 0.0).all(axis=0)))
-    if turned < RECORD_RULES.turned and (still > RECORD_RULES.still_share or extent < RECORD_RULES.still_m):
+    turn = max((float(np.ptp(np.unwrap(angle, period=360.0))) for angle in finite if angle.size), default=0.0)
+    repeat_share = float(np.mean((np.diff(metres, axis=1) == 0.0).all(axis=0)))
+    if turn < RECORD_RULES.turned and (
+        repeat_share > RECORD_RULES.still_share or extent < RECORD_RULES.still_m
+    ):
         yield Finding(
             KINDS["navigation-still"],
             name,
-            f"positions stay the same over {100 * still:.3g} % of the lines, and lie within {extent:.3g} m",
+            f"positions stay the same over {100 * repeat_share:.3g} % of the lines, and lie within "
+            f"{extent:.3g} m",
             "a platform that moves between lines",
         )
 
 
-# -- Check for frames that belong to another cube, are doubled, or are missing.
+# -- Check for a frame index of another cube, and for doubled or missing frames.
 
 
 @dataclass(frozen=True)
@@ -413,15 +427,16 @@ class FrameRules:
     """Thresholds of doubled and lost frames.
 
     samples, block
-        Samples of a line that are compared with the next, and lines read at once.
+        Number of samples compared between neighbouring lines, and of lines read at once.
     chance
-        Doubled lines that noise alone may cause, in the whole cube [1].
+        Expected number of lines in a cube that equal the line before by chance [1], up to which equal lines
+        are reported.
     noisy
-        Share of equal samples in the most similar of the other neighbouring lines, up to which noise is
-        visible.
+        Maximum share of equal samples in neighbouring lines that differ [1], up to which noise is visible and
+        equal lines are reported.
     jump, window
-        Lasting step of the stamps, in frame periods, and lines before and after it that show it: stamps of
-        a computer are delayed one by one, and catch up.
+        Lasting delay of the time stamps [frame periods] that is reported, and number of lines before and
+        after over which it must last: single stamps of a computer are late, and later ones are not.
     """
 
     samples: int = 1024
@@ -436,20 +451,20 @@ FRAME_RULES = FrameRules()
 
 
 def judge_index(inputs: FlightlineInputs, lines: int) -> tuple[Bools, list[Finding]]:
-    """Return whether each line of a cube was recorded (along_track,), and findings of its frame index."""
+    """Return which lines of a cube were recorded, (along_track,), and the findings about its frame index."""
     timing, name = inputs.timing, str(inputs.name)
     if not isinstance(timing, Timing) or timing.frame_index is None:
         return np.ones(lines, bool), []
     index = read_frame_index(timing.frame_index)
     frame, row = match_frames(index, lines, inputs.path, shortened=inputs.keep_whole_lines)
     findings = []
-    number, first = cube_number(inputs.path), int(frame[0])
-    if number is not None and number != first:
-        # a cube may lack its first frame or be renamed: the index is foreign only if the cube has another
+    number, first_frame = cube_number(inputs.path), int(frame[0])
+    if number is not None and number != first_frame:
+        # cubes may lack their first frame or be renamed: the index is foreign only if a matching one exists
         matching = timing.frame_index.with_name(f"frameIndex_{number}.txt")
         foreign = matching != timing.frame_index and matching.is_file()
         kind = KINDS["foreign-frame-index" if foreign else "first-frame"]
-        found = f"the first frame of {timing.frame_index.name} for {inputs.path.name} is {first}"
+        found = f"the first frame of {timing.frame_index.name} for {inputs.path.name} is {first_frame}"
         findings.append(Finding(kind, name, found, str(number)))
     recorded = row >= 0
     if not index.fitted:
@@ -458,60 +473,63 @@ def judge_index(inputs: FlightlineInputs, lines: int) -> tuple[Bools, list[Findi
 
 
 def _jumps(name: str, frame: Ints, stamp: Ints) -> Iterator[Finding]:
-    wide = FRAME_RULES.window
-    if frame.size < 4 * wide:
+    window = FRAME_RULES.window
+    if frame.size < 4 * window:
         return
     steps = np.diff(stamp) / np.diff(frame)
     period = float(np.median(steps))
-    late = stamp - stamp[0] - period * (frame - frame[0])
-    windows = np.median(np.lib.stride_tricks.sliding_window_view(late, wide), axis=1)
-    # compare before and after every long step
-    for at in np.flatnonzero(steps[wide - 1 : 1 - wide] > (1.0 + FRAME_RULES.jump) * period) + wide - 1:
-        if (windows[at + 1] - windows[at + 1 - wide]) / period > FRAME_RULES.jump:
+    delay = stamp - stamp[0] - period * (frame - frame[0])
+    delays = np.median(np.lib.stride_tricks.sliding_window_view(delay, window), axis=1)
+    # compare the median delay before and after every long step
+    for step in (
+        np.flatnonzero(steps[window - 1 : 1 - window] > (1.0 + FRAME_RULES.jump) * period) + window - 1
+    ):
+        if (delays[step + 1] - delays[step + 1 - window]) / period > FRAME_RULES.jump:
             yield Finding(
                 KINDS["lost-frames"],
                 name,
-                f"stamps step by {steps[at] / period:.3g} periods from frame {frame[at]} to {frame[at + 1]}, "
-                "and stay late",
+                f"stamps step by {steps[step] / period:.3g} periods from frame {frame[step]} to "
+                f"{frame[step + 1]}, and stay late",
                 "1, or frame numbers that skip the lost frames",
             )
             return
 
 
 def judge_doubles(name: str, counts: xr.DataArray, by_pixel: bool, recorded: Bools) -> Iterator[Finding]:
-    """Find lines of lazy counts (along_track, band, cross_track) that repeat the line before.
+    """Find lines of lazy counts (along_track, band, cross_track) that are equal to the line before.
 
-    by_pixel: whether samples of one pixel lie together in the file; recorded: (along_track,).
+    by_pixel: whether the file is interleaved by pixel (BIP); recorded: (along_track,).
     """
     lines, bands, columns = counts.shape
-    axis, across = (2, bands) if by_pixel else (1, columns)
+    # compare the central pixels of all bands, or the central bands of all columns
+    axis, width = (2, bands) if by_pixel else (1, columns)
     size = counts.shape[axis]
-    count = min(size, 4 + FRAME_RULES.samples // across)
-    middle = slice((size - count) // 2, (size + count) // 2)  # contiguous: one read a line
-    equal = _equal_shares(counts.isel({counts.dims[axis]: middle}), FRAME_RULES.block)
-    equal = equal[recorded[1:] & recorded[:-1]]
-    doubled = equal == 1.0
+    count = min(size, 4 + FRAME_RULES.samples // width)
+    centre = slice((size - count) // 2, (size + count) // 2)  # contiguous in the file: one read a line
+    equal_shares = _equal_shares(counts.isel({counts.dims[axis]: centre}), FRAME_RULES.block)
+    equal_shares = equal_shares[recorded[1:] & recorded[:-1]]
+    doubled = equal_shares == 1.0
     if not doubled.any():
         return
-    highest = float(equal[~doubled].max()) if not doubled.all() else 0.0
-    by_chance = doubled.size * highest ** (count * across)
-    if highest > FRAME_RULES.noisy or by_chance > FRAME_RULES.chance:
+    max_share = float(equal_shares[~doubled].max()) if not doubled.all() else 0.0
+    chance_count = doubled.size * max_share ** (count * width)
+    if max_share > FRAME_RULES.noisy or chance_count > FRAME_RULES.chance:
         return
     first = int(np.flatnonzero(doubled)[0]) + 1
     yield Finding(
         KINDS["doubled-frames"],
         name,
         f"{int(doubled.sum())} of {lines} lines are bit for bit the line before, the first is line {first}",
-        f"noise: of other neighbouring lines at most {100 * highest:.3g} % of the samples are equal",
+        f"noise: in all other lines at most {100 * max_share:.3g} % of the samples equal the line before",
     )
 
 
 def _equal_shares(rows: xr.DataArray, block: int) -> Floats:
-    # Share of samples that equal the line before, (along_track - 1,)
+    # Share of samples that are equal to the line before, (along_track - 1,)
     shares: list[Array] = []
     for start in range(0, rows.shape[0] - 1, block):
-        part = rows[start : start + block + 1].to_numpy()
-        shares.append((part[1:] == part[:-1]).mean(axis=(1, 2)))
+        values = rows[start : start + block + 1].to_numpy()
+        shares.append((values[1:] == values[:-1]).mean(axis=(1, 2)))
     return np.concatenate(shares) if shares else np.zeros(0)
 
 
@@ -523,18 +541,19 @@ class LayoutRules:
     """Thresholds at which another layout explains a cube better.
 
     bands, pixels
-        Random bands, and pixels in each, that are read: some thousand places of the file.
+        Number of random bands, and of pixels in a band, that are read.
     rough, smoother
-        Mean squared difference of neighbouring bands over twice the variance [1]: value above which other
-        layouts are tried, and ratio by which one has to be smoother: 30 times in another interleave, 1000
-        times with bytes exchanged.
+        Roughness (mean squared difference of neighbouring bands over twice the variance [1]) above which
+        other layouts are tried, and factor by which another layout must be smoother; observed are 30 for the
+        right interleave and 1000 for the right byte order.
     unlike
-        The same [1] above which bands have nothing in common in the other layout either (1: noise): one band
-        of status words makes a cube rougher than noise, and every other layout smoother.
+        Maximum roughness of another layout [1]; noise has 1. A band of status words makes the declared layout
+        rougher than noise, and every other layout smoother than it.
     separate, separation
-        Share of the variance that bands explain in the better interleave, and over that share in the declared
-        one [1]: light and camera give every band a level of its own, and a wrong order mixes them. Without
-        it, neighbouring columns of an even field would look like bands of a camera that has few.
+        Minimum share of the variance between bands in the better interleave [1], and its minimum ratio to
+        this share in the declared one: every band has its own mean level, which a wrong interleave mixes.
+        Without this check, neighbouring columns of a uniform field would pass for bands of a camera with few
+        bands.
     """
 
     bands: int = 24
@@ -552,13 +571,15 @@ LAYOUT_RULES = LayoutRules()
 class _View(NamedTuple):
     # Counts read in one interleave, both (band, pixel)
     values: Floats
-    neighbours: Floats  # Of the next band
+    neighbours: Floats  # Values of the next band
 
     @property
     def roughness(self) -> float:
         # squared difference of neighbouring bands, over twice the variance
-        spread = 2.0 * float(self.values.var())
-        return float(np.mean((self.values - self.neighbours) ** 2)) / spread if spread else 0.0
+        twice_variance = 2.0 * float(self.values.var())
+        return (
+            float(np.mean((self.values - self.neighbours) ** 2)) / twice_variance if twice_variance else 0.0
+        )
 
     @property
     def separation(self) -> float:
@@ -570,7 +591,7 @@ class _View(NamedTuple):
 
 
 def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
-    """Judge the file of a cube of so many lines against its header."""
+    """Judge interleave and byte order of the file of a cube with this number of lines."""
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
     if header.bands < 4 or header.dtype.kind not in "iu" or lines * header.samples < LAYOUT_RULES.pixels:
@@ -580,99 +601,102 @@ def judge_layout(name: str, path: Path, lines: int) -> Iterator[Finding]:
     declared = views.pop(header.interleave)
     if declared.roughness <= LAYOUT_RULES.rough:
         return
-    smooth = min(declared.roughness / LAYOUT_RULES.smoother, LAYOUT_RULES.unlike)
+    max_roughness = min(declared.roughness / LAYOUT_RULES.smoother, LAYOUT_RULES.unlike)
     if header.dtype.itemsize == 2:
-        swapped = _View(*(part.astype(header.dtype).byteswap().astype(np.float64) for part in declared))
-        if swapped.roughness < smooth:
-            other = "0 (little)" if header.dtype.newbyteorder("<") != header.dtype else "1 (big)"
+        swapped = _View(*(values.astype(header.dtype).byteswap().astype(np.float64) for values in declared))
+        if swapped.roughness < max_roughness:
+            byte_order = "0 (little)" if header.dtype.newbyteorder("<") != header.dtype else "1 (big)"
             yield Finding(
                 KINDS["byte-order"],
                 name,
                 f"neighbouring bands differ by {declared.roughness:.2g} of the variance, by "
                 f"{swapped.roughness:.2g} with bytes exchanged",
-                f"byte order = {other}",
+                f"byte order = {byte_order}",
             )
             return
-    order, best = min(views.items(), key=lambda item: item[1].roughness)
-    least = max(LAYOUT_RULES.separate, LAYOUT_RULES.separation * declared.separation)
-    if best.roughness < smooth and best.separation > least:
+    order, smoothest = min(views.items(), key=lambda item: item[1].roughness)
+    min_separation = max(LAYOUT_RULES.separate, LAYOUT_RULES.separation * declared.separation)
+    if smoothest.roughness < max_roughness and smoothest.separation > min_separation:
         yield Finding(
             KINDS["interleave"],
             name,
             f"neighbouring bands differ by {declared.roughness:.2g} of the variance as {header.interleave}, "
-            f"by {best.roughness:.2g} as {order}",
+            f"by {smoothest.roughness:.2g} as {order}",
             f"interleave = {order}",
         )
 
 
 def _view(file: io.FileIO, header: EnviHeader, lines: int, order: str) -> _View:
-    # Read random pixels, the same in every band, with the file's samples in the given interleave
+    # Read random pixels of some bands, and the same pixels of the next bands, in the given interleave
     rng = np.random.default_rng(0)
     count = min(LAYOUT_RULES.bands, header.bands - 1)
     bands = np.linspace(0, header.bands - 2, count).astype(np.int64)[:, None]
     shape = (count, LAYOUT_RULES.pixels)
     line, column = rng.integers(lines, size=shape), rng.integers(header.samples, size=shape)
 
-    def at(band: Ints) -> Floats:
-        places = {
+    def read_band(band: Ints) -> Floats:
+        offsets = {
             "bil": (line * header.bands + band) * header.samples + column,
             "bip": (line * header.samples + column) * header.bands + band,
             "bsq": (band * lines + line) * header.samples + column,
         }[order]
         size = header.dtype.itemsize
-        # single reads: mapping the file would take its size in address space
-        starts = (header.header_offset + size * places.ravel()).tolist()
+        # single reads: a memory map would take address space of the size of the file
+        starts = (header.header_offset + size * offsets.ravel()).tolist()
         samples = bytearray()
         for start in starts:
             file.seek(start)
             samples += file.read(size)
-        return np.frombuffer(samples, header.dtype).astype(np.float64).reshape(places.shape)
+        return np.frombuffer(samples, header.dtype).astype(np.float64).reshape(offsets.shape)
 
-    return _View(at(bands), at(bands + 1))
+    return _View(read_band(bands), read_band(bands + 1))
 
 
-# -- Check that a dark belongs to the camera and settings of the scene.
+# -- Check that a dark was recorded with the camera and settings of the scene.
 
 
 @dataclass(frozen=True)
 class DarkRules:
-    """Thresholds beyond which frames are not a dark of this scene.
+    """Thresholds beyond which frames are not a dark for this scene.
 
     zero_share
-        Elements of exactly zero counts under a lit scene [1]: set between dead elements of a detector, under
-        1 %, and every second column or band, 50 %.
+        Accepted share of elements with a dark of exactly zero and a lit scene [1]: set between dead elements
+        of a detector, under 1 %, and every second column or band, 50 %.
     zero_counts
-        Mean of the scene over an element from which it is lit, and of the dark's other elements from which
-        zeros stand out [count]: masked columns hold a stray count, a black level of 0.2 counts is rounded to
-        true zeros.
+        Mean count above which an element of the scene is lit, and above which the non-zero elements of the
+        dark make zeros suspicious [count]: masked columns have a mean below it, and a black level of 0.2
+        counts is rounded to true zeros.
     over_share, over_counts, over_level
-        Bands [1] whose dark, as a mean of all columns, lies above the scene by so many counts, and by
-        this part of the dark: water beyond 900 nm lies on its dark, which drifts with temperature. Set
-        between a drift of 11 % over a pedestal of 100 counts (right) and half the scene's light (wrong).
+        Accepted share of bands [1] whose mean dark over all columns exceeds the mean scene by these counts
+        and by this share of the dark: water beyond 900 nm is as dark as the dark, which drifts with
+        temperature. Set between a drift of 11 % over a pedestal of 100 counts (right) and half the scene's
+        light (wrong).
     lit_correlation, lit_slope, lit_most, lit_bands
-        Correlation [1] and slopes [1] of the dark's curvature over wavelength on the curvature of the scene's
-        light, and the fewest bands: any two rising curves agree in their slopes, light and a bias only by
-        chance in their curvature. Set between 0.36 of right and 0.97 of lit darks of the campaign. Above
-        `lit_most` the dark's own shape is the larger one.
+        Minimum correlation [1] and regression slope [1] of the dark's curvature over wavelength on that of
+        the scene's light, maximum slope, and minimum number of bands. Any two rising spectra have similar
+        slopes; light and detector bias have similar curvature only by chance. Set between correlations of
+        0.36 of right and 0.97 of lit darks in the fault campaign. Above `lit_most` the spectrum of the dark
+        is larger than the light.
     lit_range
-        Range of the scene's light over the range of the dark without it [1]: set between a gradient of the
-        bias under a dim scene (right, 1) and a tenth to a third of the light (wrong, 17).
+        Range of the scene's light over bands, over the range of the dark after this light is subtracted [1]:
+        set between a gradient of the bias under a dim scene (right, 1) and darks with a tenth to a third of
+        the light (wrong, 17).
     frames, frame_bands, frame_counts, frame_share
-        Frames of a dark, and bands of each, that are sampled, and by how many counts and what part of
-        itself [1] the median of a frame may change: temperature changes it by some per cent.
+        Number of frames of a dark, and of bands, that are sampled; accepted change of the median of a frame,
+        in counts and as a share [1]: temperature changes it by some per cent.
     pattern_slopes
-        Slope of the scene's pattern on the dark's [1]: it is 1 for the matching dark, 0 for a foreign one,
-        2 and 0.5 for a dark of half and twice the exposure; set between these and the 0.88 to 1.36 that
-        right collects of the campaign reach.
+        Accepted regression slope of the scene's pattern on the dark's [1]: 1 for the matching dark, 0 for a
+        dark of another camera, 2 and 0.5 for a dark of half and twice the exposure; right collects of the
+        fault campaign have 0.88 to 1.36.
     pattern_sds
-        Standard uncertainties by which it has to differ from 1.
+        Minimum difference of this slope from 1 [standard uncertainties].
     pattern_contrast
-        Variance of the dark's pattern over the variance of its noise and rounding from which it is judged
-        [1]: noise of a quarter lowers the slope to 0.75, which is still right.
+        Variance of the dark's pattern over the variance of its noise and rounding, from which it is judged
+        [1]: at 4, noise lowers the slope to 0.75, which is accepted.
     pattern_range
-        Range of the dark below which it has no pattern [count]: rounding makes steps of one.
+        Minimum range of the dark to be judged [count]: rounding alone makes steps of 1.
     pattern_elements
-        Fewest differences of elements to judge by.
+        Minimum number of differences of elements to judge by.
     """
 
     zero_share: float = 0.05
@@ -704,28 +728,28 @@ def judge_dark(
 ) -> Iterator[Finding]:
     """Judge dark counts, all (band, cross_track), against a sample of the scene.
 
-    uncertainty: of the mean dark [count], None where unknown; gain: of radiance, in any unit; full: count
-    from which an element is saturated.
+    uncertainty: standard uncertainty of the mean dark [count], None where unknown; gain: of radiance, in any
+    unit; full: count from which an element is saturated.
     """
-    zeros = float(np.mean((dark == 0.0) & (sample.mean > DARK_RULES.zero_counts)))
-    others = dark[dark > 0.0]
-    if zeros > DARK_RULES.zero_share and (others.size == 0 or others.mean() > DARK_RULES.zero_counts):
+    zero_share = float(np.mean((dark == 0.0) & (sample.mean > DARK_RULES.zero_counts)))
+    nonzero = dark[dark > 0.0]
+    if zero_share > DARK_RULES.zero_share and (nonzero.size == 0 or nonzero.mean() > DARK_RULES.zero_counts):
         yield Finding(
             KINDS["dark-of-zeros"],
             name,
-            f"{100 * zeros:.3g} % of the dark's elements are exactly 0 in every frame, under light",
+            f"{100 * zero_share:.3g} % of the dark's elements are exactly 0 in every frame, under light",
             f"at most {100 * DARK_RULES.zero_share:g} %",
         )
         return
     dark_bands, light_bands = np.nanmean(dark, axis=1), np.nanmean(sample.mean - dark, axis=1)
-    over = float(
+    over_share = float(
         np.mean(light_bands < -np.maximum(DARK_RULES.over_counts, DARK_RULES.over_level * dark_bands))
     )
-    if over > DARK_RULES.over_share:
+    if over_share > DARK_RULES.over_share:
         yield Finding(
             KINDS["dark-over-scene"],
             name,
-            f"the dark lies above the mean of the scene in {100 * over:.3g} % of the bands, "
+            f"the dark lies above the mean of the scene in {100 * over_share:.3g} % of the bands, "
             f"{np.median(dark):.4g} against {np.median(sample.mean):.4g} counts",
             f"at most {100 * DARK_RULES.over_share:g} %",
         )
@@ -753,16 +777,20 @@ def judge_dark_frames(name: str, counts: xr.DataArray) -> Iterator[Finding]:
 
 
 def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
-    # Find the light of the scene in a dark, both (band,)
+    # Find light of the scene in a dark, both (band,), by their second differences
     finite = np.isfinite(dark) & np.isfinite(light)
     dark, light = dark[finite], light[finite]
     if dark.size < DARK_RULES.lit_bands or not (np.ptp(dark) > 0.0 and np.ptp(light) > 0.0):
         return
-    bend, lit = np.diff(dark, 2), np.diff(light, 2)
-    if not (np.any(bend) and np.any(lit)):
+    dark_curvature, light_curvature = np.diff(dark, 2), np.diff(light, 2)
+    if not (np.any(dark_curvature) and np.any(light_curvature)):
         return
-    correlation = float(bend @ lit / np.sqrt((bend @ bend) * (lit @ lit)))
-    slope = float(bend @ lit / (lit @ lit))
+    correlation = float(
+        dark_curvature
+        @ light_curvature
+        / np.sqrt((dark_curvature @ dark_curvature) * (light_curvature @ light_curvature))
+    )
+    slope = float(dark_curvature @ light_curvature / (light_curvature @ light_curvature))
     if not DARK_RULES.lit_slope < slope <= DARK_RULES.lit_most:
         return
     if correlation > DARK_RULES.lit_correlation and np.ptp(light) > DARK_RULES.lit_range * np.ptp(
@@ -778,11 +806,11 @@ def _judge_light(name: str, dark: Floats, light: Floats) -> Iterator[Finding]:
 
 
 def _judge_pattern(
-    name: str, dark: Floats, uncertainty: Floats, gain: Floats, sample: CubeSample, full: float
+    name: str, dark: Floats, uncertainty: Floats, gain: Floats, sample: CubeSample, saturation_limit: float
 ) -> Iterator[Finding]:
-    # Find a dark whose pattern is not part of the scene.
-    # Mean scene = dark + light / gain: differences of neighbouring elements leave the two patterns, and a
-    # regression of the scene's on both gives the share of the dark's pattern in it.
+    # Find a dark whose fixed pattern is missing in the scene. Mean scene = dark + light / gain. Differences
+    # of neighbouring elements leave the patterns of dark and gain; a regression of the scene's differences on
+    # both gives the share of the dark's pattern in the scene.
     if (
         dark.shape[0] < 3
         or dark.shape[1] < 2
@@ -791,68 +819,68 @@ def _judge_pattern(
         return
     level = np.nanmedian(np.where(np.isfinite(gain), (sample.mean - dark) * gain, np.nan), axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        expected = level[:, None] / gain
-    scene, pattern, lit = _differences(sample.mean), _differences(dark), _differences(expected)
-    # residuals of the scene in the differences grow with the light, and with noise
-    scale = np.hypot(np.maximum(np.abs(expected), 0.0), 0.05 * np.nanmax(np.abs(expected)) + 1.0)[1:-1, 1:]
-    # differences of unsaturated elements alone
-    unsaturated = sample.highest < full
+        signal = level[:, None] / gain
+    scene, dark_pattern, gain_pattern = _differences(sample.mean), _differences(dark), _differences(signal)
+    # residuals of the regression grow with light and noise
+    scale = np.hypot(np.maximum(np.abs(signal), 0.0), 0.05 * np.nanmax(np.abs(signal)) + 1.0)[1:-1, 1:]
+    # use only differences of unsaturated elements
+    unsaturated = sample.maximum < saturation_limit
     rows = unsaturated[:-2] & unsaturated[1:-1] & unsaturated[2:]
-    usable: Bools = np.isfinite(scene) & np.isfinite(pattern) & np.isfinite(lit)
+    usable: Bools = np.isfinite(scene) & np.isfinite(dark_pattern) & np.isfinite(gain_pattern)
     usable &= rows[:, 1:] & rows[:, :-1]
     if usable.sum() < DARK_RULES.pattern_elements:
         return
-    # variance of a difference: 12 is the sum of its squared weights; rounding to whole counts adds 1/12,
-    # which frames do not average out where the noise is under a count
+    # noise variance of a difference: 12 is the sum of its squared weights; rounding adds a variance of 1/12,
+    # which does not average out over frames where the noise is below one count
     noise = 12.0 * (float(np.mean(np.square(uncertainty))) + 1.0 / 12.0)
-    # without hot elements, whose dark changes differently
-    usable &= np.abs(pattern) <= 8.0 * np.median(np.abs(pattern[usable])) + 1e-9
-    if np.var(pattern[usable]) < DARK_RULES.pattern_contrast * noise or not np.any(pattern[usable]):
+    # exclude hot elements, whose dark changes differently
+    usable &= np.abs(dark_pattern) <= 8.0 * np.median(np.abs(dark_pattern[usable])) + 1e-9
+    if np.var(dark_pattern[usable]) < DARK_RULES.pattern_contrast * noise or not np.any(dark_pattern[usable]):
         return
     weights = 1.0 / scale[usable]
-    terms = np.stack([pattern[usable], lit[usable]]) * weights
+    terms = np.stack([dark_pattern[usable], gain_pattern[usable]]) * weights
     values = scene[usable] * weights
-    for _ in range(2):  # the second fit without outliers
+    for _ in range(2):  # the second fit excludes outliers
         slopes = np.linalg.lstsq(terms @ terms.T, terms @ values, rcond=None)[0]
         residual = values - slopes @ terms
-        near = np.abs(residual) <= 4.0 * (1.4826 * np.median(np.abs(residual)) + 1e-12)
-        terms, values, residual = terms[:, near], values[near], residual[near]
-    # neighbouring differences share elements: three times the uncertainty of independent ones
-    spread = 3.0 * np.sqrt(np.mean(np.square(residual)) / max(float(np.square(terms[0]).sum()), 1e-30))
-    least, most = DARK_RULES.pattern_slopes
-    if not least <= slopes[0] <= most and abs(1.0 - slopes[0]) > DARK_RULES.pattern_sds * spread:
+        is_inlier = np.abs(residual) <= 4.0 * (1.4826 * np.median(np.abs(residual)) + 1e-12)
+        terms, values, residual = terms[:, is_inlier], values[is_inlier], residual[is_inlier]
+    # neighbouring differences share elements: three times the uncertainty of independent differences
+    slope_u = 3.0 * np.sqrt(np.mean(np.square(residual)) / max(float(np.square(terms[0]).sum()), 1e-30))
+    min_slope, max_slope = DARK_RULES.pattern_slopes
+    if not min_slope <= slopes[0] <= max_slope and abs(1.0 - slopes[0]) > DARK_RULES.pattern_sds * slope_u:
         yield Finding(
             KINDS["dark-pattern"],
             name,
-            f"{slopes[0]:.2f} +- {spread:.2f} of the dark's pattern is in the scene",
-            f"1, {least:g} to {most:g}",
+            f"{slopes[0]:.2f} +- {slope_u:.2f} of the dark's pattern is in the scene",
+            f"1, {min_slope:g} to {max_slope:g}",
         )
 
 
 def _differences(array: Floats) -> Floats:
-    # Second differences over bands of first differences over columns: slow changes cancel
+    # Second differences over bands of first differences over columns, which remove slow changes
     return np.asarray(np.diff(np.diff(array, 2, axis=0), axis=1))
 
 
 # -- Check for counts above the range of the camera's converter.
 
-#: Largest share of the elements [1] that a frame counter or status word takes: a column in 640.
+#: Maximum share of elements [1] that a frame counter or status word fills: one column of 640 is below it.
 STRAY_SHARE = 2e-3
 
 
 def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count: float) -> Iterator[Finding]:
-    """Find counts above the converter's highest one; a larger ``saturation_count`` replaces it."""
+    """Find counts above the converter's maximum, or above a larger ``saturation_count``."""
     limit = max(2**bit_depth - 1, int(saturation_count))
-    highest = int(sample.highest.max())
-    if highest <= limit:
+    max_count = int(sample.maximum.max())
+    if max_count <= limit:
         return
-    share = float(np.mean(sample.highest > limit))
-    shifted = sample.divisor > 1 and sample.divisor.bit_count() == 1  # by whole bits
+    share = float(np.mean(sample.maximum > limit))
+    shifted = sample.divisor > 1 and sample.divisor.bit_count() == 1  # a power of 2
     multiple = f", all multiples of {sample.divisor}: left-justified" if shifted else ""
     yield Finding(
         KINDS["stray-counts" if share < STRAY_SHARE else "counts-over-range"],
         name,
-        f"counts up to {highest}{multiple}, above {limit} in {100 * share:.3g} % of the elements",
+        f"counts up to {max_count}{multiple}, above {limit} in {100 * share:.3g} % of the elements",
         f"at most {limit}, of {bit_depth} bits",
     )
 
@@ -860,9 +888,9 @@ def judge_range(name: str, sample: CubeSample, bit_depth: int, saturation_count:
 def judge_line(
     line: xr.Dataset, cubes: tuple[FlightlineInputs, ...], *, lit: bool = True
 ) -> Iterator[Finding]:
-    """Judge a flight line and its cubes; samples of them are read.
+    """Judge a flight line by its records and samples of its cubes.
 
-    ``lit``: whether reflectance is computed, so that the record of irradiance matters.
+    ``lit``: whether reflectance is computed, which needs the irradiance record.
     """
     name = str(line.attrs["name"])
     if lit:
@@ -875,7 +903,7 @@ def judge_line(
 def judge_dark_cube(path: Path) -> Iterator[Finding]:
     """Judge the frames of a dark cube."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)  # opening the dark has warned
+        warnings.simplefilter("ignore", PaintWarning)  # already given when the dark was opened
         counts = open_envi(path, unsaid="counts")["counts"]
     yield from judge_dark_frames(f"{path.parent.name}/{path.name}", counts)
 
@@ -883,21 +911,21 @@ def judge_dark_cube(path: Path) -> Iterator[Finding]:
 def _judge_cube(line: xr.Dataset, inputs: FlightlineInputs) -> Iterator[Finding]:
     name = str(inputs.name)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PaintWarning)  # opening the line has warned
-        opened = open_envi(
+        warnings.simplefilter("ignore", PaintWarning)  # already given when the line was opened
+        dataset = open_envi(
             inputs.path, keep_whole_lines=inputs.keep_whole_lines, quantity=inputs.quantity, unsaid="counts"
         )
         interleave = read_header(find_pair(inputs.path)[0]).interleave
-    cube = next(iter(opened.data_vars.values()))
+    cube = next(iter(dataset.data_vars.values()))
     recorded, findings = judge_index(inputs, cube.shape[0])
     yield from findings
     yield from judge_doubles(name, cube, interleave == "bip", recorded)
-    if "counts" not in line or "counts" not in opened:
+    if "counts" not in line or "counts" not in dataset:
         return
     layout = list(judge_layout(name, inputs.path, cube.shape[0]))
     yield from layout
     sample = sample_cube(cube, recorded)
-    # a cube that is read in a wrong order allows no further check
+    # a cube with a wrong layout cannot be checked further
     if sample is not None and not layout:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # bands without a gain have no mean
@@ -909,14 +937,14 @@ def _judge_sample(
     name: str, line: xr.Dataset, inputs: FlightlineInputs, sample: CubeSample
 ) -> Iterator[Finding]:
     saturation = float(np.max(line["saturation_count"].values))
-    full = saturation - SATURATION_MARGIN_COUNTS
+    saturation_limit = saturation - SATURATION_MARGIN_COUNTS
     yield from judge_range(name, sample, inputs.bit_depth, saturation)
     gain = line["radiance_gain"].transpose(BAND, CROSS_TRACK).values.astype(np.float64)
-    dark, is_measured = _dark_of(line)
+    dark, is_measured = _mean_dark(line)
     if line.attrs.get("dark_source") != DARK_NONE:
         uncertainty = line.get("dark_counts_u_random") if is_measured else None
-        spread = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
-        yield from judge_dark(name, dark, spread, gain, sample, full)
+        dark_u = None if uncertainty is None else uncertainty.transpose(BAND, CROSS_TRACK).values
+        yield from judge_dark(name, dark, dark_u, gain, sample, saturation_limit)
     if "wavelength" in line.coords:
         record = None
         if "irradiance" in line:
@@ -927,13 +955,13 @@ def _judge_sample(
         yield from judge_bands(name, light, mean_gain, line["wavelength"].values, fwhm, record)
 
 
-def _dark_of(line: xr.Dataset) -> tuple[Floats, bool]:
-    # Dark (band, cross_track) of a line, and whether it was measured at the line's exposure.
-    # A dark that is fitted to darks of other exposures has no noise of its own.
-    parts = {"dark_counts": line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values}
+def _mean_dark(line: xr.Dataset) -> tuple[Floats, bool]:
+    # Mean dark (band, cross_track) of a line, and whether it was measured at the line's exposure. A dark that
+    # is interpolated from other exposures has no measured noise.
+    variables = {"dark_counts": line["dark_counts"].transpose(..., BAND, CROSS_TRACK).values}
     exposure = np.atleast_1d(line["exposure_time"].values).astype(np.float64)
     if "dark_exposure_time" in line:
-        parts["dark_exposure_time"] = line["dark_exposure_time"].values
-    taken = np.atleast_1d(parts.get("dark_exposure_time", exposure.mean())).astype(np.float64)
-    dark = darks_of_lines(parts, exposure)[0].mean(axis=0, dtype=np.float64)
-    return dark, bool((np.abs(taken / exposure.mean() - 1.0) <= SAME_EXPOSURE_SHARE).all())
+        variables["dark_exposure_time"] = line["dark_exposure_time"].values
+    dark_exposure = np.atleast_1d(variables.get("dark_exposure_time", exposure.mean())).astype(np.float64)
+    dark = darks_of_lines(variables, exposure)[0].mean(axis=0, dtype=np.float64)
+    return dark, bool((np.abs(dark_exposure / exposure.mean() - 1.0) <= SAME_EXPOSURE_SHARE).all())

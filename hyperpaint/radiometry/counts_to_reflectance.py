@@ -18,7 +18,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, Quality, rename_to_roles
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, flags_set_from, rename_to_roles
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.illumination import Tilt
 from hyperpaint.light.synchrony import replace_record
@@ -41,12 +41,8 @@ from .planning import make_plan
 from .stray_light import described
 from .uncertainty.propagation import UNCERTAINTIES, with_uncertainty
 
-_BITS_OF_COUNTS = Quality.SATURATED | Quality.BELOW_DARK | Quality.BAD_DETECTOR | Quality.NO_DATA
-_BITS_OF_LIGHT = (
-    Quality.IRRADIANCE_GAP | Quality.ILLUMINATION_UNSTABLE | Quality.LOW_SUN | Quality.TIMING_SENSITIVE
-)
 #: Bits that every product derives anew; bits of other rooms stay.
-_PRODUCT_BITS = {"radiance": _BITS_OF_COUNTS, "reflectance": _BITS_OF_COUNTS | _BITS_OF_LIGHT}
+_PRODUCT_BITS = {"radiance": flags_set_from("counts"), "reflectance": flags_set_from("counts", "light")}
 
 
 @takes_quantities()
@@ -260,7 +256,7 @@ def panel_closure(
     Raises
     ------
     SchemaError, UnitsError, TimeError
-        As `reflectance`; a panel's region lies outside of the line, or holds no valid pixel.
+        As `reflectance`; a panel's region lies outside of the line, or contains no valid pixel.
 
     Notes
     -----

@@ -10,6 +10,7 @@ import xarray as xr
 
 from hyperpaint.base import schema
 from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import BAND, CROSS_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.illumination import Tilt, departure_of_record
 from hyperpaint.light.synchrony import check_irradiance_times
@@ -70,7 +71,7 @@ def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
     if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
         raise SchemaError(
             "the gain of this line has no absolute scale (attribute absolute_scale 'unknown')",
-            mend="give it one by hyperpaint.calibration.anchor_to_radiance, or pass panel= to reflectance",
+            mend="pass it one by hyperpaint.calibration.anchor_to_radiance, or pass panel= to reflectance",
             code="scale-unknown",
         )
 
@@ -117,11 +118,6 @@ def _light_inputs(dataset: xr.Dataset, tilt: Any, has_panels: bool) -> dict[str,
     values = {name: slabs.small(array) for name, array in arrays.items()}
     for attr in ("srf_shape", "irradiance_srf_shape"):
         values[attr] = str(dataset.attrs.get(attr, "gaussian"))
-        if values[attr] not in schema.SRF_SHAPES:
-            raise SchemaError(
-                f"attribute {attr!r} is {values[attr]!r}",
-                expected=f"one of {', '.join(schema.SRF_SHAPES)}",
-                code="choice-unknown",
-            )
+        one_of(values[attr], schema.SRF_SHAPES, f"attribute {attr}")
     values["departure"] = departure_of_record(dataset.attrs)
     return values

@@ -15,6 +15,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import require
 from hyperpaint.kernels.arguments import DetectorModel
 
@@ -138,12 +139,7 @@ def linearity_of(dataset: xr.Dataset) -> Linearity:
 def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
     """Return the curve that attributes alone declare; see `linearity_of`."""
     kind = attrs.get("linearity_on", DARK_SUBTRACTED)
-    if kind not in (DARK_SUBTRACTED, RAW):
-        raise SchemaError(
-            f"attribute linearity_on is {kind!r}",
-            expected=f"{DARK_SUBTRACTED!r} or {RAW!r}",
-            code="choice-unknown",
-        )
+    one_of(kind, (DARK_SUBTRACTED, RAW), "attribute linearity_on")
     declared = attrs.get("linearity", ())
     coefficients = () if isinstance(declared, str) else np.atleast_1d(np.asarray(declared, np.float64))
     numbers = tuple(float(value) for value in coefficients)

@@ -44,7 +44,7 @@ class PanelRules:
         Share of saturated pixels, or of pixels that do not show the panel, above which it is reported [1].
     most_saturated
         Share of saturated pixels up to which a band has a mean [1]: above a half, the unsaturated part of the
-        distribution does not contain its middle.
+        distribution does not contain its median.
     least_used
         Minimum share of pixels that show the panel [1]: with fewer, the median may belong to another surface.
     most_error
@@ -148,24 +148,24 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
     # Return the texts of a warning, and the row of a `PanelClosure`, without the time.
     observed = np.asarray(panel["observed"], np.float64)
     expected = np.asarray(panel["reflectance"], np.float64)
-    valid = np.isfinite(observed)
-    if not valid.any():
+    is_valid = np.isfinite(observed)
+    if not is_valid.any():
         raise SchemaError(
-            f"{panel['name']}'s region holds no valid pixel",
+            f"{panel['name']}'s region contains no valid pixel",
             mend="outline a part that is neither saturated nor in a gap",
             code="panel-empty",
         )
     ceiling = panel["ceiling"]
     if ceiling is None:  # radiance has no saturation limit: use the brightest sample
-        brightest = np.where(valid, observed, -np.inf).max(axis=(0, 2))
+        brightest = np.where(is_valid, observed, -np.inf).max(axis=(0, 2))
         ceiling = np.broadcast_to(brightest[None, :, None], observed.shape)
     ceiling = np.asarray(ceiling, np.float64)
-    is_saturated = ~valid & np.isfinite(ceiling)
+    is_saturated = ~is_valid & np.isfinite(ceiling)
     notes: list[str] = []
     reasons: list[str] = []
     state = 0
     # pixels that do not show the panel, by brightness and colour in unsaturated bands
-    is_unsaturated = ~is_saturated.any(axis=(0, 2)) & valid.any(axis=(0, 2))
+    is_unsaturated = ~is_saturated.any(axis=(0, 2)) & is_valid.any(axis=(0, 2))
     is_unsaturated &= context.good & (np.nan_to_num(expected) > 0.0)
     brightness, is_foreign = _brightness_and_outliers(observed, is_unsaturated)
     foreign_share = float(is_foreign.mean())
@@ -182,13 +182,13 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
         dilated = np.asarray(binary_dilation(is_foreign, np.ones((3, 3), bool)))
         is_foreign = dilated if 1.0 - dilated.mean() >= RULES.least_used else is_foreign
     # mean of the panel's pixels, with saturated samples
-    on_panel = ~is_foreign[:, None, :]
+    is_on_panel = ~is_foreign[:, None, :]
     number, total, error, saturated_share_of_band = _panel_means(
-        observed, ceiling, is_saturated, on_panel, brightness if is_unsaturated.sum() >= 3 else None
+        observed, ceiling, is_saturated, is_on_panel, brightness if is_unsaturated.sum() >= 3 else None
     )
-    is_panel_and_good = on_panel & context.good[:, None]
+    is_panel_and_good = is_on_panel & context.good[:, None]
     saturated_share = float(
-        (is_saturated & is_panel_and_good).any(axis=1).sum() / max(on_panel[:, 0].sum(), 1)
+        (is_saturated & is_panel_and_good).any(axis=1).sum() / max(is_on_panel[:, 0].sum(), 1)
     )
     if saturated_share >= RULES.noticed_share:
         state |= _SATURATED
@@ -219,14 +219,16 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
         notes.append(
             f"its factor has the spectrum of a tilted panel, {100 * change:+.1f} % of light by the sun"
         )
-        closes = not context.has_scale or abs(level - 1.0) <= RULES.coverage * np.nanmedian(u)
-        if closes and abs(change) > max(RULES.least_lean, RULES.coverage * panel["uncertainty"]):
+        agrees_with_irradiance = not context.has_scale or abs(level - 1.0) <= RULES.coverage * np.nanmedian(u)
+        if agrees_with_irradiance and abs(change) > max(
+            RULES.least_lean, RULES.coverage * panel["uncertainty"]
+        ):
             reasons.append(
                 f"it is tilted, or in a shadow or reflections: {100 * change:+.1f} % of light by the sun"
             )
     with np.errstate(invalid="ignore"):
-        is_off = (np.abs(factor - 1.0) > RULES.coverage * u)[context.good & np.isfinite(factor)]
-    if context.has_scale and is_off.size and is_off.mean() >= RULES.off_bands:
+        is_deviating = (np.abs(factor - 1.0) > RULES.coverage * u)[context.good & np.isfinite(factor)]
+    if context.has_scale and is_deviating.size and is_deviating.mean() >= RULES.off_bands:
         state |= _OFF_LEVEL
         low, median, high = np.nanquantile(factor[context.good], [0.0, 0.5, 1.0])
         notes.append(
@@ -234,8 +236,8 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
             f"irradiance, with a combined standard uncertainty of {np.nanmedian(u):.3f}"
         )
     state |= REFUSED if reasons else 0
-    used = 1.0 - (is_foreign[:, None, :] | ~valid).mean(axis=(0, 2))
-    return notes, scale, factor, u, mean_u, used, state, "; ".join(reasons)
+    share_used = 1.0 - (is_foreign[:, None, :] | ~is_valid).mean(axis=(0, 2))
+    return notes, scale, factor, u, mean_u, share_used, state, "; ".join(reasons)
 
 
 def _brightness_and_outliers(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
@@ -243,12 +245,12 @@ def _brightness_and_outliers(observed: Floats, clean: NDArray[np.bool_]) -> tupl
     # from the `clean` bands, or from all bands if these are few; NaN and false for pixels without such
     # samples.
     cube = np.moveaxis(observed, 1, 2)[..., clean if clean.sum() >= 3 else np.isfinite(observed).any((0, 2))]
-    valid = np.isfinite(cube)
+    is_valid = np.isfinite(cube)
     spectrum = np.nanmedian(cube.reshape(-1, cube.shape[-1]), axis=0)
 
     def level(bands: Any) -> Floats:
-        weight = np.where(valid[..., bands], spectrum[bands], 0.0).sum(axis=-1)
-        light = np.where(valid[..., bands], cube[..., bands], 0.0).sum(axis=-1)
+        weight = np.where(is_valid[..., bands], spectrum[bands], 0.0).sum(axis=-1)
+        light = np.where(is_valid[..., bands], cube[..., bands], 0.0).sum(axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(light / weight)
 
@@ -281,14 +283,14 @@ def _panel_means(
     # Return number and sum of a panel's pixels, the error of the mean, and the saturated share (band,).
     # `on_panel` (line, 1, column): whether pixels belong to the panel; `brightness` (line, column): its
     # pattern from unsaturated bands, or None.
-    valid = np.isfinite(observed) & on_panel
-    number = valid.sum(axis=(0, 2))
+    is_valid = np.isfinite(observed) & on_panel
+    number = is_valid.sum(axis=(0, 2))
     n_all = number + (saturated & on_panel).sum(axis=(0, 2))
     with np.errstate(invalid="ignore", divide="ignore"):
         saturated_share = np.where(n_all > 0, 1.0 - number / np.maximum(n_all, 1), 0.0)
-        total = np.where(valid, observed, 0.0).sum(axis=(0, 2))
+        total = np.where(is_valid, observed, 0.0).sum(axis=(0, 2))
         mean = total / number
-        squares = (np.where(valid, observed - mean[None, :, None], 0.0) ** 2).sum(axis=(0, 2))
+        squares = (np.where(is_valid, observed - mean[None, :, None], 0.0) ** 2).sum(axis=(0, 2))
         error = np.sqrt(squares / np.maximum(number - 1, 1) / number)
     # bands with some saturated samples: mean of a censored normal distribution
     total[saturated_share > RULES.most_saturated] = np.nan

@@ -2,7 +2,7 @@
 
 A plan is looked up by its inputs: the line's small variables, its attributes and the options. A variable in
 memory is compared by value with a copy; a lazy one by identity, since dask's name of an array stays the same
-when a store is rewritten. So replaced inputs are always noticed, and the cache holds no cube.
+when a store is rewritten. So replaced inputs are always noticed, and the cache contains no cube.
 """
 
 from __future__ import annotations

@@ -252,8 +252,8 @@ def make_plan(
     scale, closure, panel_weights, panel_u = np.ones(bands), None, None, None
     if panel is not None:
         if "factor" in panel:  # panels that were measured before
-            refused = (np.asarray(panel["state"]) & REFUSED) != 0
-            scale, panel_weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), refused)
+            is_refused = (np.asarray(panel["state"]) & REFUSED) != 0
+            scale, panel_weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), is_refused)
             panel_u = np.asarray(panel["scale_u"], np.float64)
         else:
             scale, closure, panel_weights, panel_u = _panel_scale(panel, cube, light, good, lines)
@@ -324,7 +324,7 @@ def _check_values(cube: Mapping[str, Any], shape: tuple[int, int, int]) -> None:
             "'radiance_gain' is not positive", mend="mark bad elements by NaN", code="value-out-of-range"
         )
     if not np.isfinite(gain).any():
-        problems.add("'radiance_gain' holds no finite value", code="not-finite")
+        problems.add("'radiance_gain' contains no finite value", code="not-finite")
     saturation = np.asarray(cube.get("saturation_count", np.inf), np.float64)
     if (saturation <= 2 * SATURATION_MARGIN_COUNTS).any():
         problems.add(

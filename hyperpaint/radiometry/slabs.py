@@ -117,17 +117,17 @@ def scale_of_factors(factor: Floats, weight: Floats, refused: Array) -> tuple[Fl
 
 def _filled(scale: Floats) -> Floats:
     # Return scales (panel, band) with missing bands filled from other panels, at the level of the panel.
-    valid = np.isfinite(scale)
-    if valid.all():
+    is_valid = np.isfinite(scale)
+    if is_valid.all():
         return scale
-    number, level = valid.sum(axis=0), np.zeros(len(scale))
+    number, level = is_valid.sum(axis=0), np.zeros(len(scale))
     # alternate between the common shape of all panels and the levels of panels
     for _ in range(100):
-        shape = np.where(valid, scale - level[:, None], 0.0).sum(axis=0) / np.where(
+        shape = np.where(is_valid, scale - level[:, None], 0.0).sum(axis=0) / np.where(
             number > 0, number, np.nan
         )
         level = np.nanmedian(scale - shape, axis=1)
-    return np.where(valid, scale, shape + level[:, None])
+    return np.where(is_valid, scale, shape + level[:, None])
 
 
 def scale_of_lines(scale: Floats, weights: Floats) -> Floats:
@@ -186,7 +186,7 @@ class Plan:
     def warning_of_means(self) -> str:
         """Warn, once per line, of counts that are means; return the text."""
         text = (
-            "counts are no whole numbers: means of several readings may hide a saturated one; pixels "
+            "counts are not whole numbers: means of several readings may hide a saturated one; pixels "
             "above half of the range are flagged 'saturated'; average reflectance instead of counts"
         )
         warnings.warn(PaintWarning(text, code="counts-averaged"), stacklevel=2)

@@ -16,6 +16,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.light.responses import band_spacing
 
@@ -270,8 +271,8 @@ def smooth(
     if "reflectance" not in dataset.variables:
         mend = "call .paint.reflectance() first"
         problems.add("'reflectance' is missing", mend=mend, code="variable-missing")
+    one_of(method, METHODS, "method", problems=problems)
     for is_valid, found, expected, code in (
-        (method in METHODS, f"method {method!r}", f"one of {', '.join(METHODS)}", "choice-unknown"),
         (
             window >= 3 and window % 2 == 1,
             f"window {window}",
@@ -332,7 +333,7 @@ def _filter(
     from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
 
     spectra = values.astype(np.float32, copy=False)
-    # spectra without a cross-track dim are lines one column wide, whatever their other dims
+    # the kernels take cubes: without a cross-track dim, each spectrum becomes a line of one column
     if not is_cube:
         spectra = spectra.reshape(-1, values.shape[-1], 1)
     out = np.empty(spectra.shape, np.float32)
@@ -354,13 +355,13 @@ def _window_polynomials(window: int, order: int, bands: int) -> tuple[Array, Arr
     # float32, and (band, width, width) float32, whose row k has the weights without the k-th value.
     first = np.clip(np.arange(bands) - window // 2, 0, bands - window)
     centres = np.arange(bands) - first
-    place = np.arange(window)
-    complete_weights = np.stack([_polynomial_weights(place - centre, order) for centre in place])
+    position = np.arange(window)
+    complete_weights = np.stack([_polynomial_weights(position - centre, order) for centre in position])
     gap_weights = np.zeros((window, window, window))
-    for centre in place:
-        for gap in place:
-            is_used = place != gap
-            gap_weights[centre, gap, is_used] = _polynomial_weights(place[is_used] - centre, order)
+    for centre in position:
+        for gap in position:
+            is_used = position != gap
+            gap_weights[centre, gap, is_used] = _polynomial_weights(position[is_used] - centre, order)
     return first, complete_weights[centres].astype(np.float32), gap_weights[centres].astype(np.float32)
 
 

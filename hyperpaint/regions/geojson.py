@@ -15,19 +15,19 @@ from typing import Any
 import numpy as np
 
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, is_number, one_of
 from hyperpaint.base.input_files import is_plain_file, read_limited
 from hyperpaint.io.files.publishing import publish_file
 
 from .outlines import COORDINATES, Region, Regions
 from .vector_files import VECTOR_FILES, features_of
 
-#: Maximum size of a file of regions [byte]: a thousand regions of a hundred corners have 4 MB.
+#: Maximum size of a regions file [byte]; a thousand regions with a hundred corners take 4 MB.
 MAX_FILE_BYTES = 16 * 2**20
 
 MAX_REGIONS = 10_000
 
-#: Maximum numbers of lists and mappings, and of separators in a file: each costs much memory.
+#: Maximum numbers of JSON lists and objects, and of commas; they bound the memory of the parsed document.
 MAX_CONTAINERS = 500_000
 MAX_SEPARATORS = 1_500_000
 MAX_LISTED_FEATURES = 20
@@ -62,17 +62,17 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     >>> read_regions(path).names
     ('hood',)
     """
-    place = Path(path)
-    if "\0" in str(place):
+    file = Path(path)
+    if "\0" in str(file):
         raise FormatError(
-            f"the path {place!s:.200} holds a NUL character", mend="check the path", code="path-invalid"
+            f"the path {file!s:.200} holds a NUL character", mend="check the path", code="path-invalid"
         )
-    if place.suffix.lower() in VECTOR_FILES:
-        return _collection(features_of(place, MAX_REGIONS), str(place))
-    raw = read_limited(place, MAX_FILE_BYTES, "GeoJSON")
+    if file.suffix.lower() in VECTOR_FILES:
+        return _collection(features_of(file, MAX_REGIONS), str(file))
+    raw = read_limited(file, MAX_FILE_BYTES, "GeoJSON")
     if raw.count(b"[") + raw.count(b"{") > MAX_CONTAINERS or raw.count(b",") > MAX_SEPARATORS:
         raise FormatError(
-            f"{place}: more values than {MAX_REGIONS} regions have",
+            f"{file}: more values than {MAX_REGIONS} regions have",
             expected="GeoJSON of regions",
             code="file-too-large",
         )
@@ -82,11 +82,11 @@ def read_regions(path: str | os.PathLike[str]) -> Regions:
     except (ValueError, RecursionError) as error:
         reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
         raise FormatError(
-            f"{place}: not GeoJSON ({reason:.200})",
+            f"{file}: not GeoJSON ({reason:.200})",
             expected="a FeatureCollection of polygons in UTF-8",
             code="text-unreadable",
         ) from error
-    return _collection(document, str(place))
+    return _collection(document, str(file))
 
 
 @documented()
@@ -123,15 +123,15 @@ def write_regions(
     >>> [region.name for region in read_regions(path)]
     ['hood']
     """
-    place = Path(path)
+    file = Path(path)
     document = regions_from(regions).__geo_interface__
     features = document.pop("features")
     head = [f"{_json(key)}: {_json(value)}," for key, value in document.items()]
     lines = ",\n".join(_json(feature) for feature in features)
     content = "\n".join(["{", *head, '"features": [', *([lines] if lines else []), "]", "}", ""]).encode()
-    is_same = is_plain_file(place) and place.stat().st_size == len(content) and place.read_bytes() == content
-    publish_file(place, content, overwrite=overwrite or is_same)
-    return place
+    is_same = is_plain_file(file) and file.stat().st_size == len(content) and file.read_bytes() == content
+    publish_file(file, content, overwrite=overwrite or is_same)
+    return file
 
 
 def regions_from(source: Any) -> Regions:
@@ -193,35 +193,32 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _no_constant(text: str) -> None:
-    raise ValueError(f"{text} is no number of JSON")
+    raise ValueError(f"{text} is not a JSON number")
 
 
 # --- content of a document ---------------------------------------------------------------------------------
 
 
 def _collection(document: Any, subject: str) -> Regions:
-    problems = Problems(f"{subject}: no regions can be made of it", FormatError)
+    problems = Problems(f"{subject} cannot be read as regions", FormatError)
     features = _features(document, problems)
     crs = _crs(document, problems) if isinstance(document, Mapping) else None
     declared = document.get("coordinates") if isinstance(document, Mapping) else None
     coordinates = ("sensor" if crs is None else "map") if declared is None else declared
-    if coordinates not in COORDINATES:
-        problems.add(
-            f"coordinates {str(coordinates)[:80]!r}",
-            expected=f"one of {', '.join(COORDINATES)}",
-            code="choice-unknown",
-        )
+    one_of(coordinates, COORDINATES, "coordinates", problems=problems)
     problems.raise_if_any()
-    regions, wrong = [], 0
+    regions, invalid_features = [], 0
     for number, feature in enumerate(features):
         try:
             regions.append(_region(feature))
         except PaintError as error:
-            wrong += 1
-            if wrong <= MAX_LISTED_FEATURES:
+            invalid_features += 1
+            if invalid_features <= MAX_LISTED_FEATURES:
                 problems.add_error(f"feature {number}", error)
-    if wrong > MAX_LISTED_FEATURES:
-        problems.add(f"{wrong - MAX_LISTED_FEATURES} more features are invalid", code="features-invalid")
+    if invalid_features > MAX_LISTED_FEATURES:
+        problems.add(
+            f"{invalid_features - MAX_LISTED_FEATURES} more features are invalid", code="features-invalid"
+        )
     problems.raise_if_any()
     try:
         return Regions(tuple(regions), coordinates, crs)
@@ -230,12 +227,14 @@ def _collection(document: Any, subject: str) -> Regions:
 
 
 def _features(document: Any, problems: Problems) -> list[Any]:
-    kind = document.get("type") if isinstance(document, Mapping) else None
-    if kind == "Feature":
+    geojson_type = document.get("type") if isinstance(document, Mapping) else None
+    if geojson_type == "Feature":
         return [document]
-    features = document.get("features") if kind == "FeatureCollection" else None
+    features = document.get("features") if geojson_type == "FeatureCollection" else None
     if not isinstance(features, list | tuple):
-        description = f"type {kind!r:.80}" if isinstance(document, Mapping) else type(document).__name__
+        description = (
+            f"type {geojson_type!r:.80}" if isinstance(document, Mapping) else type(document).__name__
+        )
         problems.add(description, expected="a FeatureCollection with a list of features", code="type-wrong")
         return []
     if len(features) > MAX_REGIONS:
@@ -279,11 +278,11 @@ def _region(feature: Any) -> Region:
 
 
 def _rings(geometry: Any, name: Any) -> list[Any]:
-    kind = geometry.get("type") if isinstance(geometry, Mapping) else None
+    geometry_type = geometry.get("type") if isinstance(geometry, Mapping) else None
     rings = geometry.get("coordinates") if isinstance(geometry, Mapping) else None
-    subject = f"region {str(name)[:80]!r} has a geometry of type {str(kind)[:40]!r}"
-    # many programs write every polygon as one of several
-    if kind == "MultiPolygon" and isinstance(rings, list | tuple):
+    subject = f"region {str(name)[:80]!r} has a geometry of type {str(geometry_type)[:40]!r}"
+    # many programs write a single polygon as a MultiPolygon
+    if geometry_type == "MultiPolygon" and isinstance(rings, list | tuple):
         if len(rings) != 1:
             raise SchemaError(
                 f"{subject} with {len(rings)} polygons",
@@ -291,8 +290,8 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
                 mend="make each a region with its own name",
                 code="geometry-wrong",
             )
-        kind, rings = "Polygon", rings[0]
-    if kind != "Polygon":
+        geometry_type, rings = "Polygon", rings[0]
+    if geometry_type != "Polygon":
         raise SchemaError(subject, expected="a Polygon", code="geometry-wrong")
     if not isinstance(rings, list | tuple) or not rings:
         raise SchemaError(f"{subject} without a list of rings", code="geometry-wrong")
@@ -302,15 +301,10 @@ def _rings(geometry: Any, name: Any) -> list[Any]:
         if (
             not isinstance(position, list | tuple)
             or len(position) < 2
-            or not all(map(_is_number, position[:2]))
+            or not all(map(is_number, position[:2]))
         ):
             raise SchemaError(
                 f"{subject} with a corner {position!r:.60}", expected="[x, y]", code="corner-wrong"
             )
-    # heights are not used
+    # a third coordinate, the height, is ignored
     return [np.array([corner[:2] for corner in ring], np.float64).reshape(-1, 2) for ring in rings]
-
-
-def _is_number(value: Any) -> bool:
-    # integers of JSON may exceed float64
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300

@@ -14,8 +14,9 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 
-#: Coordinate systems of regions: column and line of the cube, or a place on the ground.
+#: Coordinate systems of regions: column and line of the cube, or map coordinates on the ground.
 COORDINATES = ("sensor", "map")
 
 #: Maximum number of corners of a ring.
@@ -110,13 +111,13 @@ class Region:
 
     def feature(self) -> dict[str, Any]:
         """Return the region as a Feature of GeoJSON."""
-        named = {"name": self.name, **({"flightline": self.flightline} if self.flightline else {})}
+        identity = {"name": self.name, **({"flightline": self.flightline} if self.flightline else {})}
         rings = [
             [[_number(x), _number(y)] for x, y in (*ring, ring[0])] for ring in (self.polygon, *self.holes)
         ]
         return {
             "type": "Feature",
-            "properties": {**named, **self.properties},
+            "properties": {**identity, **self.properties},
             "geometry": {"type": "Polygon", "coordinates": rings},
         }
 
@@ -157,21 +158,16 @@ class Regions(Sequence[Region]):
     def __post_init__(self) -> None:
         object.__setattr__(self, "regions", tuple(self.regions))
         problems = Problems("these regions cannot be used together", SchemaError)
-        seen: set[str] = set()
+        names: set[str] = set()
         for name in (region.name for region in self.regions):
-            if name in seen:
+            if name in names:
                 problems.add(
                     f"the name {name!r} occurs twice",
                     mend="give each region its own name",
                     code="region-name-duplicate",
                 )
-            seen.add(name)
-        if self.coordinates not in COORDINATES:
-            problems.add(
-                f"coordinates {self.coordinates!r}",
-                expected=f"one of {', '.join(COORDINATES)}",
-                code="choice-unknown",
-            )
+            names.add(name)
+        one_of(self.coordinates, COORDINATES, "coordinates", problems=problems)
         crs: object = self.crs
         if crs is not None and not isinstance(crs, str):
             problems.add(
@@ -187,11 +183,11 @@ class Regions(Sequence[Region]):
         problems.raise_if_any()
 
     def __repr__(self) -> str:
-        kind = self.crs or self.coordinates
-        shown = [f"  {region!r}" for region in self.regions[:MAX_LISTED_REGIONS]]
+        system = self.crs or self.coordinates
+        lines = [f"  {region!r}" for region in self.regions[:MAX_LISTED_REGIONS]]
         if len(self) > MAX_LISTED_REGIONS:
-            shown.append(f"  ... and {len(self) - MAX_LISTED_REGIONS} more")
-        return "\n".join([f"<Regions: {len(self)} ({str(kind)[:40]})>", *shown])
+            lines.append(f"  ... and {len(self) - MAX_LISTED_REGIONS} more")
+        return "\n".join([f"<Regions: {len(self)} ({str(system)[:40]})>", *lines])
 
     def __len__(self) -> int:
         return len(self.regions)
@@ -228,13 +224,13 @@ class Regions(Sequence[Region]):
 
     def _repr_html_(self) -> str:
         """Return the outlines with their names, for a notebook of either theme; texts are escaped."""
-        kind = self.crs or self.coordinates
-        more = f", of which {MAX_DRAWN_REGIONS} are shown" if len(self) > MAX_DRAWN_REGIONS else ""
-        shown = "".join(_drawn(region, self.coordinates) for region in self.regions[:MAX_DRAWN_REGIONS])
-        title = f"{len(self)} regions ({kind}){more}"
+        system = self.crs or self.coordinates
+        limit_note = f", of which {MAX_DRAWN_REGIONS} are shown" if len(self) > MAX_DRAWN_REGIONS else ""
+        outlines = "".join(_drawn(region, self.coordinates) for region in self.regions[:MAX_DRAWN_REGIONS])
+        title = f"{len(self)} regions ({system}){limit_note}"
         return (
             f'<div style="font:13px/1.45 system-ui,sans-serif"><strong>{html.escape(title)}</strong>'
-            f'<div style="display:flex;flex-wrap:wrap;gap:2px 14px">{shown}</div></div>'
+            f'<div style="display:flex;flex-wrap:wrap;gap:2px 14px">{outlines}</div></div>'
         )
 
     @property
@@ -245,18 +241,18 @@ class Regions(Sequence[Region]):
 
 
 def _drawn(region: Region, coordinates: str) -> str:
-    # A region as HTML: its outline, filled with its property `colour`, its name and flight line
+    # HTML of a region: outline filled with its property `colour`, name, flight line
     rings = [np.asarray(ring, np.float64) for ring in (region.polygon, *region.holes)]
     low, high = rings[0].min(axis=0), rings[0].max(axis=0)
     scale = 20.0 / max((high - low).max(), 1e-12)
-    # sensor lines count downwards as on a screen, north is up
-    turned = np.array([1.0, 1.0 if coordinates == "sensor" else -1.0])
-    corners = [((ring - (low + high) / 2.0) * scale * turned + 12.0).round(1) for ring in rings]
+    # y of SVG points down, as sensor lines do; north of a map points up
+    screen_signs = np.array([1.0, 1.0 if coordinates == "sensor" else -1.0])
+    corners = [((ring - (low + high) / 2.0) * scale * screen_signs + 12.0).round(1) for ring in rings]
     step = max(1, len(corners[0]) // 100)
     path = "".join(f"M{' L'.join(f'{x:g},{y:g}' for x, y in ring[::step].tolist())}Z" for ring in corners)
     colour = str(region.properties.get("colour") or region.properties.get("color") or "none")
     fill = colour if _COLOUR.fullmatch(colour) else "none"
-    title = " ".join(part for part in (region.name, region.flightline and f"({region.flightline})") if part)
+    title = " ".join(text for text in (region.name, region.flightline and f"({region.flightline})") if text)
     style = "width:24px;height:24px;vertical-align:middle"
     return (
         f'<span><svg viewBox="0 0 24 24" aria-hidden="true" style="{style}">'
@@ -266,8 +262,8 @@ def _drawn(region: Region, coordinates: str) -> str:
 
 
 def _number(value: float) -> int | float:
-    whole = int(value)
-    return whole if whole == value else float(value)
+    integer = int(value)
+    return integer if integer == value else float(value)
 
 
 def _ring(ring: Any, index: int, problems: Problems) -> Floats:

@@ -13,8 +13,8 @@ from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, numbers_of
-from hyperpaint.geometry.georeference import locate
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of
+from hyperpaint.geometry.georeference.locating import locate
 from hyperpaint.geometry.georeference.poses import POSE
 
 from .geojson import regions_from
@@ -25,16 +25,17 @@ RegionsT = TypeVar("RegionsT", bound=Regions)
 #: Positions along and across the track, line by line.
 Pixels = tuple[Ints, Ints]
 
-#: Pixels whose places are processed together.
+#: Number of pixels that are tested together.
 _BLOCK_PIXELS = 2**20
 
+#: Pairs of variables that hold x and y of the pixels on the ground.
 _GROUND = (("east", "north"), ("easting", "northing"), ("longitude", "latitude"), ("lon", "lat"), ("x", "y"))
 _GEOGRAPHIC = ("longitude", "lon")
-_DEGREES = "EPSG:4326"
-#: Variables of a map: column and line of the flight line that every cell shows.
-_SHOWN = ("nearest_sample", "nearest_line")
+_GEOGRAPHIC_CRS = "EPSG:4326"
+#: Variables of a map: column and line of the pixel that a cell shows; -1 in empty cells.
+_SOURCE_PIXEL = ("nearest_sample", "nearest_line")
 #: Variable of a map of several flight lines: the flight line that a cell shows.
-_OF_LINE = "flightline"
+_SOURCE_LINE = "flightline"
 
 
 def pixels(
@@ -114,10 +115,10 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
     region_list = regions_from(regions)
     dims = "yx" if {"y", "x"} <= set(line.dims) else (ALONG_TRACK, CROSS_TRACK)
     line = schema.rename_to_roles(line)
-    places = pixels_of(region_list, line)
+    region_pixels = pixels_of(region_list, line)
     mask = np.full((line.sizes[ALONG_TRACK], line.sizes[CROSS_TRACK]), -1, np.int16)
-    for number, place in enumerate(places):
-        mask[place] = number
+    for number, positions in enumerate(region_pixels):
+        mask[positions] = number
     attrs = {
         "long_name": "Region that a pixel lies in",
         "flag_values": np.arange(-1, len(region_list), dtype=np.int16),
@@ -129,8 +130,8 @@ def region_mask(regions: Any, line: xr.Dataset) -> xr.DataArray:
 def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
     """Return the pixels of every region; see `pixels`.
 
-    In sensor coordinates nothing is read; of a map the places of the pixels are read once, in blocks of
-    lines.
+    Regions in sensor coordinates read nothing; for regions on a map the ground coordinates of the pixels are
+    read once, in blocks of lines.
 
     Examples
     --------
@@ -158,41 +159,43 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
         line = located_for(regions, line)
         x, y, crs = _ground(line, regions.crs)
         if crs is not None and regions.crs is not None:
-            regions = _moved(regions, crs)
-        return _by_place(regions, x, y, shape)
-    if set(_SHOWN) <= set(line.variables):
-        # coordinates of a map's cell are those of the pixel that it shows; -1 is an empty cell
-        across, along = (line[name].reset_coords(drop=True) for name in _SHOWN)
-        places = across.where(across >= 0), along.where(along >= 0)
+            regions = _transformed(regions, crs)
+        return _by_coordinates(regions, x, y, shape)
+    if set(_SOURCE_PIXEL) <= set(line.variables):
+        # a cell of a map has the sensor coordinates of the pixel that it shows
+        across, along = (line[name].reset_coords(drop=True) for name in _SOURCE_PIXEL)
+        coordinates = across.where(across >= 0), along.where(along >= 0)
         names = lines_of_cells(line)
         if not names:
-            return _by_place(regions, *places, shape)
-        return _by_place(regions, *places, shape, (line[_OF_LINE], _own_lines(regions, names)))
+            return _by_coordinates(regions, *coordinates, shape)
+        sources = line[_SOURCE_LINE], _line_numbers(regions, names)
+        return _by_coordinates(regions, *coordinates, shape, sources)
     columns, rows = numbers_of(line, CROSS_TRACK), numbers_of(line, ALONG_TRACK)
     return [_on_axes(region, columns, rows) for region in regions]
 
 
 def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
     """Return the numbers of the flight lines in a map by name; empty for a map of one line."""
-    if _OF_LINE not in line.variables or set(line[_OF_LINE].dims) != {ALONG_TRACK, CROSS_TRACK}:
+    if _SOURCE_LINE not in line.variables or set(line[_SOURCE_LINE].dims) != {ALONG_TRACK, CROSS_TRACK}:
         return {}
-    attrs = line[_OF_LINE].attrs
+    attrs = line[_SOURCE_LINE].attrs
     numbers = np.atleast_1d(attrs.get("flag_values", ())).astype(int).tolist()
     names = dict(zip(str(attrs.get("flag_meanings", "")).split(), numbers, strict=False))
     return names if len(names) > 1 else {}
 
 
-def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
+def _line_numbers(regions: Regions, names: Mapping[str, int]) -> list[int]:
+    # Number of the flight line of every region
     problems = Problems("pixels of regions cannot be found in this map of several flight lines", SchemaError)
     for region in regions:
         if region.flightline.replace(" ", "_") not in names:
-            named = (
+            source = (
                 f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
             )
             problems.add(
-                f"region {region.name!r} in coordinates of the sensor {named}",
+                f"region {region.name!r} in sensor coordinates {source}",
                 expected=f"one of {', '.join(names)}",
-                mend="give it the property flightline, or draw it in coordinates of the map",
+                mend="give it the property flightline, or draw it in map coordinates",
                 code="flightline-unknown",
             )
     problems.raise_if_any()
@@ -200,15 +203,15 @@ def _own_lines(regions: Regions, names: Mapping[str, int]) -> list[int]:
 
 
 def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
-    """Return a flight line with the places that regions of a map need, located where it has poses only.
+    """Return a flight line with ground coordinates for regions on a map; it is located if it has only poses.
 
     Raises `SchemaError`: the height of the ground is unknown; or as `hyperpaint.geometry.locate`.
     """
-    named = schema.rename_to_roles(line)
-    is_placed = any(_is_place(named, pair) for pair in _GROUND)
-    if regions.coordinates != "map" or is_placed or not set(POSE) <= set(named.variables):
+    renamed = schema.rename_to_roles(line)
+    is_placed = any(_has_pair(renamed, pair) for pair in _GROUND)
+    if regions.coordinates != "map" or is_placed or not set(POSE) <= set(renamed.variables):
         return line
-    if not isinstance(named.attrs.get("ground"), int | float):
+    if not isinstance(renamed.attrs.get("ground"), int | float):
         raise SchemaError(
             "the flight line has no height of the ground to locate regions in map coordinates",
             mend="pass the height above the ellipsoid: locate(line, ground=...) or dem=, or the attribute "
@@ -216,11 +219,11 @@ def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:
             option="give --ground or --dem, or [geometry] ground in collect.toml and process again",
             code="ground-height-missing",
         )
-    return locate(named)
+    return locate(renamed)
 
 
 def renumbered(regions: RegionsT, line: xr.Dataset, *, back: bool = False) -> RegionsT:
-    """Return regions in positions of a line as regions in its numbers, or ``back`` from them to positions."""
+    """Return regions with array positions changed to index coordinates of the line; ``back`` reverses it."""
     numbers = [numbers_of(line, dim) for dim in (CROSS_TRACK, ALONG_TRACK)]
     first = np.array([values[0] for values in numbers])
     step = np.array([(values[-1] - values[0]) / max(values.size - 1, 1) or 1.0 for values in numbers])
@@ -240,45 +243,46 @@ def _with_rings(regions: RegionsT, move: Callable[[Floats], Floats], **changes: 
     return replace(regions, regions=tuple(members), **changes)
 
 
-def _by_place(
+def _by_coordinates(
     regions: Regions,
     x: xr.DataArray,
     y: xr.DataArray,
     shape: tuple[int, int],
-    of_lines: tuple[xr.DataArray, Sequence[int]] | None = None,
+    sources: tuple[xr.DataArray, Sequence[int]] | None = None,
 ) -> list[Pixels]:
-    # Pixels of every region by their coordinates, in blocks of lines.
-    # `of_lines`: in a map of several flight lines, the flight line of each cell, and of each region.
+    # Pixels of every region, from x and y of all pixels, in blocks of lines.
+    # `sources`, for a map of several flight lines: the flight line numbers of its cells, and of the regions.
     if x.dims == (CROSS_TRACK,) and y.dims == (ALONG_TRACK,):
         return [_on_axes(region, x.values.astype(float), y.values.astype(float)) for region in regions]
-    parts: list[list[Pixels]] = [[] for _ in regions]
+    blocks: list[list[Pixels]] = [[] for _ in regions]
     for start, stop in _blocks(0, shape[0], shape[1]):
         rows = {ALONG_TRACK: slice(start, stop)}
-        there_x, there_y = (
-            _values(part.isel(rows, missing_dims="ignore"), stop - start, shape[1]) for part in (x, y)
+        block_x, block_y = (
+            _values(axis.isel(rows, missing_dims="ignore"), stop - start, shape[1]) for axis in (x, y)
         )
-        numbers = None if of_lines is None else _values(of_lines[0].isel(rows), stop - start, shape[1])
-        for number, (region, pieces) in enumerate(zip(regions, parts, strict=True)):
-            is_in = _inside(region, there_x, there_y)
-            if of_lines is not None:
-                is_in &= numbers == of_lines[1][number]
+        numbers = None if sources is None else _values(sources[0].isel(rows), stop - start, shape[1])
+        for number, (region, pieces) in enumerate(zip(regions, blocks, strict=True)):
+            is_in = _inside(region, block_x, block_y)
+            if sources is not None:
+                is_in &= numbers == sources[1][number]
             inside = np.flatnonzero(is_in)
             if inside.size:
                 along, across = np.divmod(inside, shape[1])
                 pieces.append((along + start, across))
-    return [_joined(pieces) for pieces in parts]
+    return [_joined(pieces) for pieces in blocks]
 
 
 def _on_axes(region: Region, x: Floats, y: Floats) -> Pixels:
-    # Cells of a map with north up; only cells in the box around the region are tested
+    # Pixels of a region where x depends on the column only and y on the row only.
+    # Only pixels in the bounding box of the region are tested.
     low, high = region.polygon.min(axis=0), region.polygon.max(axis=0)
     across, along = (np.flatnonzero((axis >= low[k]) & (axis <= high[k])) for k, axis in enumerate((x, y)))
-    parts = []
+    blocks = []
     for start, stop in _blocks(0, along.size, across.size):
         row, col = np.meshgrid(along[start:stop], across, indexing="ij")
         inside = _inside(region, x[col.ravel()], y[row.ravel()])
-        parts.append((row.ravel()[inside], col.ravel()[inside]))
-    return _joined(parts)
+        blocks.append((row.ravel()[inside], col.ravel()[inside]))
+    return _joined(blocks)
 
 
 def _inside(region: Region, x: Floats, y: Floats) -> Bools:
@@ -290,36 +294,36 @@ def _inside(region: Region, x: Floats, y: Floats) -> Bools:
         ) from error
 
 
-def _values(part: xr.DataArray, lines: int, columns: int) -> Floats:
-    # A coordinate of a block of lines, line by line (pixel,)
-    values = part.transpose(ALONG_TRACK, CROSS_TRACK, missing_dims="ignore").values.astype(np.float64)
-    if part.dims == (ALONG_TRACK,):
+def _values(block: xr.DataArray, lines: int, columns: int) -> Floats:
+    # A coordinate of all pixels in a block of lines, line by line (pixel,)
+    values = block.transpose(ALONG_TRACK, CROSS_TRACK, missing_dims="ignore").values.astype(np.float64)
+    if block.dims == (ALONG_TRACK,):
         values = values[:, None]
     return np.broadcast_to(values, (lines, columns)).ravel()
 
 
 def _blocks(start: int, stop: int, width: int) -> Iterator[tuple[int, int]]:
     step = max(1, _BLOCK_PIXELS // max(width, 1))
-    for first in range(start, stop, step):
-        yield first, min(first + step, stop)
+    for block_start in range(start, stop, step):
+        yield block_start, min(block_start + step, stop)
 
 
-def _joined(parts: Sequence[Pixels]) -> Pixels:
+def _joined(blocks: Sequence[Pixels]) -> Pixels:
     empty = np.empty(0, np.int64)
-    along = np.concatenate([empty, *(part[0] for part in parts)]).astype(np.int64)
-    across = np.concatenate([empty, *(part[1] for part in parts)]).astype(np.int64)
+    along = np.concatenate([empty, *(block[0] for block in blocks)]).astype(np.int64)
+    across = np.concatenate([empty, *(block[1] for block in blocks)]).astype(np.int64)
     return along, across
 
 
 # --- places on the ground ----------------------------------------------------------------------------------
 
 
-def _moved(regions: Regions, crs: str) -> Regions:
-    # Regions transformed to another reference system; edges between the new corners are straight
-    # in GeoJSON longitude comes first, whatever the system's own order
-    source, target = crs_of(_normal(str(regions.crs))), crs_of(crs)
+def _transformed(regions: Regions, crs: str) -> Regions:
+    # Regions with their corners transformed to another reference system; edges stay straight.
+    # GeoJSON has longitude first in every reference system.
+    source, target = crs_of(_canonical(str(regions.crs))), crs_of(crs)
 
-    def moved(ring: Any) -> Floats:
+    def transformed(ring: Any) -> Floats:
         corners = between_maps(np.asarray(ring, np.float64), source, target)
         if not np.isfinite(corners).all():
             raise SchemaError(
@@ -329,67 +333,68 @@ def _moved(regions: Regions, crs: str) -> Regions:
             )
         return corners
 
-    return _with_rings(regions, moved, crs=crs)
+    return _with_rings(regions, transformed, crs=crs)
 
 
 def _ground(line: xr.Dataset, crs: str | None) -> tuple[xr.DataArray, xr.DataArray, str | None]:
-    # X and y of every pixel on the ground, and the reference system to transform regions to.
-    # This system is None where the line has places in the regions' own.
-    there = {pair: _crs_of(line, pair) for pair in _GROUND if _is_place(line, pair)}
-    if not there:
+    # x and y of every pixel on the ground, and the reference system to transform regions to.
+    # The latter is None where x and y are in the reference system of the regions.
+    systems = {pair: _crs_of(line, pair) for pair in _GROUND if _has_pair(line, pair)}
+    if not systems:
         raise SchemaError(
-            "the line has no place of its pixels on the map",
+            "the line has no ground coordinates of its pixels",
             expected="east and north, or longitude and latitude (along_track, cross_track), or x and y of "
             "a map",
             mend="draw the regions in sensor coordinates, or locate the line first",
             code="pixel-places-missing",
         )
-    wanted = None if crs is None else _normal(crs)
-    fitting = [pair for pair, pair_crs in there.items() if wanted is None or pair_crs in (None, wanted)]
-    # places with a known crs take precedence over those without
-    fitting.sort(key=lambda pair: there[pair] is None)
-    others = [pair for pair, pair_crs in there.items() if pair_crs is not None]
-    if not fitting and others:
-        x, y = others[0]
-        return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), there[others[0]]
-    if not fitting or (wanted is None and len(fitting) > 1):
-        held = ", ".join(f"{x} and {y} ({pair_crs or 'unknown'})" for (x, y), pair_crs in there.items())
+    region_crs = None if crs is None else _canonical(crs)
+    fitting = [pair for pair, system in systems.items() if region_crs is None or system in (None, region_crs)]
+    # pairs with a declared crs take precedence
+    fitting.sort(key=lambda pair: systems[pair] is None)
+    declared = [pair for pair, system in systems.items() if system is not None]
+    if not fitting and declared:
+        x, y = declared[0]
+        return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), systems[declared[0]]
+    if not fitting or (region_crs is None and len(fitting) > 1):
+        pairs = ", ".join(f"{x} and {y} ({system or 'unknown'})" for (x, y), system in systems.items())
         stated = "name no crs" if crs is None else f"are in {crs!r:.80}"
         raise SchemaError(
-            f"the regions {stated}, the line has {held}",
-            mend="write the regions in one of these, and name its crs",
+            f"the regions {stated}, the line has {pairs}",
+            mend="write the regions in one of these reference systems, and name it as crs",
             code="crs-missing" if crs is None else "crs-mismatch",
         )
     x, y = fitting[0]
     return line[x].reset_coords(drop=True), line[y].reset_coords(drop=True), None
 
 
-def _is_place(line: xr.Dataset, pair: tuple[str, str]) -> bool:
+def _has_pair(line: xr.Dataset, pair: tuple[str, str]) -> bool:
     if not set(pair) <= set(line.variables):
         return False
     dims = [set(line[name].dims) for name in pair]
-    # the camera's latitude and longitude have along_track only
+    # latitude and longitude of the camera have the dim along_track only
     return set.union(*dims) == {ALONG_TRACK, CROSS_TRACK}
 
 
 def _crs_of(line: xr.Dataset, pair: tuple[str, str]) -> str | None:
     if pair[0] in _GEOGRAPHIC:
-        return _DEGREES
+        return _GEOGRAPHIC_CRS
     stated = line[pair[0]].attrs.get("crs", line.attrs.get("crs"))
     if stated is None and "spatial_ref" in line.variables:
-        # as rioxarray opens a GeoTIFF
+        # rioxarray stores the crs of a GeoTIFF there
         mapping = line["spatial_ref"].attrs
         wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
         stated = None if wkt is None else crs_of(wkt)
-    return _normal(stated) if isinstance(stated, str) else None
+    return _canonical(stated) if isinstance(stated, str) else None
 
 
-def _normal(crs: str) -> str:
-    # A unique spelling of a reference system's name; in GeoJSON longitude always comes first
+def _canonical(crs: str) -> str:
+    # Unique spelling of the name of a reference system; CRS84 and EPSG:4326 are equal, as GeoJSON has
+    # longitude first
     text = crs.strip()
     if text.lower().startswith("urn:ogc:def:crs:"):
-        parts = text.split(":")
-        text = f"{parts[4]}:{parts[-1]}"
-    if text.upper() in ("OGC:CRS84", _DEGREES, "WGS84"):
-        return _DEGREES
+        fields = text.split(":")
+        text = f"{fields[4]}:{fields[-1]}"
+    if text.upper() in ("OGC:CRS84", _GEOGRAPHIC_CRS, "WGS84"):
+        return _GEOGRAPHIC_CRS
     return text if "[" in text else text.upper()  # names within WKT are case-sensitive

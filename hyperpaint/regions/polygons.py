@@ -1,9 +1,9 @@
 """Exact test of points in a polygon, for any coordinates.
 
-A point on an edge is inside. To distinguish "on" from "beside", the sign of a cross product must hold for the
-exact numbers and not for their rounding: where its float64 value is within the bound of its rounding
-error [1]_ it is computed again in rational numbers. shapely is not used: GEOS takes points very close to an
-edge for points on it (tests/regions/test_regions.py, corners divided by three).
+A point on an edge is inside. The sign of a cross product tells on which side of an edge a point lies. Where
+its float64 value is within its rounding error bound [1]_, it is computed again in rational numbers. shapely
+is not used: GEOS takes points very close to an edge for points on it (tests/regions/test_regions.py, corners
+divided by three).
 
 References
 ----------
@@ -28,10 +28,10 @@ _EPSILON = 2.0**-53
 _ROUNDING = (3.0 + 16.0 * _EPSILON) * _EPSILON
 _TINIEST = float(np.finfo(np.float64).tiny)
 
-#: Maximum mean number of edges that pass a pixel on its left or right: few for an outline, thousands for a
+#: Maximum mean number of edges whose y range contains the y of a pixel: few for an outline, thousands for a
 #: zigzag.
 MAX_EDGES_PER_PIXEL = 100
-#: Number of comparisons of an edge with a point that is always allowed.
+#: Number of comparisons of an edge with a point below which no polygon is refused.
 FREE_COMPARISONS = 10_000_000
 
 
@@ -53,7 +53,7 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     """
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     near = np.flatnonzero((x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))
-    # an edge then meets one run of points only
+    # sorted by y, the points within the y range of an edge are one run
     near = near[np.argsort(y[near], kind="stable")]
     near_x, near_y = x[near], y[near]
     rings = [polygon, *holes]
@@ -61,33 +61,33 @@ def contains(polygon: Floats, holes: Sequence[Floats], x: Floats, y: Floats) -> 
     comparisons = sum(int((last - first).clip(0).sum()) for first, last in runs)
     if comparisons > FREE_COMPARISONS + MAX_EDGES_PER_PIXEL * near.size:
         raise SchemaError(
-            f"{comparisons / near.size:.0f} edges pass each of {near.size} pixels on average",
+            f"on average {comparisons / near.size:.0f} edges lie beside each of {near.size} pixels",
             expected=f"at most {MAX_EDGES_PER_PIXEL}",
             mend="split the polygon, or give it fewer corners",
             code="polygon-too-complex",
         )
     inside = np.ones(near.size, bool)
     for number, (ring, (first, last)) in enumerate(zip(rings, runs, strict=True)):
-        # only points beside a ring can be in it
-        part = slice(int(first.min()), int(last.max())) if number else slice(0, near.size)
-        if part.start >= part.stop:
+        # only points within the y range of a hole can lie in it
+        run = slice(int(first.min()), int(last.max())) if number else slice(0, near.size)
+        if run.start >= run.stop:
             continue
-        within, edge = _ring(ring, near_x[part], near_y[part], first - part.start, last - part.start)
-        inside[part] &= ~within | edge if number else within | edge
+        within, edge = _ring(ring, near_x[run], near_y[run], first - run.start, last - run.start)
+        inside[run] &= ~within | edge if number else within | edge
     belongs: Bools = np.zeros(x.size, bool)
     belongs[near] = inside
     return belongs
 
 
 def _runs(ring: Floats, y: Floats) -> tuple[Index, Index]:
-    # First point beside every edge, and the one after the last (edge,); y ascends
+    # Start and stop (edge,) of the points whose y lies within an edge's y range; y ascends
     closed = np.concatenate([ring, ring[:1]])[:, 1]
     first = np.searchsorted(y, np.minimum(closed[:-1], closed[1:]), "left")
     return first, np.searchsorted(y, np.maximum(closed[:-1], closed[1:]), "right")
 
 
 def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tuple[Bools, Bools]:
-    # Which points a ring winds around an odd number of times, and which lie on it; y ascends
+    # Masks of the points that a ring winds around an odd number of times, and of those on the ring
     within = np.zeros(x.size, bool)
     edge = np.zeros(x.size, bool)
     closed = np.concatenate([ring, ring[:1]])
@@ -97,7 +97,8 @@ def _ring(ring: Floats, x: Floats, y: Floats, first: Index, last: Index) -> tupl
         start, stop = closed[k], closed[k + 1]
         side = _side(start, stop, x[run], y[run])
         edge[run] |= (side == 0) & (x[run] >= low[k, 0]) & (x[run] <= high[k, 0])
-        # a ray to the right crosses an edge that has the point on its inner side; a corner counts once
+        # a ray from the point in +x crosses rising edges left of them, falling edges right of them;
+        # half-open y ranges count a corner once
         rises = (start[1] <= y[run]) & (y[run] < stop[1]) & (side > 0)
         within[run] ^= rises | (stop[1] <= y[run]) & (y[run] < start[1]) & (side < 0)
     return within, edge
@@ -107,13 +108,13 @@ def _side(start: Floats, stop: Floats, x: Floats, y: Floats) -> npt.NDArray[np.i
     # 1 for points left of a directed edge, -1 right of it, 0 on its line
     along_x, along_y = stop[0] - start[0], stop[1] - start[1]
     off_x, off_y = x - start[0], y - start[1]
-    left, right = along_x * off_y, along_y * off_x
-    cross = left - right
+    product_xy, product_yx = along_x * off_y, along_y * off_x
+    cross = product_xy - product_yx
     side: npt.NDArray[np.int8] = np.sign(cross).astype(np.int8)
-    doubtful = np.abs(cross) <= _ROUNDING * (np.abs(left) + np.abs(right)) + _TINIEST
-    # a difference of zero is exact, and so is a product with it
+    doubtful = np.abs(cross) <= _ROUNDING * (np.abs(product_xy) + np.abs(product_yx)) + _TINIEST
+    # products with a zero difference are exact
     doubtful &= ((along_x != 0) & (off_y != 0)) | ((along_y != 0) & (off_x != 0))
-    # in rational numbers, exactly
+    # the sign in exact rational arithmetic
     x0, y0, x1, y1 = (Fraction(float(value)) for value in (*start, *stop))
     for k in np.flatnonzero(doubtful).tolist():
         exact = (x1 - x0) * (Fraction(float(y[k])) - y0) - (y1 - y0) * (Fraction(float(x[k])) - x0)

@@ -11,18 +11,19 @@ import numpy as np
 from hyperpaint.base.errors import FormatError, MissingExtraError
 from hyperpaint.base.input_files import open_input
 
-#: First bytes of files by suffix: the libraries go by content, and other formats refer to further files.
+#: First bytes of a file by suffix. They are checked because pyogrio and fiona ignore the suffix, and some
+#: formats of theirs open further files.
 VECTOR_FILES = {".gpkg": b"SQLite format 3\0", ".shp": b"\0\0\x27\x0a", ".fgb": b"fgb"}
 
 MAX_VECTOR_FILE_BYTES = 256 * 2**20
 
 
-def features_of(path: Path, most: int) -> dict[str, Any]:
+def features_of(path: Path, max_features: int) -> dict[str, Any]:
     """Return the polygons of a vector file as a FeatureCollection in coordinates of a map.
 
-    At most one more than ``most`` features are read.
+    At most ``max_features`` + 1 features are read, so that the caller can tell that there are too many.
 
-    Raises `FormatError`: the file is damaged, of another kind, without a crs, or has several layers of
+    Raises `FormatError`: the file is damaged, of another format, without a crs, or has several layers of
     polygons; `MissingExtraError`: neither pyogrio nor fiona is installed.
     """
     magic = VECTOR_FILES[path.suffix.lower()]
@@ -38,12 +39,12 @@ def features_of(path: Path, most: int) -> dict[str, Any]:
             mend="install it with: python -m pip install pyogrio, or save the layer as GeoJSON in QGIS",
             code="dependency-missing",
         )
-    read = _by_pyogrio if installed[0] == "pyogrio" else _by_fiona
+    reader = _by_pyogrio if installed[0] == "pyogrio" else _by_fiona
     try:
-        crs, features = read(path, most)
+        crs, features = reader(path, max_features)
     except (FormatError, MissingExtraError):
         raise
-    except Exception as error:  # both libraries raise errors of their own for every driver
+    except Exception as error:  # every driver of both libraries has its own errors
         raise FormatError(
             f"{path}: {installed[0]} cannot read it: {error!s:.200}", code="file-unreadable"
         ) from error
@@ -54,7 +55,7 @@ def features_of(path: Path, most: int) -> dict[str, Any]:
     return {"type": "FeatureCollection", "coordinates": "map", "crs": crs, "features": features}
 
 
-def _by_pyogrio(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]]:
+def _by_pyogrio(path: Path, max_features: int) -> tuple[str | None, list[dict[str, Any]]]:
     import pyogrio
 
     try:
@@ -65,8 +66,10 @@ def _by_pyogrio(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]
             mend="install it with: python -m pip install shapely",
             code="dependency-missing",
         ) from error
-    layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
-    meta, _, shapes, columns = pyogrio.raw.read(path, layer=_only(path, layers), max_features=most + 1)
+    layers = [str(name) for name, geometry in pyogrio.list_layers(path) if geometry is not None]
+    meta, _, shapes, columns = pyogrio.raw.read(
+        path, layer=_single_layer(path, layers), max_features=max_features + 1
+    )
     names = [str(name) for name in meta["fields"]]
     features = [
         {
@@ -79,28 +82,28 @@ def _by_pyogrio(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]
     return meta["crs"], features
 
 
-def _by_fiona(path: Path, most: int) -> tuple[str | None, list[dict[str, Any]]]:
+def _by_fiona(path: Path, max_features: int) -> tuple[str | None, list[dict[str, Any]]]:
     import fiona
 
-    with fiona.open(path, layer=_only(path, fiona.listlayers(path))) as layer:
+    with fiona.open(path, layer=_single_layer(path, fiona.listlayers(path))) as layer:
         features = [
             {
                 "type": "Feature",
                 "geometry": feature.geometry and feature.geometry.__geo_interface__,
                 "properties": {name: _plain(value) for name, value in feature.properties.items()},
             }
-            for _, feature in zip(range(most + 1), layer, strict=False)
+            for _, feature in zip(range(max_features + 1), layer, strict=False)
         ]
         return layer.crs.to_wkt() or None, features
 
 
-def _only(path: Path, layers: list[str]) -> str:
-    # QGIS stores styles beside a layer
+def _single_layer(path: Path, layers: list[str]) -> str:
+    # QGIS adds a layer with styles
     layers = [name for name in layers if name != "layer_styles"]
     if len(layers) != 1:
-        held = ", ".join(map(repr, layers)) or "none"
+        names = ", ".join(map(repr, layers)) or "none"
         raise FormatError(
-            f"{path}: layers {held}",
+            f"{path}: layers {names}",
             expected="one",
             mend="save the layer with the regions alone",
             code="layer-ambiguous",
@@ -109,7 +112,7 @@ def _only(path: Path, layers: list[str]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    # A property as a JSON value; NaN becomes None
+    # JSON value of a property; NaN becomes None
     value = value.item() if isinstance(value, np.generic) else value
     if isinstance(value, float) and value != value:
         return None

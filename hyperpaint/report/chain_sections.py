@@ -1,4 +1,4 @@
-"""Parts of a report that show the quality of results: chain, map, alignment, agreement with references."""
+"""Parts of a report: counts to reflectance, map, alignment, agreement with references."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import xarray as xr
 
 from hyperpaint.base.errors import PaintError, PaintWarning, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, rename_to_roles
-from hyperpaint.geometry.orthorectification import orthorectify
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.pictures.figures import data_uri, encode_png, png_of
 from hyperpaint.pictures.plot import rgb
 from hyperpaint.pictures.plot_chain import triptych
@@ -49,7 +49,7 @@ _COMPARED = {
 
 
 def trust_parts(line: xr.Dataset, regions: Sequence[Region]) -> Iterator[Part]:
-    """Yield the chain, the map and the alignment of a flight line, each where its inputs exist."""
+    """Yield counts to reflectance, map and alignment of a flight line, those whose inputs exist."""
     names = set(line.variables)
     if {"counts", "radiance_gain", "exposure_time", "irradiance", "wavelength"} <= names:
         yield "counts to reflectance", partial(_triptych, line, regions)
@@ -67,36 +67,40 @@ def _triptych(line: xr.Dataset, regions: Sequence[Region]) -> Markup:
         try:
             caption = f"{region.name}: median of its pixels, the middle half and 5 to 95 % of them."
             return figure_part(triptych(line, region, width=13.0), caption, heading)
-        except SchemaError:  # all of its pixels are flagged, or it lies beside the line
+        except SchemaError:  # all pixels of the region are flagged, or it lies outside the line
             continue
-    middle = (line.sizes[ALONG_TRACK] // 2, line.sizes[CROSS_TRACK] // 2)
-    caption = f"The pixel in the middle of the line: line {middle[0]}, column {middle[1]} of the store."
-    return figure_part(triptych(line, pixels=middle, width=13.0), caption, heading)
+    centre = (line.sizes[ALONG_TRACK] // 2, line.sizes[CROSS_TRACK] // 2)
+    caption = f"The pixel in the middle of the line: line {centre[0]}, column {centre[1]} of the store."
+    return figure_part(triptych(line, pixels=centre, width=13.0), caption, heading)
 
 
 def _map(line: xr.Dataset) -> Markup:
-    # some visible bands, with cells as large as the page has room for
+    # few visible bands, and cells large enough for the size of the page
     nm = line["wavelength"].values
     visible = np.flatnonzero((nm > 400) & (nm < 700))
-    few = visible[np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAX_MAP_BANDS)).astype(int))]
+    bands = visible[
+        np.unique(np.linspace(0, visible.size - 1, min(visible.size, _MAX_MAP_BANDS)).astype(int))
+    ]
     names = ["reflectance", *(name for name in ("east", "north") if name in line.variables)]
-    coords = line.coords if BAND not in line.dims else line.isel({BAND: few}).coords
-    part = line.isel({BAND: few})[[*names, *(n for n in _POSE if n in line.data_vars)]].assign_coords(coords)
+    coords = line.coords if BAND not in line.dims else line.isel({BAND: bands}).coords
+    selection = line.isel({BAND: bands})[[*names, *(n for n in _POSE if n in line.data_vars)]].assign_coords(
+        coords
+    )
     try:
-        orthomap = orthorectify(part, variables=["reflectance"])
+        orthomap = orthorectify(selection, variables=["reflectance"])
         cells = max(orthomap.sizes["y"], orthomap.sizes["x"])
         if cells > _MAX_MAP_CELLS:
             gsd = float(abs(orthomap["x"][1] - orthomap["x"][0])) * cells / _MAX_MAP_CELLS
-            orthomap = orthorectify(part, gsd, variables=["reflectance"])
-    except PaintError as error:  # no camera or no height, which is no fault of the store
+            orthomap = orthorectify(selection, gsd, variables=["reflectance"])
+    except PaintError as error:  # camera or heights are missing, which is not a fault of the store
         return page_part("paragraph", text=f"There is no map: {error}", heading="Map")
     x, y = orthomap["x"].values, orthomap["y"].values
     caption = (
         f"North up, cells of {abs(x[1] - x[0]):.2g} m; easting {x.min():.0f} to {x.max():.0f}, northing "
         f"{y.min():.0f} to {y.max():.0f} m."
     )
-    shown = picture_bytes(rgb(rename_to_roles(orthomap)))
-    return page_part("true_colour", src=data_uri(encode_png(shown)), caption=caption, heading="Map")
+    picture = picture_bytes(rgb(rename_to_roles(orthomap)))
+    return page_part("true_colour", src=data_uri(encode_png(picture)), caption=caption, heading="Map")
 
 
 def figure_part(figure: Any, caption: str, heading: str = "", kind: str = "wide") -> Markup:
@@ -116,8 +120,8 @@ def _alignment(attrs: Mapping[Any, Any]) -> Markup:
     for name, label in _COMPARED.items():
         value, u = (attrs.get(f"alignment_{name}{suffix}") for suffix in ("", "_u"))
         if isinstance(value, int | float):
-            known = isinstance(u, int | float)
-            rows.append((label, f"{value:.4g} \u00b1 {u:.2g}" if known else f"{value:.4g}"))
+            has_u = isinstance(u, int | float)
+            rows.append((label, f"{value:.4g} \u00b1 {u:.2g}" if has_u else f"{value:.4g}"))
         elif value is not None:
             rows.append((label, value))
     return page_part("facts", pairs=rows, heading="Alignment of camera and irradiance record")

@@ -1,4 +1,4 @@
-"""HTML of untrusted texts: jinja2 escapes every text, and the page refers to nothing outside itself."""
+"""HTML from texts of a store: jinja2 escapes every text, and the page loads nothing from elsewhere."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ def plain_text(value: object) -> object:
     if hasattr(value, "__html__"):
         return value
     text = str(value)
-    shown = "".join(
+    printable = "".join(
         char if char in _LAYOUT or (char.isprintable() and char not in _BIDIRECTIONAL) else "\ufffd"
         for char in text[:MAX_TEXT_CHARS]
     )
-    return shown + ("..." if len(text) > MAX_TEXT_CHARS else "")
+    return printable + ("..." if len(text) > MAX_TEXT_CHARS else "")

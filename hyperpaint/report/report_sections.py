@@ -1,7 +1,7 @@
 """Sections of a report: a flight line, a map, a paint library, a calibration.
 
-A section yields the names of its parts with functions that draw them, so that one part can fail without the
-others.
+A section yields the names of its parts with functions that draw them, so that a failing part does not stop
+the other parts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, rename_to_roles
 from hyperpaint.paints.colours import paint_colours
 from hyperpaint.pictures.figures import data_uri, encode_png, new_figure
-from hyperpaint.pictures.orientation import laid_down, orientation_of
+from hyperpaint.pictures.orientation import flown_right, orientation_of
 from hyperpaint.pictures.paint_cards import paint_card
 from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flag_label, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
@@ -38,7 +38,7 @@ from .summaries import facts_of_bands, facts_of_line, facts_of_map
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-MAX_ROWS = 500  # paints of a table
+MAX_ROWS = 500  # paints in a table
 
 LAYERS = ("glint_fraction", "blocked_direct", "adjacency")  # continuous layers drawn if the store has them
 
@@ -46,10 +46,10 @@ LAYERS = ("glint_fraction", "blocked_direct", "adjacency")  # continuous layers 
 def line_section(
     line: xr.Dataset, lines: int, regions: Sequence[Region] = (), note: str = ""
 ) -> Iterator[Part]:
-    """Yield the parts of a flight line's section; draw each before asking for the next.
+    """Yield the parts of a flight line's section; draw a part before taking the next.
 
-    A picture has at most ``lines`` lines; ``regions``, in sensor coordinates, are outlined on it; ``note`` is
-    a remark on the flags.
+    ``lines``: maximum height of a picture; ``regions``: drawn as outlines, in sensor coordinates; ``note``:
+    remark about the flags.
     """
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_line(line)))
     yield from _pictures(line, lines, regions)
@@ -86,38 +86,38 @@ def _card(line: xr.Dataset, library: xr.Dataset, paint: str, heading: str) -> Ma
 def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
     """Yield the parts of a map's section; its picture has at most ``rows`` rows."""
     step = max(1, -(-orthomap.sizes["y"] // rows))
-    named = rename_to_roles(orthomap)
+    group = rename_to_roles(orthomap)
 
     def picture() -> Markup:
         steps = {ALONG_TRACK: slice(None, None, step), CROSS_TRACK: slice(None, None, step)}
-        bytes_ = picture_bytes(rgb(named.isel(steps)))
+        bytes_ = picture_bytes(rgb(group.isel(steps)))
         caption = f"{orthomap.sizes['y']} rows down, {orthomap.sizes['x']} columns to the right."
         return page_part("true_colour", src=data_uri(encode_png(bytes_)), caption=caption)
 
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_map(orthomap)))
     yield "true colour", picture
-    if "quality" in named.variables:
-        yield "shares of flags", lambda: _table_of_flags(flags_of(named), "Flags")
-    if "reflectance" in named.variables:
-        yield "reflectance", partial(_reflectance, named)
+    if "quality" in group.variables:
+        yield "shares of flags", lambda: _table_of_flags(flags_of(group), "Flags")
+    if "reflectance" in group.variables:
+        yield "reflectance", partial(_reflectance, group)
     yield "provenance", lambda: _provenance(orthomap.attrs)
 
 
 def _pictures(line: xr.Dataset, lines: int, regions: Sequence[Region]) -> Iterator[Part]:
-    drawn: list[bool] = []
-    yield "true colour", partial(_true_colour, line, lines, drawn)
-    # without a picture flags cannot be drawn on it; the reason is on the page already
+    pictures: list[bool] = []
+    yield "true colour", partial(_true_colour, line, lines, pictures)
+    # flags are drawn only if there is a picture; otherwise the page already gives the reason
     if "quality" in line.variables:
         heading = "Flags and regions" if regions else "Flags"
-        if drawn:
+        if pictures:
             yield "flags", lambda: _flags(line, lines, regions, heading)
-        yield "shares of flags", lambda: _table_of_flags(flags_of(line), "" if drawn else heading)
-    for layer in (name for name in LAYERS if drawn and name in line.variables):
+        yield "shares of flags", lambda: _table_of_flags(flags_of(line), "" if pictures else heading)
+    for layer in (name for name in LAYERS if pictures and name in line.variables):
         yield layer, partial(_layer, line, lines, layer)
 
 
-def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
-    # an entry in ``drawn`` tells the caller that there is a picture
+def _true_colour(line: xr.Dataset, lines: int, pictures: list[bool]) -> Markup:
+    # add an entry to ``pictures`` if the picture can be drawn
     if not line.sizes[ALONG_TRACK] or not line.sizes[CROSS_TRACK]:
         raise SchemaError(
             f"the line has no pixels: {line.sizes[ALONG_TRACK]} lines of {line.sizes[CROSS_TRACK]} columns",
@@ -128,14 +128,14 @@ def _true_colour(line: xr.Dataset, lines: int, drawn: list[bool]) -> Markup:
     except SchemaError as error:  # no reflectance, no visible bands
         return page_part("paragraph", text=f"There is no picture: {error}", heading="True colour")
     orientation = orientation_of(line)
-    shown = laid_down((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), orientation)
+    oriented = flown_right((picture.clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8), orientation)
     columns = "upwards" if orientation.is_mirrored else "downwards"
     caption = (
         f"{line.sizes[ALONG_TRACK]} lines, flown to the right;"
         f" {line.sizes[CROSS_TRACK]} columns, counted {columns}."
     )
-    drawn.append(True)
-    return page_part("true_colour", src=data_uri(encode_png(np.ascontiguousarray(shown))), caption=caption)
+    pictures.append(True)
+    return page_part("true_colour", src=data_uri(encode_png(np.ascontiguousarray(oriented))), caption=caption)
 
 
 def _flags(line: xr.Dataset, lines: int, regions: Sequence[Region], heading: str) -> Markup:
@@ -168,10 +168,10 @@ def _panels(line: xr.Dataset) -> Markup:
 
 def _reflectance(line: xr.Dataset) -> Markup:
     axes = _new_axes(3.6, _CHART_INCH)
-    few = max(1, line.sizes[ALONG_TRACK] // 50)
-    some = line.isel({ALONG_TRACK: slice(None, None, few)})
-    draw_spread(axes, some if "reflectance" in some else reflectance(some))
-    every = "all lines" if few == 1 else f"one line in {few}"
+    step = max(1, line.sizes[ALONG_TRACK] // 50)
+    sample = line.isel({ALONG_TRACK: slice(None, None, step)})
+    draw_spread(axes, sample if "reflectance" in sample else reflectance(sample))
+    every = "all lines" if step == 1 else f"one line in {step}"
     caption = f"Spread of reflectance over the pixels of {every}, band by band."
     return figure_part(axes.figure, caption, "Reflectance", kind="chart")
 
@@ -189,12 +189,12 @@ def _table_of_flags(quality: Array, heading: str) -> Markup:
 
 def library_section(library: xr.Dataset) -> Iterator[Part]:
     """Yield the parts of a paint library's section; variables that break the schema are left out."""
-    usable, wrong = find_usable(library)
+    usable, problems = find_usable(library)
     yield (
         "facts",
         lambda: page_part("facts", pairs=[("paints", usable.sizes[SIGNATURE]), *facts_of_bands(usable)]),
     )
-    yield from (("variables", partial(_raise, problem)) for problem in wrong)
+    yield from (("variables", partial(_raise, problem)) for problem in problems)
     caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
     yield "spectra", lambda: figure_part(library_overview(usable), caption)
     if "reflectance_u_random" in usable.variables:
@@ -211,15 +211,19 @@ def _raise(problem: str) -> Markup:
 
 
 def _table_of_paints(library: xr.Dataset) -> Markup:
-    shown = library.isel({SIGNATURE: slice(0, MAX_ROWS)})
-    columns = [name for name in ("n", "n_eff", "n_excluded") if name in shown.variables]
+    first_paints = library.isel({SIGNATURE: slice(0, MAX_ROWS)})
+    columns = [name for name in ("n", "n_eff", "n_excluded") if name in first_paints.variables]
     standard = {"time", "region", *schema.LIBRARY_VARIABLES}
-    extra = [str(name) for name in shown.coords if shown[name].dims == (SIGNATURE,) and name not in standard][
-        :12
-    ]
-    values = {name: shown[name].values for name in (SIGNATURE, *columns, *extra)}
+    extra = [
+        str(name)
+        for name in first_paints.coords
+        if first_paints[name].dims == (SIGNATURE,) and name not in standard
+    ][:12]
+    values = {name: first_paints[name].values for name in (SIGNATURE, *columns, *extra)}
     quality = (
-        shown["quality"].values if "quality" in shown.variables else np.zeros(len(values[SIGNATURE]), int)
+        first_paints["quality"].values
+        if "quality" in first_paints.variables
+        else np.zeros(len(values[SIGNATURE]), int)
     )
     rows = [
         {
@@ -229,18 +233,18 @@ def _table_of_paints(library: xr.Dataset) -> Markup:
             "flags": ", ".join(schema.flag_names(int(quality[k]))),
             "extra": [values[name][k] for name in extra],
         }
-        for k, colour in enumerate(paint_colours(shown))
+        for k, colour in enumerate(paint_colours(first_paints))
     ]
     numbers = [name.replace("_", " ") for name in columns]
-    more = library.sizes[SIGNATURE] - len(rows)
-    note = f"and {more} more paints" if more > 0 else ""
+    hidden_count = library.sizes[SIGNATURE] - len(rows)
+    note = f"and {hidden_count} more paints" if hidden_count > 0 else ""
     return page_part("paints", rows=rows, numbers=numbers, extra=extra, note=note)
 
 
 def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
     """Yield flight line, name and region of the paints of a library.
 
-    Regions on a map, and invalid ones in libraries of other programs, are left out.
+    Regions on a map, and invalid regions in libraries of other programs, are left out.
     """
     if not {"region", "flightline"} <= set(library.variables):
         return
@@ -253,9 +257,9 @@ def regions_of(library: xr.Dataset) -> Iterator[tuple[str, str, Region]]:
 
 
 def calibration_section(calibration: xr.Dataset) -> Iterator[Part]:
-    """Yield the parts of the calibration's section; a report of the lab sweep where it comes from one."""
+    """Yield the parts of the calibration's section; a calibration from a lab sweep has its report."""
     yield "facts", lambda: page_part("facts", pairs=list(facts_of_bands(calibration)))
-    # a calibration given as files has no lamp lines of a sweep to show
+    # a calibration from files has no lamp lines of a lab sweep
     if "line_centre" in calibration.variables:
         caption = "Lamp lines of the lab sweep and the calibration from them."
         yield "lab sweep", lambda: figure_part(calibration_report(calibration), caption)

@@ -1,4 +1,4 @@
-"""Groups of a store that a page can show: flight lines with flags, maps, paint libraries."""
+"""Groups of a store that a page can show: flight lines, maps, paint libraries; flags of flight lines."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SCENE_FLAGS = "Glint, shadow and light of neighbours"
 class ShownGroups(NamedTuple):
     """Opened groups of a store by name."""
 
-    opened: dict[str, xr.Dataset]
+    groups: dict[str, xr.Dataset]
     lines: dict[str, xr.Dataset]
     maps: dict[str, xr.Dataset]
     libraries: dict[str, xr.Dataset]
@@ -47,39 +47,39 @@ def groups_to_show(
 ) -> ShownGroups:
     """Return the chosen flight lines, all maps and libraries of a store, and a library beside it.
 
-    Raises `SchemaError`: there are no such flight lines, or ``signatures`` is no library; `StoreError`: there
-    is nothing to show.
+    Raises `SchemaError` for an unknown flight line, or if ``signatures`` is not a paint library; `StoreError`
+    if the store has nothing to show.
     """
-    opened, problems = _opened(store)
-    lines = _chosen({name: line for name, line in opened.items() if _is_line(line)}, flightlines, store)
+    groups, problems = _open_groups(store)
+    lines = _select_lines({name: line for name, line in groups.items() if _is_line(line)}, flightlines, store)
     maps = {
-        name or Path(store).name: group for name, group in opened.items() if {"y", "x"} <= set(group.dims)
+        name or Path(store).name: group for name, group in groups.items() if {"y", "x"} <= set(group.dims)
     }
-    libraries = {name: group for name, group in opened.items() if _is_library(group)}
+    libraries = {name: group for name, group in groups.items() if _is_library(group)}
     if signatures is not None:
         libraries[Path(signatures).name] = _library(signatures)
     if not lines and not libraries and not maps:
-        reason = "; ".join(problems) or f"its groups are {', '.join(opened) or 'none'}"
+        reason = "; ".join(problems) or f"its groups are {', '.join(groups) or 'none'}"
         raise StoreError(
             f"{store} has no flight line, map or signatures to show: {reason}", code="store-empty"
         )
-    return ShownGroups(opened, lines, maps, libraries, problems)
+    return ShownGroups(groups, lines, maps, libraries, problems)
 
 
-def _opened(store: str | os.PathLike[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
-    # readable groups, and the reasons why others are unreadable
+def _open_groups(store: str | os.PathLike[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
+    # readable groups, and the reasons why groups are unreadable
     groups = list_groups(store)
-    opened = {}
-    # finished groups of an unfinished store are shown
+    datasets = {}
+    # an unfinished store is a problem, but its finished groups are shown
     problems = list(store_state(place_of(store)[0] or Location.of(store), groups).problems)
     for group in groups:
         try:
-            opened[group] = with_new_names(open_group(store, group))
+            datasets[group] = with_new_names(open_group(store, group))
         except StoreError as error:
             problems.append(f"/{group}: {error}")
-            with contextlib.suppress(StoreError):  # its readable parts
-                opened[group] = open_unverified(store, group)
-    return opened, problems
+            with contextlib.suppress(StoreError):  # show the readable variables
+                datasets[group] = open_unverified(store, group)
+    return datasets, problems
 
 
 def _is_line(group: xr.Dataset) -> bool:
@@ -91,13 +91,13 @@ def _is_library(group: xr.Dataset) -> bool:
     return "reflectance" in group.variables and SIGNATURE in group["reflectance"].dims
 
 
-def _chosen(
-    lines: dict[str, xr.Dataset], wanted: Sequence[str] | None, store: str | os.PathLike[str]
+def _select_lines(
+    lines: dict[str, xr.Dataset], names: Sequence[str] | None, store: str | os.PathLike[str]
 ) -> dict[str, xr.Dataset]:
-    if wanted is None:
+    if names is None:
         return dict(list(lines.items())[:MAX_LINES])
     matches = {
-        name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None) for name in wanted
+        name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None) for name in names
     }
     if unknown := [name for name, key in matches.items() if key is None]:
         raise SchemaError(
@@ -120,32 +120,32 @@ def _library(path: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> tuple[xr.Dataset, str]:
-    """Return a line with scene flags, detected where it has none, and a note on their origin for the page."""
+    """Return a line with scene flags, detected if it has none, and a note for the page about their origin."""
     if not {"reflectance", "irradiance"} & set(line.variables):
         return line, ""
     try:
         if is_flagged(line):
             return line, ""
         line = _with_flags(line, sun_zenith, progress)
-    # a line is shown even if detection fails; damage appears again where it is drawn
+    # the line is shown even if detection fails; drawing reports damaged data again
     except Exception as error:
         return line, f"{_SCENE_FLAGS} could not be detected: {message_of(error)}"
     return line, f"{_SCENE_FLAGS} were detected for this page; the store has no such flags."
 
 
 def _with_flags(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> xr.Dataset:
-    # detected in one pass after a survey
+    # survey the line, then detect all flags in one pass
     calibrated = line if "reflectance" in line.variables else reflectance(line)
     with survey_planned(line, "the survey"):
         flags = flag_line(calibrated, sun_zenith=sun_zenith, progress=part_of(progress, 0, 2)).line
         names = ["quality", *DRAWN]
         lazy = [flags[name].transpose(ALONG_TRACK, CROSS_TRACK).data for name in names]
-        values = [scratch_array(each.shape, each.dtype) for each in lazy]
+        values = [scratch_array(array.shape, array.dtype) for array in lazy]
         compute_into(lazy, values)
     return line.assign(
         {
-            name: flags[name].reset_coords(drop=True).copy(data=each)
-            for name, each in zip(names, values, strict=True)
+            name: flags[name].reset_coords(drop=True).copy(data=array)
+            for name, array in zip(names, values, strict=True)
         }
     )
 

@@ -1,7 +1,7 @@
-"""A store as a folder for any web server: the page in the browser reads the Zarr store itself.
+"""A folder for any web server whose page reads a Zarr store in the browser.
 
-A copy of the data shown lies beside the page, in small chunks (the layout ``"web"``), as a store that
-`hyperpaint.open_store` opens; or the page refers to a store that is served elsewhere.
+The folder holds a copy of the data in small chunks (layout ``"web"``), a store that `hyperpaint.open_store`
+opens; or the page reads a store at another address.
 """
 
 from __future__ import annotations
@@ -29,9 +29,8 @@ from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store import to_store
 from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.figures import encode_png
-from hyperpaint.pictures.orientation import laid_down, orientation_of
+from hyperpaint.pictures.orientation import flown_right, orientation_of
 from hyperpaint.pictures.plot import flag_label, rgb
-from hyperpaint.pictures.plot_flags import FLAG_COLOURS
 from hyperpaint.pictures.plot_spectra import find_usable
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
@@ -46,8 +45,8 @@ _WEB = resources.files("hyperpaint") / "report" / "web"
 _MAX_INDEX_BYTES = 16 * 2**20
 _ORIGIN = re.compile(r"[A-Za-z0-9.-]+(:\d{1,5})?")
 
-# variables of a line or map that a page shows, and variables of a library that it does not show
-_SHOWN = (
+# variables of a line or map that the page reads, and variables of a library that it does not read
+_SHOWN_VARIABLES = (
     "reflectance",
     "quality",
     "wavelength",
@@ -58,7 +57,7 @@ _SHOWN = (
     "spatial_ref",
     "time",
 )
-_LEFT_OUT = (
+_HIDDEN_VARIABLES = (
     "member_reflectance",
     "member_along_track",
     "member_cross_track",
@@ -105,22 +104,22 @@ def write_site(
         Maximum picture height [lines]; longer flight lines are subsampled, but all lines can be clicked.
     flags
         Detect glint, shadow and light of neighbours on lines without these flags, see
-        `hyperpaint.surroundings.flag`, for the copy. A warning names lines where that is not possible.
+        `hyperpaint.surroundings.flag`, for the copy. A warning names lines where detection fails.
     overwrite
     progress
 
     Returns
     -------
     Written
-        The folder, the flight lines and maps on the page, and the problems met.
+        The folder, the flight lines and maps on the page, and unreadable parts.
 
     Raises
     ------
     SchemaError
-        There are no such flight lines, ``max_lines`` is not positive, ``link`` is no address, or is given
-        together with ``library``.
+        The store has no flight line of a name, ``max_lines`` is not positive, ``link`` is not an address, or
+        ``link`` and ``library`` are both present.
     StoreError
-        There is no store, or it has nothing to show, or ``out`` holds other files, which are kept.
+        The store is missing or has nothing to show; or ``out`` holds other files, which are kept.
 
     Examples
     --------
@@ -138,43 +137,44 @@ def write_site(
     if link is not None and library is not None:
         raise SchemaError(
             "link and library: a page that copies nothing shows only the store's signatures",
-            mend="give one of them",
+            mend="leave out link or library",
             code="option-conflict",
         )
-    origin = "" if link is None else _origin_of(link)
-    place = Path(out)
-    if Path(store).resolve() in (place.resolve(), *place.resolve().parents):
+    origin = "" if link is None else _remote_origin(link)
+    folder = Path(out)
+    if Path(store).resolve() in (folder.resolve(), *folder.resolve().parents):
         raise StoreError(f"{out} is in the store itself", mend="choose another path", code="path-in-store")
-    shown = groups_to_show(store, flightlines, library)
-    site, lacking = _Site({}, [], [], {}, list(shown.problems)), set()
+    groups = groups_to_show(store, flightlines, library)
+    site, unreadable = _Site({}, [], [], {}, list(groups.problems)), set()
     notes: dict[str, str] = {}
-    for name, group in (shown.lines | shown.maps).items():
-        path = name if name in shown.opened else "map" if link is None else ""
+    for name, group in (groups.lines | groups.maps).items():
+        path = name if name in groups.groups else "map" if link is None else ""
         try:
-            if flags and link is None and name in shown.lines:
+            if flags and link is None and name in groups.lines:
                 group, note = flagged(group, None, None)
-                notes[name] = "" if group is not shown.lines[name] else note
-            copied = _copied(group, stored=link is not None)
-            site.add(path, name, copied, _picture(copied, group, max_lines))
-        except Exception as error:  # an unreadable group is listed; the others are shown
+                notes[name] = "" if group is not groups.lines[name] else note
+            variables = _page_variables(group, stored=link is not None)
+            site.add(path, name, variables, _picture(variables, group, max_lines))
+        except Exception as error:  # list an unreadable group and show all other groups
             site.problems.append(f"/{name}: {message_of(error)}")
-            lacking.add(name)
-    for name, paints in shown.libraries.items():
-        site.add_library(name if name in shown.opened else "library", name, paints)
+            unreadable.add(name)
+    for name, paints in groups.libraries.items():
+        site.add_library(name if name in groups.groups else "library", name, paints)
     for name, note in notes.items():
         if note:
             warnings.warn(PaintWarning(f"/{name}: {note}", code="group-not-shown"), stacklevel=2)
     if not site.groups:
         raise StoreError(
-            f"{store} has nothing that a page can show: {'; '.join(site.problems)}", code="store-empty"
+            f"{store} has no readable flight line, map or paint library: {'; '.join(site.problems)}",
+            code="store-empty",
         )
-    with published_folder(place, overwrite=overwrite, foreign=_foreign) as build:
+    with published_folder(folder, overwrite=overwrite, foreign=_foreign) as build:
         if link is None:
             tree = xr.DataTree.from_dict(site.groups)
             to_store(tree, build / "store.zarr", layout="web", progress=progress)
-        site.write(build, place.name, link or "store.zarr", origin)
-    lines_and_maps = [tuple(n for n in names if n not in lacking) for names in (shown.lines, shown.maps)]
-    return Written(place, lines_and_maps[0], lines_and_maps[1], tuple(site.problems))
+        site.write(build, folder.name, link or "store.zarr", origin)
+    lines_and_maps = [tuple(n for n in names if n not in unreadable) for names in (groups.lines, groups.maps)]
+    return Written(folder, lines_and_maps[0], lines_and_maps[1], tuple(site.problems))
 
 
 class _Site(NamedTuple):
@@ -186,18 +186,18 @@ class _Site(NamedTuple):
 
     def add(self, path: str, name: str, group: xr.Dataset, shown: tuple[_Picture, dict[str, Any]]) -> None:
         picture, places = shown
-        file = f"pictures/{len(self.pictures)}.png"  # names in a store are not used for files
+        file = f"pictures/{len(self.pictures)}.png"  # the name of a group may be no valid file name
         self.groups[path], self.pictures[file] = group, picture
-        variables = sorted(map(str, group.variables))  # the order of coordinates is random in xarray
-        last = name.rpartition("/")[2]
-        label = name if any(entry["name"] == last for entry in self.lines) else last
+        variables = sorted(map(str, group.variables))  # xarray lists coordinates in random order
+        short_name = name.rpartition("/")[2]
+        label = name if any(entry["name"] == short_name for entry in self.lines) else short_name
         entry = {"name": label, "group": path, "picture": file, "variables": variables, **places}
         self.lines.append(entry)
 
     def add_library(self, path: str, name: str, library: xr.Dataset) -> None:
-        usable, wrong = find_usable(library)
-        self.problems.extend(f"/{name}: {text}" for text in wrong)
-        self.groups[path] = usable.drop_vars(_LEFT_OUT, errors="ignore")
+        usable, problems = find_usable(library)
+        self.problems.extend(f"/{name}: {text}" for text in problems)
+        self.groups[path] = usable.drop_vars(_HIDDEN_VARIABLES, errors="ignore")
         colours = [srgb_hex(colour) for colour in paint_colours(usable)]
         variables = sorted(map(str, self.groups[path].variables))
         self.libraries.append({"name": name, "group": path, "variables": variables, "colours": colours})
@@ -211,8 +211,7 @@ class _Site(NamedTuple):
             "lines": self.lines,
             "libraries": self.libraries,
             "flags": [
-                {"mask": int(flag), "name": flag_label(flag), "colour": FLAG_COLOURS[flag]}
-                for flag in Quality
+                {"mask": int(flag), "name": flag_label(flag), "colour": flag.colour} for flag in Quality
             ],
         }
         (folder / "pictures").mkdir()
@@ -224,8 +223,8 @@ class _Site(NamedTuple):
         (folder / _INDEX).write_text(json.dumps(index, allow_nan=False), encoding="utf-8")
 
 
-def _copied(group: xr.Dataset, *, stored: bool) -> xr.Dataset:
-    # with ``stored`` nothing is computed
+def _page_variables(group: xr.Dataset, *, stored: bool) -> xr.Dataset:
+    # with ``stored``, reflectance is not computed from counts
     if "reflectance" not in group.variables:
         if stored:
             raise StoreError(
@@ -240,42 +239,44 @@ def _copied(group: xr.Dataset, *, stored: bool) -> xr.Dataset:
         raise SchemaError(
             f"reflectance {dims}", expected="lines, columns and bands, with wavelengths", code="dim-missing"
         )
-    names = [name for name in group.variables if name in _SHOWN or name in dims]
+    names = [name for name in group.variables if name in _SHOWN_VARIABLES or name in dims]
     return group.reset_coords()[names].set_coords([n for n in names if n not in ("reflectance", "quality")])
 
 
 def _picture(group: xr.Dataset, source: xr.Dataset, lines: int) -> tuple[_Picture, dict[str, Any]]:
-    # the picture as the page shows it, and the geometry of its pixels
-    named = rename_to_roles(group)
-    rows, columns = (named.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
+    # the picture as the page shows it, and its geometry: rows and columns of the group, steps, mirroring
+    dataset = rename_to_roles(group)
+    rows, columns = (dataset.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK))
     is_line = CROSS_TRACK in group.dims
-    places: dict[str, Any] = {"rows": rows, "columns": columns, "lies": is_line, "mirrored": False}
-    places["first"] = [int(numbers_of(named, dim)[0]) if is_line else 0 for dim in (ALONG_TRACK, CROSS_TRACK)]
+    geometry: dict[str, Any] = {"rows": rows, "columns": columns, "lies": is_line, "mirrored": False}
+    geometry["first"] = [
+        int(numbers_of(dataset, dim)[0]) if is_line else 0 for dim in (ALONG_TRACK, CROSS_TRACK)
+    ]
     try:
-        shown = np.asarray(rgb(named, lines=lines))
+        colours = np.asarray(rgb(dataset, lines=lines))
     except SchemaError:  # fewer than three visible bands: a grey picture to click on
-        shown = np.full((min(rows, lines), columns, 3), 0.5, np.float32)
-    places["steps"] = [-(-rows // shown.shape[0]), -(-columns // shown.shape[1])]
-    picture = (np.nan_to_num(shown).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+        colours = np.full((min(rows, lines), columns, 3), 0.5, np.float32)
+    geometry["steps"] = [-(-rows // colours.shape[0]), -(-columns // colours.shape[1])]
+    picture = (np.nan_to_num(colours).clip(0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     if is_line:
         orientation = orientation_of(source)
-        places["mirrored"] = orientation.is_mirrored
-        picture = laid_down(picture, orientation)
-    return np.ascontiguousarray(picture), places
+        geometry["mirrored"] = orientation.is_mirrored
+        picture = flown_right(picture, orientation)
+    return np.ascontiguousarray(picture), geometry
 
 
-def _origin_of(link: str) -> str:
-    # the origin that the page must be allowed to read from; empty for a path beside the page
-    parts = urlsplit(link)
-    if not parts.scheme and not parts.netloc and parts.path:
+def _remote_origin(link: str) -> str:
+    # the web origin that the page reads from; empty for a path relative to the page
+    address = urlsplit(link)
+    if not address.scheme and not address.netloc and address.path:
         return ""
-    if parts.scheme not in ("http", "https") or not _ORIGIN.fullmatch(parts.netloc):
+    if address.scheme not in ("http", "https") or not _ORIGIN.fullmatch(address.netloc):
         raise SchemaError(
             f"link={link!r:.200}",
             expected="an address such as https://bucket.example.org/lot.zarr, or a path such as ../lot.zarr",
             code="link-invalid",
         )
-    return f"{parts.scheme}://{parts.netloc}"
+    return f"{address.scheme}://{address.netloc}"
 
 
 def _foreign(folder: Path) -> str:
@@ -285,6 +286,6 @@ def _foreign(folder: Path) -> str:
         index = None
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         return "other files"
-    expected = {_INDEX, "pictures", "store.zarr", *(file.name for file in _WEB.iterdir())}
-    foreign = sorted(path.name for path in folder.iterdir() if path.name not in expected)
-    return f"{foreign[0]}, which no site has" if foreign else ""
+    site_names = {_INDEX, "pictures", "store.zarr", *(file.name for file in _WEB.iterdir())}
+    foreign = sorted(path.name for path in folder.iterdir() if path.name not in site_names)
+    return f"{foreign[0]}, which is not part of a site" if foreign else ""

@@ -52,7 +52,7 @@ class Written:
     path: Path  #: The page.
     flightlines: tuple[str, ...]  #: Groups of flight lines on the page.
     maps: tuple[str, ...]  #: Groups of maps on the page.
-    problems: tuple[str, ...]  #: Unreadable parts of the store, which the page lists too.
+    problems: tuple[str, ...]  #: Unreadable parts of the store; the page lists them too.
 
 
 @renamed(signatures="library", lines="max_lines")
@@ -75,8 +75,7 @@ def write_report(
     For every flight line and map: true colour, flags on it and their shares, irradiance over time, panels,
     spread of reflectance, the steps from counts to reflectance, a map, alignment of camera and record,
     provenance; then paint signatures with their uncertainty, their agreement with the references in the
-    store, and the calibration, where there are any. Unreadable parts are named on the page; the rest is
-    shown.
+    store, and the calibration, if the store has them. The page lists unreadable parts and shows all others.
 
     Parameters
     ----------
@@ -90,8 +89,7 @@ def write_report(
         bytes a pixel.
     flags
         Detect glint, shadow and light of neighbours on lines without these flags, see
-        `hyperpaint.surroundings.flag`; where that is not possible, the page gives the reason. Nothing is
-        stored.
+        `hyperpaint.surroundings.flag`; if detection fails, the page gives the reason. Flags are not stored.
     cards
         Maximum number of paints of a flight line shown one by one: region, pixels used and excluded,
         signature (`hyperpaint.pictures.paint_card`). Each takes half a second and 60 kB.
@@ -103,16 +101,16 @@ def write_report(
     Returns
     -------
     Written
-        Path of the page, the flight lines on it, and the problems met.
+        Path of the page, groups on it, and unreadable parts.
 
     Raises
     ------
     MissingExtraError
         matplotlib is not installed.
     SchemaError
-        ``max_lines`` is not positive, ``cards`` is negative, or there are no such flight lines.
+        ``max_lines`` is not positive, ``cards`` is negative, or the store has no flight line of a name.
     StoreError
-        There is no store, or it has nothing to show; or the page exists already, or cannot be written.
+        The store is missing or has nothing to show; or the page exists already, or cannot be written.
 
     Examples
     --------
@@ -126,81 +124,83 @@ def write_report(
     ('flightlines/raw_0',)
     """
     new_figure("a report")  # before anything is read
-    place = Path(out)
-    check_place(place, "the report", example="report.html", store=Path(store), overwrite=overwrite)
+    page_path = Path(out)
+    check_place(page_path, "the report", example="report.html", store=Path(store), overwrite=overwrite)
     if max_lines < 1:
         raise SchemaError(f"max_lines={max_lines}", expected="1 or more", code="value-out-of-range")
     if cards < 0:
         raise SchemaError(f"cards={cards}", expected="0 or more", code="value-out-of-range")
     groups = groups_to_show(store, flightlines, library)
-    shown, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
-    measured = _measured(shown, libraries, problems)
-    calibration = groups.opened.get("calibration")
-    references = [group for name, group in groups.opened.items() if name.startswith("references/")]
-    validated = bool(libraries and references)
-    steps = len(shown) + len(libraries) + validated + (calibration is not None)
-    parts: list[tuple[str, Iterator[Part]]] = []
-    for number, (name, line) in enumerate(shown.items()):
+    lines, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
+    paints_by_line = _paints_by_line(lines, libraries, problems)
+    calibration = groups.groups.get("calibration")
+    references = [group for name, group in groups.groups.items() if name.startswith("references/")]
+    has_validation = bool(libraries and references)
+    steps = len(lines) + len(libraries) + has_validation + (calibration is not None)
+    sections: list[tuple[str, Iterator[Part]]] = []
+    for number, (name, line) in enumerate(lines.items()):
         share = part_of(progress, number, steps)
-        section = _flagged_section(line, max_lines, measured[name], cards, flags, sun_zenith, share)
-        parts.append((name, section))
-    parts += [(name, map_section(group, max_lines)) for name, group in maps.items()]
-    parts += [(name, library_section(paints)) for name, paints in libraries.items()]
-    if validated:
-        parts.append(("validation", validation_section(libraries, references)))
+        section = _flagged_section(line, max_lines, paints_by_line[name], cards, flags, sun_zenith, share)
+        sections.append((name, section))
+    sections += [(name, map_section(group, max_lines)) for name, group in maps.items()]
+    sections += [(name, library_section(paints)) for name, paints in libraries.items()]
+    if has_validation:
+        sections.append(("validation", validation_section(libraries, references)))
     if calibration is not None:
-        parts.append(("calibration", calibration_section(calibration)))
-    sections = []
-    for number, (name, draw) in enumerate(parts):
+        sections.append(("calibration", calibration_section(calibration)))
+    drawn_sections = []
+    for number, (name, parts) in enumerate(sections):
         if progress is not None:
             progress(1000 * number, 1000 * steps)
-        sections.append((name, _drawn(name, draw, problems)))
-    head = _head(store, groups.opened, problems)
-    page = page_part("page", title=Path(store).resolve().name, head=head, sections=sections)
-    publish_file(place, page.encode("utf-8", "replace"), overwrite=True)
+        drawn_sections.append((name, _draw_section(name, parts, problems)))
+    head = _head(store, groups.groups, problems)
+    page = page_part("page", title=Path(store).resolve().name, head=head, sections=drawn_sections)
+    publish_file(page_path, page.encode("utf-8", "replace"), overwrite=True)
     if progress is not None:
         progress(1000 * steps, 1000 * steps)
-    return Written(place, tuple(shown), tuple(maps), tuple(problems))
+    return Written(page_path, tuple(lines), tuple(maps), tuple(problems))
 
 
 def _flagged_section(
     line: xr.Dataset,
     lines: int,
-    measured: Sequence[_Measured],
+    paints: Sequence[_PaintOnLine],
     cards: int,
     flags: bool,
     sun_zenith: float | None,
     progress: Progress | None,
 ) -> Iterator[Part]:
     line, note = flagged(line, sun_zenith, progress) if flags else (line, "")
-    for part in line_section(line, lines, [paint.region for paint in measured], note):
-        yield part
+    for section_part in line_section(line, lines, [paint.region for paint in paints], note):
+        yield section_part
         # detected flags lie in memory-mapped files, which a picture reads completely
         for name in ("quality", *LAYERS):
             values = line.variables[name]._data if name in line.variables else None
             if isinstance(values, np.ndarray):
                 release(values)
-    yield from card_parts(line, [(paint.library, paint.paint) for paint in measured], cards)
+    yield from card_parts(line, [(paint.library, paint.paint) for paint in paints], cards)
 
 
 # --- paints on their lines ---------------------------------------------------------------------------------
 
 
-class _Measured(NamedTuple):
+class _PaintOnLine(NamedTuple):
     library: xr.Dataset
     paint: str
     region: Region
 
 
-def _measured(
+def _paints_by_line(
     lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset], problems: list[str]
-) -> dict[str, list[_Measured]]:
-    # for every flight line, the paints of the libraries measured on it
-    paints: list[tuple[str, _Measured]] = []
+) -> dict[str, list[_PaintOnLine]]:
+    # paints measured on each flight line, by its group
+    paints: list[tuple[str, _PaintOnLine]] = []
     for name, library in libraries.items():
         try:
-            paints += [(line, _Measured(library, paint, on)) for line, paint, on in regions_of(library)]
-        except Exception as error:  # see _drawn
+            paints += [
+                (line, _PaintOnLine(library, paint, region)) for line, paint, region in regions_of(library)
+            ]
+        except Exception as error:  # see _draw_section
             problems.append(f"/{name}, regions: {message_of(error)}")
     return {
         group: [paint for name, paint in paints if name in ("", group, group.rpartition("/")[2])]
@@ -211,28 +211,28 @@ def _measured(
 # --- the page ----------------------------------------------------------------------------------------------
 
 
-def _drawn(name: str, parts: Iterator[Part], problems: list[str]) -> list[Markup]:
-    # a part that cannot be drawn is replaced by its problem
-    drawn: list[Markup] = []
-    for part, draw in parts:
+def _draw_section(name: str, parts: Iterator[Part], problems: list[str]) -> list[Markup]:
+    # replace a part that cannot be drawn by a text with its problem
+    markups: list[Markup] = []
+    for part_name, draw in parts:
         try:
-            drawn.append(draw())
-        # a damaged chunk fails when it is read, data of other programs may fail when they are drawn
+            markups.append(draw())
+        # reading a damaged chunk fails, and drawing data of other programs may fail
         except Exception as error:
             message = message_of(error)
-            problems.append(f"/{name}, {part}: {message}")
-            text = f"This could not be shown: {part}: {message}"
-            drawn.append(page_part("paragraph", text=text, kind="problem"))
-    return drawn
+            problems.append(f"/{name}, {part_name}: {message}")
+            text = f"This could not be shown: {part_name}: {message}"
+            markups.append(page_part("paragraph", text=text, kind="problem"))
+    return markups
 
 
-def _head(store: str | os.PathLike[str], opened: dict[str, xr.Dataset], problems: list[str]) -> Markup:
-    now = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
-    collects = [str(group.attrs["collect"]) for group in opened.values() if "collect" in group.attrs]
+def _head(store: str | os.PathLike[str], groups: dict[str, xr.Dataset], problems: list[str]) -> Markup:
+    created = datetime.datetime.now(datetime.UTC).isoformat(sep=" ", timespec="seconds")
+    collects = [str(group.attrs["collect"]) for group in groups.values() if "collect" in group.attrs]
     facts = {
         "store": Path(store).resolve().name,
         "collect": ", ".join(dict.fromkeys(collects)),
-        "groups": ", ".join(f"/{name}" for name in opened),
-        "reported": f"{now.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
+        "groups": ", ".join(f"/{name}" for name in groups),
+        "reported": f"{created.removesuffix('+00:00')} UTC by hyperpaint {version_of_program()}",
     }
     return page_part("head", pairs=list(facts.items()), problems=problems)

@@ -1,4 +1,4 @@
-"""Summary of a dataset: as facts, as text for a terminal, as HTML for a notebook."""
+"""Summary of a dataset: pairs of names and texts, text for a terminal, HTML for a notebook."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANC
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.paints.colours import paint_colours, srgb_hex
 from hyperpaint.pictures.figures import data_uri, encode_png
-from hyperpaint.pictures.orientation import laid_down, orientation_of
+from hyperpaint.pictures.orientation import flown_right, orientation_of
 
 from .pages import page_part
 
@@ -61,8 +61,8 @@ def facts_of_grid(grid: Grid, shape: tuple[int, int]) -> Facts:
     rows, cols = shape
     x, y = ([p + q * j + r * i for i in (0, rows) for j in (0, cols)] for p, q, r in ((a, b, c), (d, e, f)))
     heading = np.degrees(np.arctan2(-c, -f)) % 360.0
-    up = "north up" if c == e == 0.0 and f < 0.0 < b else f"up is {heading:.1f} degrees from north"
-    yield "cells", f"{np.hypot(b, e):.6g} x {np.hypot(c, f):.6g} map units, {up}"
+    orientation = "north up" if c == e == 0.0 and f < 0.0 < b else f"up is {heading:.1f} degrees from north"
+    yield "cells", f"{np.hypot(b, e):.6g} x {np.hypot(c, f):.6g} map units, {orientation}"
     yield "bounds", f"x {min(x):.10g} to {max(x):.10g}, y {min(y):.10g} to {max(y):.10g}"
     yield "crs", "unknown" if grid.wkt is None else grid.wkt.partition('"')[2].partition('"')[0]
 
@@ -75,7 +75,7 @@ def facts_of_irradiance(dataset: xr.Dataset) -> Facts:
 
 
 def form_of(array: xr.DataArray) -> str:
-    """Return the dims, dtype and units of an array."""
+    """Return dims, dtype and units of an array as text."""
     shape = " x ".join(f"{size} {dim}" for dim, size in array.sizes.items()) or "scalar"
     units = array.attrs.get("units")
     return f"{shape}, {array.dtype}" + (f" [{units}]" if units else "")
@@ -105,8 +105,10 @@ def range_of(values: Any, units: str, digits: int = 3) -> str:
     finite = finite[np.isfinite(finite)]
     if not finite.size:
         return "unknown"
-    low, high = (f"{value:.{digits}f}".rstrip("0").rstrip(".") for value in (finite.min(), finite.max()))
-    return f"{low} {units}" if low == high else f"{low} to {high} {units}"
+    minimum, maximum = (
+        f"{value:.{digits}f}".rstrip("0").rstrip(".") for value in (finite.min(), finite.max())
+    )
+    return f"{minimum} {units}" if minimum == maximum else f"{minimum} to {maximum} {units}"
 
 
 def times_of(times: Any) -> str:
@@ -116,16 +118,16 @@ def times_of(times: Any) -> str:
     dated = times[~np.isnat(times)]
     if not dated.size:
         return "times unknown"
-    first, last = (np.datetime_as_string(time, unit="ms") for time in (dated.min(), dated.max()))
-    lost = f", {times.size - dated.size} without a time" if dated.size < times.size else ""
-    return f"{first} to {last} UTC{lost}"
+    start, end = (np.datetime_as_string(time, unit="ms") for time in (dated.min(), dated.max()))
+    undated = f", {times.size - dated.size} without a time" if dated.size < times.size else ""
+    return f"{start} to {end} UTC{undated}"
 
 
 def with_times(dataset: xr.Dataset) -> xr.Dataset:
     """Return a dataset opened with ``decode_times=False`` with decoded times.
 
-    Times in our stores are 64-bit counts already. xarray's decoding, used for times of other programs,
-    imports dask and pint, which takes longer than the rest of a summary.
+    Stores of hyperpaint hold times as 64-bit counts of nanoseconds. Times of other programs are decoded by
+    xarray, which imports dask and pint and takes longer than the rest of a summary.
     """
     coded = {name: var for name, var in dataset.variables.items() if " since " in str(var.attrs.get("units"))}
     if any(var.attrs["units"] != _STORED_TIMES or var.dtype != np.int64 for var in coded.values()):
@@ -186,7 +188,7 @@ def summary_html(dataset: xr.Dataset) -> str:
     Texts of the dataset are escaped.
     """
     title, facts = _summary(dataset)
-    src = _attempt(lambda: _picture_of(dataset), "")  # empty for a part without lines or columns
+    src = _attempt(lambda: _picture_of(dataset), "")  # empty for a dataset without lines or columns
     content = {"title": title, "pairs": facts, "src": src, "style": _STYLE, "cell_style": _CELL}
     return str(page_part("summary", **content, paints=_attempt(lambda: _swatches(dataset), [])))
 
@@ -196,27 +198,26 @@ def _picture_of(dataset: xr.Dataset) -> str:
     if picture is None:
         return ""
     step = max(1, -(-picture.shape[0] // 480))
-    # by the declared order of columns, since ground positions would have to be computed
+    # without ground positions, which would have to be computed: the declared order of columns is used
     orientation = orientation_of(dataset.drop_vars(["east", "north"], errors="ignore"))
-    shown = laid_down(picture[::step, :: max(1, step // 2)], orientation)
-    return data_uri(encode_png(np.ascontiguousarray(shown)))
+    oriented = flown_right(picture[::step, :: max(1, step // 2)], orientation)
+    return data_uri(encode_png(np.ascontiguousarray(oriented)))
 
 
 def _swatches(dataset: xr.Dataset) -> list[tuple[str, str, str]]:
-    # colour, name and number of pixels of the first paints, if the library is cheap to read
+    # colour, name and number of pixels of the first paints; empty if reading takes long
     if _kind(dataset)[0] != "paint library":
         return []
     library = dataset.isel({schema.SIGNATURE: slice(_MAX_NAMES)})
-    if not _is_at_hand(dataset["reflectance"]):
+    if not _is_small_and_stored(dataset["reflectance"]):
         return []
     colours = [srgb_hex(colour) for colour in paint_colours(library)]
     counts = [f"n = {count}" for count in library["n"].values] if "n" in library else [""] * len(colours)
     return list(zip(colours, map(str, library[schema.SIGNATURE].values), counts, strict=True))
 
 
-def _is_at_hand(array: xr.DataArray) -> bool:
-    # readable without computing, and small
-    # arrays from a store have its chunks in their encoding
+def _is_small_and_stored(array: xr.DataArray) -> bool:
+    # arrays from a store have its chunks in their encoding; other dask arrays would have to be computed
     return (array.chunks is None or "chunks" in array.encoding) and array.nbytes <= _MAX_READ_BYTES
 
 
@@ -224,10 +225,15 @@ def stored_overview(dataset: xr.Dataset) -> npt.NDArray[np.uint8] | None:
     """Return the picture stored beside a flight line (line, column, 3); None where it would be computed."""
     if "overview" not in dataset.variables:
         return None
-    stored = dataset["overview"]
+    overview = dataset["overview"]
     row = schema.VARIABLES["overview"]
-    fits = stored.dims == row.dims and stored.dtype == row.dtype and stored.shape[-1] == 3 and stored.size
-    return np.asarray(stored.values) if fits and _is_at_hand(stored) else None
+    is_valid = (
+        overview.dims == row.dims
+        and overview.dtype == row.dtype
+        and overview.shape[-1] == 3
+        and overview.size
+    )
+    return np.asarray(overview.values) if is_valid and _is_small_and_stored(overview) else None
 
 
 def _printable(text: str) -> str:
@@ -238,7 +244,7 @@ def _printable(text: str) -> str:
 
 
 def _summary(dataset: xr.Dataset) -> tuple[str, list[tuple[str, str]]]:
-    # unreadable parts are left out, so that a summary never raises
+    # a summary leaves out unreadable parts and never raises
     dataset = _attempt(lambda: schema.rename_to_roles(dataset), dataset)
     kind, source = _kind(dataset)
     name = dataset.attrs.get("name") or dataset.attrs.get("title") or ""
@@ -272,8 +278,8 @@ def _forms(dataset: xr.Dataset) -> Facts:
 def _line(line: xr.Dataset) -> Facts:
     yield from facts_of_line(line)
     yield "quality", _flags(line)
-    shown = {"counts", "radiance", "reflectance", "irradiance", "exposure_time", "quality", "overview"}
-    names = [str(name) for name in line.data_vars if name not in shown]
+    named_above = {"counts", "radiance", "reflectance", "irradiance", "exposure_time", "quality", "overview"}
+    names = [str(name) for name in line.data_vars if name not in named_above]
     yield "also holds", ", ".join(sorted(names)[:_MAX_NAMES])
     yield "can do", ", ".join(_abilities(line))
 
@@ -293,14 +299,14 @@ def _flags(line: xr.Dataset) -> str:
 
 def _abilities(line: xr.Dataset) -> Iterator[str]:
     names = set(line.variables)
-    lit = "irradiance" in names
+    has_irradiance = "irradiance" in names
     if {"counts", "radiance_gain", "exposure_time"} <= names:
         yield ".radiance()"
-        if lit:
+        if has_irradiance:
             yield ".reflectance()"
-    elif "radiance" in names and lit:
+    elif "radiance" in names and has_irradiance:
         yield ".reflectance()"
-    if "reflectance" in names or lit:
+    if "reflectance" in names or has_irradiance:
         yield from (".rgb()", ".quicklook()", ".spectrum(regions)", ".signatures(regions)")
     elif {"counts", "radiance"} & names:
         yield from (".rgb()", ".quicklook()")
@@ -308,8 +314,8 @@ def _abilities(line: xr.Dataset) -> Iterator[str]:
 
 def _library(library: xr.Dataset) -> Facts:
     paints = [str(name) for name in library[schema.SIGNATURE].values]
-    more = f" and {len(paints) - _MAX_NAMES} more" if len(paints) > _MAX_NAMES else ""
-    yield "paints", f"{counted(len(paints), 'paint')}: {', '.join(paints[:_MAX_NAMES])}{more}"
+    ending = f" and {len(paints) - _MAX_NAMES} more" if len(paints) > _MAX_NAMES else ""
+    yield "paints", f"{counted(len(paints), 'paint')}: {', '.join(paints[:_MAX_NAMES])}{ending}"
     yield "reflectance", form_of(library["reflectance"])
     yield from facts_of_bands(library)
     for name, label in (("n", "pixels"), ("n_eff", "independent")):

@@ -1,11 +1,11 @@
-"""One pushbroom camera for everything that is simulated: equal settings are the same camera.
+"""The pushbroom camera of all simulations: equal settings give the same camera.
 
-An element (band b, column x) answers to a photon of wavelength lambda with
+An element (band b, column x) responds to light of wavelength lambda with
 
     R_b,x(lambda) = f_b,x R0(lambda) s(lambda - lambda_b - shift_x)   counts per joule,
 
-s of unit area, R0 the smooth responsivity common to all elements (optics, grating, quantum efficiency), f the
-element's own factor near one. With etendue A Omega and exposure t it counts
+with the line shape s of unit area, the smooth responsivity R0 common to all elements (optics, grating,
+quantum efficiency), and a factor f of the element near one. With etendue A Omega and exposure t its count is
 
     n = t A Omega INT L(lambda) R_b,x(lambda) d lambda + dark.
 """
@@ -26,13 +26,13 @@ from .atmosphere import spectral_grid
 from .optics import Optics
 from .settings import SimulationSettings
 
-#: Full widths from its centre beyond which less than 1e-13 of a Gaussian's area lies.
+#: Distance from the centre of a Gaussian, in full widths, beyond which its area is below 1e-13.
 GAUSSIAN_REACH = 3.2
 
-# small products: on a busy machine the threads that BLAS wakes for large ones wait longer than they work
+# columns of a matrix product: for larger products BLAS uses threads, which are slow on a busy machine
 _COLUMNS_AT_ONCE = 16
 _PLANCK_TIMES_LIGHT = 6.62607015e-34 * 2.99792458e8
-_DISPERSION = 2.2140  # nm a pixel of the detector, whatever the number of bands read out
+_DISPERSION = 2.2140  # nm per detector pixel, independent of the number of bands
 
 
 def filled_etendue(slit: float = 20e-6, pitch: float = 7.4e-6, f_number: float = 2.5) -> float:
@@ -58,13 +58,13 @@ def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: fl
     offset
         Distance from the centre of the band [nm], any shape.
     fwhm
-        Full width at half maximum [nm]; of a slit its image's width.
+        Full width at half maximum [nm]; for "slit" the width of the slit's image.
     spacing
-        Width of a pixel [nm]; a slit's image is averaged over it.
+        Width of a pixel [nm], over which the slit's image is averaged.
     shape
         "gaussian", or "slit": a box ``fwhm`` wide convolved with a box ``spacing`` wide.
     step
-        Grid step [nm]. The slit's shape has corners, so it is averaged over each grid cell exactly.
+        Grid step [nm]. The shape of a slit has corners and is averaged exactly over every grid cell.
 
     Examples
     --------
@@ -76,9 +76,10 @@ def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: fl
     if shape == "gaussian":
         height = 2.0 * np.sqrt(np.log(2.0) / np.pi) / fwhm
         return np.asarray(height * np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2))
-    # two boxes make four ramps; a ramp integrates to a square, whose difference over a cell is its mean
+    # The convolution of two boxes is a sum of four ramps. A ramp integrates to a square, whose difference
+    # over a cell gives the mean.
     corners = [(1, fwhm + spacing), (-1, fwhm - spacing), (-1, spacing - fwhm), (1, -fwhm - spacing)]
-    # the rising side serves both: past the far corner of the other, squares would cancel to a residue
+    # both sides are computed as the rising one, because squares would not cancel exactly on the falling side
     rising = -np.abs(offset)
     upper, lower = rising + step / 2, rising - step / 2
     total = np.zeros_like(offset, dtype=np.float64)
@@ -114,9 +115,9 @@ def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: floa
     return convolved
 
 
-def cubic_weights(place: Floats) -> Floats:
-    """Return the weights of the points at -1, 0, 1 and 2 at a place between 0 and 1, a last axis of 4."""
-    t = np.asarray(place, np.float64)
+def cubic_weights(fraction: Floats) -> Floats:
+    """Return Lagrange's cubic weights of points at -1, 0, 1 and 2 at fractions from 0 to 1, (..., 4)."""
+    t = np.asarray(fraction, np.float64)
     return np.stack(
         [
             -t * (t - 1) * (t - 2) / 6,
@@ -143,10 +144,9 @@ def smile(columns: int, nanometres: float) -> Floats:
 def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Floats]:
     """Return R0(lambda) of the simulated imager [count nm J-1].
 
-    Efficiency of optics, grating and silicon x photons per joule x nm a pixel / electrons per count. The
-    efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, of a level at which
-    a white panel at noon nearly fills twelve bits in 5 ms. R0 falls by 4 %
-    in the 20 nm around the oxygen band.
+    Efficiency of optics, grating and silicon x photons per joule x nm per pixel / electrons per count. The
+    efficiency is 0.19 at 420 nm, 0.28 at 550, 0.13 at 850 and 0.03 at 980, so that a white panel at noon
+    nearly saturates twelve bits in 5 ms. R0 falls by 4 % over the 20 nm around the oxygen band.
     """
 
     def responsivity(wavelength: Floats) -> Floats:
@@ -171,7 +171,7 @@ class Imager:
     wavelength_shift
         Smile, shape (cross_track,) [nm].
     fwhm
-        Full width at half maximum of every band, shape (band,), or one for all [nm].
+        Full width at half maximum [nm] of every band, shape (band,), or of all bands.
     shape
         One of `SHAPES`.
     responsivity
@@ -199,7 +199,7 @@ class Imager:
 
     @cached_property
     def reach(self) -> float:
-        """Distance from a band's nominal centre beyond which no column responds [nm]."""
+        """Distance from the nominal centre of a band beyond which no column responds [nm]."""
         smile_reach = float(np.abs(self.wavelength_shift).max())
         return (
             GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
@@ -208,7 +208,7 @@ class Imager:
         )
 
     def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        # R_b without the element factors at wavelength shifts [nm], shape (grid, shift).
+        # response R_b without element factors, at wavelength shifts [nm], shape (grid, shift)
         offset = grid[:, None] - (self.wavelength[band] + shift)
         shape = self.line_shape(band, offset, grid[1] - grid[0])
         return np.asarray(self.responsivity(grid)[:, None] * shape)
@@ -223,7 +223,7 @@ class Imager:
         Parameters
         ----------
         spectra
-            Shape (spectrum, grid): a scene's radiance, a monochromator's line, or ones for INT R.
+            Shape (spectrum, grid): radiance of a scene, light of a monochromator, or ones for INT R.
         grid
             Even wavelength grid that covers the responses [nm].
 
@@ -237,21 +237,21 @@ class Imager:
             The grid ends inside a response.
         """
         step = grid[1] - grid[0]
-        lowest, highest = self.wavelength.min() - self.reach, self.wavelength.max() + self.reach
-        if grid[0] > lowest or grid[-1] < highest:
+        min_nm, max_nm = self.wavelength.min() - self.reach, self.wavelength.max() + self.reach
+        if grid[0] > min_nm or grid[-1] < max_nm:
             raise ValueError(
-                f"grid covers {grid[0]:.1f} to {grid[-1]:.1f} nm, responses {lowest:.1f} to {highest:.1f} nm"
+                f"grid covers {grid[0]:.1f} to {grid[-1]:.1f} nm, responses {min_nm:.1f} to {max_nm:.1f} nm"
             )
         shifts, column = np.unique(self.wavelength_shift, return_inverse=True)
         integrals = np.empty((len(spectra), len(self.wavelength), len(self.wavelength_shift)))
-        common = np.empty((len(spectra), len(shifts)))
+        responses = np.empty((len(spectra), len(shifts)))
         for band, centre in enumerate(self.wavelength):
             start, stop = np.searchsorted(grid, (centre - self.reach, centre + self.reach))
             response = self._common_response(band, grid[start:stop], shifts)
-            for first in range(0, len(shifts), _COLUMNS_AT_ONCE):
-                here = slice(first, first + _COLUMNS_AT_ONCE)
-                common[:, here] = spectra[:, start:stop] @ response[:, here]
-            integrals[:, band] = common[:, column] * (step * self.element_factor[band])
+            for start_column in range(0, len(shifts), _COLUMNS_AT_ONCE):
+                columns = slice(start_column, start_column + _COLUMNS_AT_ONCE)
+                responses[:, columns] = spectra[:, start:stop] @ response[:, columns]
+            integrals[:, band] = responses[:, column] * (step * self.element_factor[band])
         return integrals
 
 
@@ -289,9 +289,9 @@ class Detector:
     electrons_per_count
         [electron count-1]
     read_noise
-        Spread of a dark count, 1 sigma [count].
+        Standard deviation of a dark count [count].
     bit_depth
-        Bits of the converter; it is full at 2**bit_depth - 1.
+        Bits of the converter, which saturates at 2**bit_depth - 1.
     """
 
     dark: Floats
@@ -304,33 +304,33 @@ class Detector:
         return int(2**self.bit_depth - 1)
 
     def read(self, signal: Floats, rng: np.random.Generator | None) -> Floats:
-        """Return the input of the converter: signal, dark and, with ``rng``, shot and read noise [count].
+        """Return the input of the converter [count]: signal, dark and, with ``rng``, shot and read noise.
 
-        The variance is signal / electrons_per_count + read_noise^2; shot noise is taken as Gaussian.
+        The variance is signal / electrons_per_count + read_noise^2; shot noise is approximated as Gaussian.
         """
         counts = signal + self.dark
         if rng is not None:
-            spread = np.maximum(signal, 0.0)
-            spread *= 1.0 / self.electrons_per_count
-            spread += self.read_noise**2
-            np.sqrt(spread, out=spread)
-            spread *= rng.standard_normal(signal.shape, dtype=np.float32)
-            counts += spread
+            noise = np.maximum(signal, 0.0)
+            noise *= 1.0 / self.electrons_per_count
+            noise += self.read_noise**2
+            np.sqrt(noise, out=noise)
+            noise *= rng.standard_normal(signal.shape, dtype=np.float32)
+            counts += noise
         return counts
 
     def convert(self, counts: Floats | NDArray[np.float32]) -> NDArray[np.uint16]:
         """Return whole counts between 0 and `saturation_count`."""
         converted = np.empty(counts.shape, dtype=np.uint16)
-        for line, given in zip(converted, counts, strict=True):
-            whole = np.rint(given)
-            np.clip(whole, 0, self.saturation_count, out=whole)
-            line[...] = whole
+        for line, line_counts in zip(converted, counts, strict=True):
+            rounded = np.rint(line_counts)
+            np.clip(rounded, 0, self.saturation_count, out=rounded)
+            line[...] = rounded
         return converted
 
 
-# keys of the random streams; those of flights and sweeps stand in their own modules
+# keys of the random streams; flights and sweeps define further keys
 _DARK, _ELEMENTS, _BAD, _DARK_RATE, _COLUMNS = 13, 14, 15, 18, 19
-_RATE_SPREAD = 0.2  # of the dark current from element to element, relative
+_RATE_SPREAD = 0.2  # relative standard deviation of the dark current over elements
 
 
 @dataclass(frozen=True)
@@ -340,17 +340,17 @@ class Camera:
     Attributes
     ----------
     imager
-        Its spectral side.
+        Spectral response.
     dark_bias, dark_rate
         Counts at no exposure [count] and their growth [count s-1], shape (band, cross_track).
     bad
-        True at elements that see no light, those of masked columns too, shape (band, cross_track).
+        True at dead elements and in masked columns, shape (band, cross_track).
     electrons_per_count, read_noise, bit_depth
         As in `hyperpaint.simulation.camera.Detector`.
     optics
-        Blur, keystone and stray light; None for a camera without.
+        Blur, keystone and stray light; None for a camera without these effects.
     pedestal
-        What every frame but the dark ones has on top of its dark [count].
+        Counts added to the dark in all frames except dark frames [count].
     """
 
     imager: Imager
@@ -375,15 +375,15 @@ class Camera:
         shape = settings.bands, settings.columns
 
         def normal(stream: int, shape: tuple[int, ...] = shape) -> Floats:
-            drawn = np.random.default_rng([settings.seed, stream]).standard_normal(shape)
-            return np.clip(drawn, -3.0, 3.0)
+            values = np.random.default_rng([settings.seed, stream]).standard_normal(shape)
+            return np.clip(values, -3.0, 3.0)
 
-        place = np.linspace(-1.0, 1.0, settings.bands)
+        band_place = np.linspace(-1.0, 1.0, settings.bands)
         wavelength = np.linspace(settings.first_wavelength, settings.last_wavelength, settings.bands)
         imager = Imager(
-            wavelength + settings.dispersion_bow_nm * (1.0 - place**2),
+            wavelength + settings.dispersion_bow_nm * (1.0 - band_place**2),
             smile(settings.columns, settings.smile_nm),
-            settings.fwhm_nm * (1.0 + settings.fwhm_slope * place),
+            settings.fwhm_nm * (1.0 + settings.fwhm_slope * band_place),
             settings.srf_shape,
             nominal_responsivity(settings.electrons_per_count),
             (1.0 + settings.nonuniformity * normal(_ELEMENTS))
@@ -418,7 +418,7 @@ class Camera:
 
     @property
     def imperfections(self) -> dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]]:
-        """Dims, values and attributes of optical and electronic imperfections, by name, where present."""
+        """Dims, values and attributes of the optical and electronic imperfections of this camera, by name."""
         values: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {}
         if self.optics is not None and self.optics.has_stray_light:
             row = VARIABLES["stray_light"]

@@ -1,8 +1,8 @@
-"""A whole simulated collect: the instruments' files, the calibration, and the truth beside them.
+"""A simulated collect: files of the instruments, calibration and truth.
 
-Two field spectrometers saw the cars' paints on the ground before the flight. The truth of their files is the
-paint's own spectrum: what it reflects near normal, without the mirror image of the sky. Beyond 1000 nm, where
-only the SVC sees, the light has no bands.
+Two field spectrometers measured the paints of the cars on the ground before the flight. The truth of their
+files is the spectrum of the paint near normal, without mirrored sky. Beyond 1000 nm, where only the SVC
+measures, the light has no absorption bands.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hyperpaint.base.schema import CHUNK_LINES
 from .atmosphere import spectral_grid
 from .camera import convolve_gaussian
 from .checkerboard_flight import CheckerboardFlight
-from .flight import PIXEL_ANGLE, Flight, Lines, sky_irradiance
+from .flight import Flight, Lines, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
     SVC_DETECTORS,
@@ -42,44 +42,45 @@ from .instruments import (
 )
 from .painted_regions import REGIONS, PaintedRectangles
 from .plan_flight import PlanFlight
-from .settings import ORIGIN, SimulationSettings
+from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
 from .stores import TruthStore, line_dataset, store_sweep, write_calibration
 from .sweep import Sweep, SweepSettings
 from .trajectories import CONVENTION
 
 SVC_FOLDER, ASD_FOLDER = "svc", "asd_reflectance"
 
-_STEP = 0.1  # nm
-_LEAD, _EACH, _PANEL = 3600, 60, 15  # s from the first paint to the flight, to the next paint, from the panel
-_MARGIN = 40.0  # nm beyond the outer channels, more than a line shape reaches
+_STEP_NM = 0.1
+_LEAD_S, _PAINT_S, _PANEL_S = 3600, 60, 15  # times from first paint to flight, between paints, panel to paint
+_MARGIN_NM = 40.0  # beyond the outer channels, more than the reach of a line shape
 
 
 def write_references(flight: Flight, folder: Path) -> None:
-    """Write a file of each spectrometer for every paint of the cars, named by paint.
+    """Write a file of both spectrometers for every paint of the cars, named after the paint.
 
-    The folder of the collect receives the folders `SVC_FOLDER` and `ASD_FOLDER`.
+    The files are in the folders `SVC_FOLDER` and `ASD_FOLDER` of the collect.
     """
     settings = flight.settings
     svc, asd = folder / SVC_FOLDER, folder / ASD_FOLDER
     for directory in (svc, asd):
         directory.mkdir()
-    seen = svc_wavelengths()
-    grid = spectral_grid(seen.min() - _MARGIN, seen.max() + _MARGIN, _STEP)
+    nm = svc_wavelengths()
+    grid = spectral_grid(nm.min() - _MARGIN_NM, nm.max() + _MARGIN_NM, _STEP_NM)
     light = sky_irradiance(settings.sky, settings.sun[0], grid).sum(axis=0) / np.pi
-    # the white panel first
+    # radiance of the white panel, then of the paints
     spectra = np.concatenate([light[None], light * flight.paint_reflectance(flight.paints, grid)])
-    by_svc = np.concatenate(
-        [convolve_gaussian(spectra, grid, part.wavelength, part.fwhm) for part in SVC_DETECTORS], axis=1
+    svc_spectra = np.concatenate(
+        [convolve_gaussian(spectra, grid, detector.wavelength, detector.fwhm) for detector in SVC_DETECTORS],
+        axis=1,
     )
-    by_asd = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
+    asd_spectra = convolve_gaussian(spectra, grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
     zone, start = round(settings.utc_offset_h * 3600), flight.start // 10**9
     for index, paint in enumerate(flight.paints, 1):
-        panel = start - _LEAD + _EACH * index
-        target = panel + _PANEL
+        panel = start - _LEAD_S + _PAINT_S * index
+        target = panel + _PANEL_S
         write_svc(
             svc / f"{paint}.sig",
-            by_svc[0],
-            by_svc[index],
+            svc_spectra[0],
+            svc_spectra[index],
             stamps=(panel, target),
             utc_offset=zone,
             position=ORIGIN[:2],
@@ -87,15 +88,15 @@ def write_references(flight: Flight, folder: Path) -> None:
         )
         write_asd_reflectance(
             asd / f"{paint}.asd",
-            by_asd[index],
-            by_asd[0],
+            asd_spectra[index],
+            asd_spectra[0],
             stamp=target,
             utc_offset=zone,
             reference_stamp=panel,
         )
 
 
-#: Points of the pavement, as a GNSS receiver on a pole would log them.
+#: File of surveyed points of the pavement, as from a GNSS receiver on a pole.
 SURVEY = "survey.csv"
 
 #: Files and folders of a simulated collect.
@@ -113,18 +114,18 @@ PARTS = (
     "collect.toml",
 )
 
-#: Opens the ``collect.toml`` of a simulated collect.
+#: First line of the ``collect.toml`` of a simulated collect.
 MARKER = "# simulated by hyperpaint"
 
 _UNFINISHED = f"{MARKER}: not finished\n"
 
-#: Stands in the headers of simulated cubes for the version of the camera's software, in the comments of a
-#: field spectrometer's simulated files, and in the regions for what made them.
+#: Marker of simulated files: software version in headers of cubes, comment in files of field spectrometers,
+#: generator of regions.
 CAMERA_SOFTWARE = "hyperpaint simulation"
 
-_BOOT = 1_234_567_891_000  # ns on the instrument's clock at the first line: it knows no date
-_NAVIGATION_MARGIN = 2 * 10**9  # ns around the flight
-_DARK_LEAD = 60 * 10**9  # ns from the first dark frame to the first line
+_BOOT = 1_234_567_891_000  # instrument's clock at the first line [ns]; it has no date
+_NAVIGATION_MARGIN_NS = 2 * 10**9  # navigation before and after the flight
+_DARK_LEAD_NS = 60 * 10**9  # time from the first dark frame to the first line
 
 
 @documented(overwrite="own overwrite")
@@ -143,38 +144,38 @@ def simulate_collect(
     block_lines: int = CHUNK_LINES,
     **effects: Any,
 ) -> Path:
-    """Simulate a flight over a car park and write it as the instruments would have.
+    """Simulate a flight over a car park and write it in the formats of the instruments.
 
-    Written are a Headwall folder (``flight``: cubes, frame index, navigation, settings), a dark cube
-    (``dark``), an irradiance series (``asd``), reflectance of the cars' paints as two field spectrometers
-    saw it (``svc``, ``asd_reflectance``), ``calibration.zarr``, ``truth.zarr``, ``regions.geojson`` with a
-    rectangle of clean pixels of every paint that has a level patch of six by six, and, last of all,
+    The files are a Headwall folder (``flight``: cubes, frame index, navigation, settings), a dark cube
+    (``dark``), an irradiance series (``asd``), reflectance of the cars' paints from two field spectrometers
+    (``svc``, ``asd_reflectance``), ``calibration.zarr``, ``truth.zarr``, ``regions.geojson`` with a rectangle
+    of pure, sunlit pixels of every paint that has a level area of six by six pixels, and finally
     ``collect.toml``.
 
     Parameters
     ----------
     folder
-        Made where it does not exist.
+        Folder of the collect; created if it does not exist.
     lines, bands, columns
         Shape of the cube.
     seed
-        The same seed gives the same bytes of every instrument file.
+        Random seed; the same seed gives the same bytes of every instrument file.
     scene
-        "rendered": a car park of triangles whose light is traced, with shadows, glint and mixed pixels.
-        "plan": a flat picture in which a pixel sees one level surface, made at once. "checkerboard": level
-        squares whose corners are known on the map.
+        "rendered": a ray-traced car park of triangles, with shadows, glint and mixed pixels. "plan": a flat
+        picture in which a pixel shows one level surface, computed fast. "checkerboard": level squares with
+        known map coordinates of their corners.
     truth
-        Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel; but
-        for a plan also the place that it shows, and where the camera was mounted; of a rendered scene also
-        shadow, purity and which car.
+        Write ``truth.zarr``: radiance and reflectance of every sample, class and masks of every pixel; except
+        for a plan also the ground position of every pixel, and the mounting of the camera; for a rendered
+        scene also shadow, purity and car.
     sweep
-        Also take the camera into the lab: ``lab/sweep.zarr`` is a monochromator sweep with these effects
-        (fields of `hyperpaint.simulation.SweepSettings`, ``{}`` for the defaults), ``lab/sweep_truth.zarr``
-        its truth. ``collect.toml`` then names the sweep in place of ``calibration.zarr``.
+        Also write a monochromator sweep of the same camera, ``lab/sweep.zarr``, with these effects (fields of
+        `hyperpaint.simulation.SweepSettings`, ``{}`` for the defaults), and its truth,
+        ``lab/sweep_truth.zarr``. ``collect.toml`` then names the sweep instead of ``calibration.zarr``.
     overwrite
     progress
     block_lines
-        Lines worked on together; bounds the memory, changes no value.
+        Lines computed together; limits memory and does not change values.
     **effects
         Fields of `hyperpaint.simulation.SimulationSettings`: ``noise``, ``smile_nm``, ``wobble`` ...
 
@@ -187,7 +188,7 @@ def simulate_collect(
     SchemaError
         An effect, of the flight or of the sweep, is unknown or out of range; all are listed.
     StoreError
-        The folder holds something already, and ``overwrite`` is not set.
+        The folder is not empty, and ``overwrite`` is not set.
 
     Examples
     --------
@@ -197,13 +198,13 @@ def simulate_collect(
     ...     print(*sorted(entry.name for entry in path.parent.iterdir()))
     asd asd_reflectance calibration.zarr collect.toml dark flight regions.geojson survey.csv svc truth.zarr
     """
-    place = input_path(folder, "a folder for the collect", StoreError, "simulate to a folder, and copy it")
+    target = input_path(folder, "a folder for the collect", StoreError, "simulate to a folder, and copy it")
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, "scene": scene, **effects}
     )
     if not settings.quantise:
         raise SchemaError(
-            "quantise=False, but files hold whole counts",
+            "quantise=False, but files need whole counts",
             mend="use simulate_line for float32 counts in memory",
             code="option-conflict",
         )
@@ -212,8 +213,8 @@ def simulate_collect(
             f"block_lines={block_lines}", expected="a whole number above 0", code="value-out-of-range"
         )
     lab = None if sweep is None else Sweep(SweepSettings.of(sweep, settings))
-    flight = _flight_of(settings)
-    root = _prepare(place, overwrite)
+    flight = _create_flight(settings)
+    root = _prepare(target, overwrite)
     _write_dark(flight, root / "dark")
     samples = flight.sky_samples()
     for index, (stamp, spectrum) in enumerate(zip(samples.stamp.tolist(), samples.irradiance, strict=True)):
@@ -230,7 +231,7 @@ def simulate_collect(
         (root / "lab").mkdir()
         store_sweep(lab, root / "lab" / "sweep.zarr", truth=truth)
     _write_flight(flight, root, block_lines, progress, truth)
-    # places of the ground under the first, middle and last scan line; heights above the ellipsoid
+    # surveyed points on the ground under the first, middle and last scan line; heights above the ellipsoid
     pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
     ground = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
     ground[:, 2] = 0.0
@@ -242,17 +243,17 @@ def simulate_collect(
     )
     (root / SURVEY).write_text(f"name,latitude,longitude,ellipsoidal_height_m\n{rows}", encoding="ascii")
     path = root / "collect.toml"
-    # a reader that finds this file finds all the others whole
+    # written last, so that a reader of this file finds all other files complete
     path.write_text(_collect_text(flight, lab is not None), encoding="utf-8")
     return path
 
 
-def _flight_of(settings: SimulationSettings) -> Flight:
+def _create_flight(settings: SimulationSettings) -> Flight:
     if settings.scene == "plan":
         return PlanFlight(settings)
     if settings.scene == "checkerboard":
         return CheckerboardFlight(settings)
-    from .rendered_flight import RenderedFlight  # brings the tracer along
+    from .rendered_flight import RenderedFlight  # imports the tracer
 
     return RenderedFlight(settings)
 
@@ -260,36 +261,36 @@ def _flight_of(settings: SimulationSettings) -> Flight:
 def _prepare(root: Path, overwrite: bool) -> Path:
     if root.exists() and not root.is_dir():
         raise StoreError(
-            f"{root} is a file", mend="name a folder for the simulated collect", code="folder-is-file"
+            f"{root} is a file", mend="pass a folder for the simulated collect", code="folder-is-file"
         )
     if root.is_dir() and any(root.iterdir()):
         if not overwrite:
-            mend = "name another folder, or replace an earlier collect with {}"
+            mend = "choose another folder, or replace an earlier collect with {}"
             raise StoreError(
                 f"{root} is not empty",
                 mend=mend.format("overwrite=True"),
                 option=mend.format("--overwrite"),
                 code="folder-not-empty",
             )
-        # a collect, or parts of one, that no simulation wrote is not replaced
-        parts = [part for part in PARTS if (root / part).exists() or (root / part).is_symlink()]
-        if parts and head_of(root / "collect.toml", len(MARKER)) != MARKER.encode():
+        # files of a collect that no simulation wrote are not replaced
+        entries = [name for name in PARTS if (root / name).exists() or (root / name).is_symlink()]
+        if entries and head_of(root / "collect.toml", len(MARKER)) != MARKER.encode():
             raise StoreError(
-                f"{root} holds {', '.join(parts[:3])}, and no collect.toml that begins {MARKER!r}",
+                f"{root} holds {', '.join(entries[:3])}, and no collect.toml that begins with {MARKER!r}",
                 expected="an earlier simulated collect",
-                mend="name another folder; nothing was removed",
+                mend="choose another folder; nothing was removed",
                 code="folder-foreign",
             )
         (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
-        for part in PARTS[:-1]:
-            target = root / part
+        for name in PARTS[:-1]:
+            target = root / name
             if target.is_dir() and not target.is_symlink():
                 shutil.rmtree(target)
             else:
                 target.unlink(missing_ok=True)
-    for part in ("flight", "dark", "asd"):
-        (root / part).mkdir(parents=True)
-    # whose the folder is, also where this run does not come to its end
+    for name in ("flight", "dark", "asd"):
+        (root / name).mkdir(parents=True)
+    # mark the folder as simulated, also if this run is interrupted
     (root / "collect.toml").write_text(_UNFINISHED, encoding="utf-8")
     return root
 
@@ -298,17 +299,17 @@ def _instrument_stamps(since_start: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray((since_start + _BOOT) // 1000, dtype=np.int64)
 
 
-def _frame_stamps(middles: NDArray[np.int64], settings: SimulationSettings) -> NDArray[np.int64]:
-    half = round(settings.exposure_time_ms * 1e6 / 2)
+def _frame_stamps(mid_times: NDArray[np.int64], settings: SimulationSettings) -> NDArray[np.int64]:
+    half_exposure = round(settings.exposure_time_ms * 1e6 / 2)
     return _instrument_stamps(
-        middles
-        + {"start": -half, "mid": 0, "end": half}[settings.stamp]
+        mid_times
+        + {"start": -half_exposure, "mid": 0, "end": half_exposure}[settings.stamp]
         - round(settings.frame_clock_offset_s * 1e9)
     )
 
 
 def _comments(flight: Flight) -> dict[str, object]:
-    # Headwall writes these fields below the ENVI part of a header.
+    # fields that Headwall software adds to an ENVI header
     settings = flight.settings
     return {
         "AOI width": settings.columns,
@@ -334,8 +335,8 @@ def _write_dark(flight: Flight, folder: Path) -> None:
     with BilWriter(folder / "raw_0", flight.wavelength, settings.columns, _comments(flight)) as cube:
         cube.append(dark)
     frames = np.arange(len(dark), dtype=np.int64)
-    middles = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD
-    write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(middles, settings))
+    mid_times = np.rint(frames * settings.frame_period_ms * 1e6).astype(np.int64) - _DARK_LEAD_NS
+    write_frame_index(folder / "frameIndex_0.txt", frames, _frame_stamps(mid_times, settings))
     _write_settings_file(folder, settings)
 
 
@@ -347,18 +348,18 @@ def _write_flight(
     painted = PaintedRectangles(flight)
     recorded = settings.recorded
     starts = settings.cube_starts.tolist()
-    memory: Lines | None = None
-    for first, last in itertools.pairwise(starts):
-        frames = first + np.flatnonzero(recorded[first:last])
+    reusable: Lines | None = None
+    for first_frame, end_frame in itertools.pairwise(starts):
+        frames = first_frame + np.flatnonzero(recorded[first_frame:end_frame])
         name = f"{frames[0]}"
         painted.begin(f"raw_{name}")
         with BilWriter(
             folder / f"raw_{name}", flight.wavelength, settings.columns, _comments(flight)
         ) as cube:
-            for begin in range(first, last, block_lines):
-                end = min(begin + block_lines, last)
-                block = flight.lines(begin, end, into=memory)
-                memory = block if memory is None or len(memory.counts) < len(block.counts) else memory
+            for begin in range(first_frame, end_frame, block_lines):
+                end = min(begin + block_lines, end_frame)
+                block = flight.lines(begin, end, into=reusable)
+                reusable = block if reusable is None or len(reusable.counts) < len(block.counts) else reusable
                 is_recorded = recorded[begin:end]
                 counts = block.counts if is_recorded.all() else block.counts[is_recorded]
                 cube.append(flight.detector.convert(counts))
@@ -372,8 +373,8 @@ def _write_flight(
     painted.write(root / REGIONS, CAMERA_SOFTWARE)
     _write_settings_file(folder, settings)
     since = np.arange(
-        -_NAVIGATION_MARGIN,
-        int(flight.line_times[-1]) + _NAVIGATION_MARGIN,
+        -_NAVIGATION_MARGIN_NS,
+        int(flight.line_times[-1]) + _NAVIGATION_MARGIN_NS,
         10**9 // settings.navigation_rate,
         dtype=np.int64,
     )
@@ -397,7 +398,7 @@ nav = "flight/imu_gps.txt"
         for name in [int(recorded[recorded >= first][0]) for first in settings.cube_starts[:-1]]
     )
     navigation = "\n".join(f'{key} = "{value}"' for key, value in CONVENTION.items())
-    half_width = settings.columns / 2 * PIXEL_ANGLE
+    half_width = settings.columns / 2 * PIXEL_ANGLE_RAD
     mounting = {"boresight_deg": flight.trajectory.boresight, "lever_arm_m": flight.trajectory.lever_arm}
     geometry = "\n".join(f"{key} = {[float(number) for number in three]}" for key, three in mounting.items())
     uncertainty_s = settings.clock_uncertainty_s
@@ -460,16 +461,16 @@ def simulate_line(
     Parameters
     ----------
     lines, bands, columns, seed
-        As for `simulate_collect`; the scene is the plan unless ``scene="rendered"`` asks for triangles.
+        As for `simulate_collect`; by default ``scene="plan"``.
     matched
-        Add ``matched_irradiance``: what every element would have seen of each irradiance sample, exactly.
+        Add ``matched_irradiance``: irradiance samples weighted by the response of every element.
     **effects
-        Fields of `hyperpaint.simulation.SimulationSettings`. ``quantise=False`` leaves the counts float32.
+        Fields of `hyperpaint.simulation.SimulationSettings`. ``quantise=False`` gives float32 counts.
 
     Returns
     -------
-    A flight line as the store holds one (``counts``, ``dark_counts``, ``radiance_gain``, ``irradiance`` ...),
-    with ``true_radiance``, ``true_reflectance``, ``surface`` and ``true_saturated`` beside it.
+    A flight line with the variables of a store (``counts``, ``dark_counts``, ``radiance_gain``,
+    ``irradiance`` ...), and ``true_radiance``, ``true_reflectance``, ``surface`` and ``true_saturated``.
     ``dark_counts`` is the mean of the dark frames with ``quantise``, else the dark itself.
 
     Raises
@@ -487,5 +488,5 @@ def simulate_line(
     settings = SimulationSettings.of(
         {"lines": lines, "bands": bands, "columns": columns, "seed": seed, **effects}
     )
-    flight = _flight_of(settings)
+    flight = _create_flight(settings)
     return line_dataset(flight, flight.lines(0, settings.lines), matched=matched)

@@ -1,8 +1,8 @@
-"""One simulated flight: light and camera, scan line by scan line, over any scene.
+"""A simulated flight: light and camera, scan line by scan line, over any scene.
 
-`plan_flight` flies over a flat picture, `rendered_flight` over triangles; both say what radiance every
-element sees, and this module turns it into counts and truth. The light is a mix of two spectra, direct and
-diffuse, each with its own factor in time.
+`plan_flight` flies over a flat picture, `rendered_flight` over triangles; both compute the radiance of every
+element, and this module turns it into counts and truth. The light is a sum of two spectra, direct and
+diffuse, which have separate factors in time.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
 from .optics import Optics
 from .paint_spectra import reflectance
 from .rendering.sky_models import cloud_transmittance, relative_air_mass
-from .settings import ORIGIN, SimulationSettings
+from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
 from .trajectories import LocalFrame, Trajectory, TransverseMercator
 
-_OVERCAST = 8.0  # oktas
+_OVERCAST_OKTAS = 8.0
 
 
 def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
@@ -39,8 +39,8 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     Parameters
     ----------
     sky
-        One of `hyperpaint.simulation.settings.SKIES`. Under an overcast one a quarter of the clear sky's
-        light is left, slightly bluer (`rendering.sky_models`), without sun.
+        One of `hyperpaint.simulation.settings.SKIES`. An overcast sky transmits a quarter of the clear sky's
+        light, slightly bluer (`rendering.sky_models`), without direct sun.
     sun_zenith
         [degree]
     wavelength
@@ -52,24 +52,21 @@ def sky_irradiance(sky: str, sun_zenith: float, wavelength: Floats) -> Floats:
     >>> direct, diffuse.round(3)
     (array([0., 0.]), array([0.362, 0.17 ]))
     """
-    # the layers of the air are curved, which matters where the sun is low
+    # for a low sun the air mass accounts for the curvature of the atmosphere
     airmass = relative_air_mass(sun_zenith) if sky == "near_sunset" else None
-    clear = np.stack(Sky(sun_zenith, airmass=airmass).irradiance(wavelength))
+    clear_sky = np.stack(Sky(sun_zenith, airmass=airmass).irradiance(wavelength))
     if sky == "overcast":
-        diffuse = clear.sum(axis=0) * cloud_transmittance(wavelength, _OVERCAST)
+        diffuse = clear_sky.sum(axis=0) * cloud_transmittance(wavelength, _OVERCAST_OKTAS)
         return np.stack([np.zeros_like(diffuse), diffuse])
-    return clear
+    return clear_sky
 
 
-#: Pixel pitch over focal length [rad].
-PIXEL_ANGLE = 7.4e-6 / 12e-3
-
-# keys of the random streams: [seed, stream, line], so that nothing depends on how lines are grouped; those of
-# what is flown over stand in the modules of those flights
+# keys of the random streams [seed, stream, line], so that values do not depend on the grouping of lines;
+# modules of single flights define further keys
 _NOISE, _DARK_FRAMES, _SKY = 12, 16, 17
 
 
-# Description of a truth layer, shape (along_track, cross_track).
+# Description of a truth layer of shape (along_track, cross_track).
 class Layer(NamedTuple):
     dtype: str
     attrs: Mapping[str, object]  # ``long_name``, ``units`` and the like
@@ -84,13 +81,13 @@ class Lines:
     surface
         Class of every pixel, shape (along_track, cross_track), int16.
     glint
-        True where a pixel mirrors the sun, shape (along_track, cross_track).
+        True for pixels that mirror the sun, shape (along_track, cross_track).
     counts
-        Before conversion, shape (along_track, band, cross_track), float32 [count].
+        Counts before conversion, shape (along_track, band, cross_track), float32 [count].
     radiance, reflectance
-        Response-weighted means, shape as counts, float32 [W m-2 sr-1 nm-1], [1].
+        Means weighted by the response, shape as counts, float32 [W m-2 sr-1 nm-1], [1].
     layers
-        What else is known of every pixel, by the names of `Flight.layers`.
+        Further truth of every pixel, by the names of `Flight.layers`.
     """
 
     surface: NDArray[np.int16]
@@ -112,26 +109,26 @@ class Lines:
         )
 
 
-# Scan lines, and a function from a row to pi INT L R of its elements (band, column).
-class Seen(NamedTuple):
+# Scan lines, and a function that returns pi INT L R of the elements (band, column) of a row.
+class LineView(NamedTuple):
     lines: Lines
     elements: Callable[[int], Floats]
 
 
 @dataclass(frozen=True)
 class SkySamples:
-    """The irradiance record.
+    """The simulated irradiance record.
 
     Attributes
     ----------
     stamp
-        Whole seconds since 1970 of the logging computer's idea of UTC, shape (irradiance_time,).
+        UTC by the clock of the logging computer, in whole seconds since 1970, shape (irradiance_time,).
     middle
-        Middle of each average, in nanoseconds after the first line, true time, int64.
+        True time of the middle of every average, in nanoseconds after the first line, int64.
     factors
-        Of direct and diffuse light over each average, shape (2, irradiance_time).
+        Mean factors of direct and diffuse light over every average, shape (2, irradiance_time).
     irradiance
-        Shape (irradiance_time, irradiance_wavelength) [W m-2 nm-1].
+        Irradiance, shape (irradiance_time, irradiance_wavelength) [W m-2 nm-1].
     """
 
     stamp: NDArray[np.int64]
@@ -155,7 +152,7 @@ class Flight(abc.ABC):
     paints
         Names of the paints of the cars.
     layers
-        What else is known of every pixel.
+        Further truth of every pixel.
     """
 
     surfaces: tuple[str, ...]
@@ -183,26 +180,26 @@ class Flight(abc.ABC):
         self.response_area = incident[2]
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
-        # Reflectance of paints, shape (name, wavelength).
+        # reflectance of paints, shape (name, wavelength)
         return reflectance(names, wavelength)
 
     def paint_properties(self, _paint: str) -> Mapping[str, str]:
         return {}
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        """Return which pixels show the paint of a car only, in the sun and without its mirror image.
+        """Return the paint of pixels that show only a car's paint, in the sun and without mirrored sun.
 
         Returns
         -------
-        Shape (along_track, cross_track): the place of the paint in ``paints``, plus the number of paints
-        times that of the car where cars have numbers; -1 for all other pixels.
+        Shape (along_track, cross_track): the index of the paint in ``paints``, plus the number of paints
+        times the number of the car, if cars have numbers; -1 for all other pixels.
         """
         is_hidden = lines.glint | self.bad.all(axis=0)
         return np.where(is_hidden, -1, self._paint_of_surface[lines.surface]).astype(np.int32)
 
     @cached_property
     def _paint_of_surface(self) -> NDArray[np.int32]:
-        # Place in ``paints``; -1 for surfaces that are not paint.
+        # index in ``paints`` of every surface; -1 for surfaces that are not paint
         paints = {name: number for number, name in enumerate(self.paints)}
         return np.array([paints.get(name, -1) for name in self.surfaces], np.int32)
 
@@ -211,23 +208,23 @@ class Flight(abc.ABC):
 
     @property
     def ground_sample(self) -> float:
-        # Side of a pixel on the ground [m].
+        # side of a pixel on the ground [m]
         return self.settings.swath / self.settings.columns
 
     @property
     def look_angle(self) -> Floats:
-        # Angle of every column's line of sight, positive to the right, shape (column,) [degree].
+        # look angle of every column, positive to the right, shape (column,) [degree]
         column = np.arange(self.settings.columns) - 0.5 * (self.settings.columns - 1)
-        return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE)))
+        return np.asarray(np.degrees(np.arctan(column * PIXEL_ANGLE_RAD)))
 
     @cached_property
     def start(self) -> int:
-        # UTC at mid exposure of the first line [ns since 1970].
+        # UTC at mid-exposure of the first line [ns since 1970]
         return int(self.settings.start.astype(np.int64))
 
     @cached_property
     def line_times(self) -> NDArray[np.int64]:
-        # Mid exposure of every line, shape (along_track,) [ns after the first].
+        # mid-exposure of every line, shape (along_track,) [ns after the first line]
         period = self.settings.frame_period_ms * 1e6
         return np.asarray(np.rint(np.arange(self.settings.lines) * period), dtype=np.int64)
 
@@ -242,7 +239,7 @@ class Flight(abc.ABC):
         Parameters
         ----------
         factors
-            Of direct and diffuse light, shape (2, time).
+            Factors of direct and diffuse light, shape (2, time).
 
         Returns
         -------
@@ -251,7 +248,7 @@ class Flight(abc.ABC):
         return np.asarray(np.einsum("kt,kbx->tbx", factors, self._incident) / self.response_area)
 
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
-        """Return scan lines ``start`` to ``stop``; the same in every grouping.
+        """Return scan lines ``start`` to ``stop``; values do not depend on the grouping of lines.
 
         Radiance and reflectance are those of the scene, before the camera's optics blur it.
 
@@ -260,25 +257,28 @@ class Flight(abc.ABC):
         start, stop
             Range of lines.
         into
-            Lines no longer needed, whose memory is used again; fresh memory costs more than the arithmetic.
+            Lines no longer needed, whose memory is reused, because allocation takes longer than the
+            arithmetic.
         """
         optics = self.camera.optics
         if optics is None:
-            seen = self._view(start, stop, into)
+            view = self._view(start, stop, into)
 
             def expose(row: int) -> None:
-                seen.lines.counts[row] = self._count(self._note(seen, row, start + row), start + row)
+                view.lines.counts[row] = self._count(self._record_truth(view, row, start + row), start + row)
 
-            # rows go in threads: numpy releases the interpreter, each line draws its own numbers
+            # rows run in threads, because numpy releases the interpreter lock; noise is keyed by line
             with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-                list(pool.map(expose, range(len(seen.lines.counts))))
-            return seen.lines
-        first, last = max(start - optics.reach, 0), min(stop + optics.reach, self.settings.lines)
-        return self._expose_through(optics, self._view(first, last, into), first, range(start, stop))
+                list(pool.map(expose, range(len(view.lines.counts))))
+            return view.lines
+        first_line, end_line = max(start - optics.reach, 0), min(stop + optics.reach, self.settings.lines)
+        return self._expose_through(
+            optics, self._view(first_line, end_line, into), first_line, range(start, stop)
+        )
 
     @abc.abstractmethod
-    def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
-        """Return scan lines with empty counts, radiance and reflectance, and their element radiance."""
+    def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
+        """Return scan lines with empty counts, radiance and reflectance, and the radiance of elements."""
 
     def _cubes(self, number: int, into: Lines | None) -> tuple[Floats32, Floats32, Floats32]:
         if into is None or len(into.counts) < number:
@@ -286,18 +286,18 @@ class Flight(abc.ABC):
             return np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
         return into.counts[:number], into.radiance[:number], into.reflectance[:number]
 
-    def _note(self, seen: Seen, row: int, line: int) -> Floats:
-        # The result is pi INT L R of the elements (band, column).
-        light = seen.elements(row)
+    def _record_truth(self, view: LineView, row: int, line: int) -> Floats:
+        # store reflectance and radiance of a row; return pi INT L R of its elements (band, column)
+        light = view.elements(row)
         factors = self._factors(line, line + 1)[:, 0]
         incident = self._incident[0] * factors[0]
         incident += factors[1] * self._incident[1]
-        np.divide(light, incident, out=seen.lines.reflectance[row], casting="same_kind")
-        np.divide(light, np.pi * self.response_area, out=seen.lines.radiance[row], casting="same_kind")
+        np.divide(light, incident, out=view.lines.reflectance[row], casting="same_kind")
+        np.divide(light, np.pi * self.response_area, out=view.lines.radiance[row], casting="same_kind")
         return light
 
     def _count(self, light: Floats, line: int) -> Floats:
-        # ``light`` is pi INT L R (band, column), and is overwritten; the scan line's number seeds the noise.
+        # counts from pi INT L R (band, column), which is overwritten; the number of the line seeds the noise
         settings = self.settings
         light *= 1.0 / np.pi
         signal = expected_counts(light, settings.exposure_time, self.camera.etendue)
@@ -307,27 +307,27 @@ class Flight(abc.ABC):
             counts += settings.pedestal
         return counts
 
-    def _expose_through(self, optics: Optics, seen: Seen, first: int, lines: range) -> Lines:
+    def _expose_through(self, optics: Optics, view: LineView, first_line: int, lines: range) -> Lines:
         factor = self.imager.element_factor
 
-        def common(row: int) -> Floats:
-            return self._note(seen, row, first + row) / factor
+        def light_without_factors(row: int) -> Floats:
+            return self._record_truth(view, row, first_line + row) / factor
 
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            light = list(pool.map(common, range(len(seen.lines.counts))))
+            light = list(pool.map(light_without_factors, range(len(view.lines.counts))))
 
             def expose(line: int) -> None:
-                window = [light[row - first] for row in optics.rows_of(line, self.settings.lines)]
-                seen.lines.counts[line - first] = self._count(optics.image(window) * factor, line)
+                window = [light[row - first_line] for row in optics.rows_of(line, self.settings.lines)]
+                view.lines.counts[line - first_line] = self._count(optics.image(window) * factor, line)
 
             list(pool.map(expose, lines))
-        return seen.lines.part(lines.start - first, lines.stop - first)
+        return view.lines.part(lines.start - first_line, lines.stop - first_line)
 
     def _factors(self, start: int, stop: int) -> Floats:
         return self.light.factors(self.line_times[start:stop] / 1e9)
 
     def dark_frames(self) -> NDArray[np.uint16]:
-        # Dark cube, shape (along_track, band, cross_track).
+        # dark cube, shape (along_track, band, cross_track)
         dark = np.empty((self.settings.dark_frames, *self.detector.dark.shape), dtype=np.uint16)
         for frame in range(len(dark)):
             rng = self._rng(_DARK_FRAMES, frame) if self.settings.dark_noise else None
@@ -338,19 +338,19 @@ class Flight(abc.ABC):
         settings = self.settings
         second, offset = 10**9, round(settings.clock_offset_s * 1e9)
         margin = round(settings.irradiance_margin_s * 1e9) + second
-        first = (self.start - margin - offset) // second
-        last = -((-(self.start + int(self.line_times[-1]) + margin - offset)) // second)
+        first_stamp = (self.start - margin - offset) // second
+        last_stamp = -((-(self.start + int(self.line_times[-1]) + margin - offset)) // second)
         interval = settings.irradiance_interval_s
-        stamp = np.arange(first, last + interval, interval, dtype=np.int64)
+        stamp = np.arange(first_stamp, last_stamp + interval, interval, dtype=np.int64)
         length = ASD_INTEGRATION_MS * ASD_AVERAGES * 10**6
-        begins = {"start": 0, "mid": length // 2, "end": length}[settings.irradiance_stamp]
-        begin = stamp * second + offset - self.start - begins
-        middle = begin + length // 2
+        stamp_delay = {"start": 0, "mid": length // 2, "end": length}[settings.irradiance_stamp]
+        average_start = stamp * second + offset - self.start - stamp_delay
+        middle = average_start + length // 2
         if settings.irradiance_gap is not None:
-            low, high = (round(1e9 * edge) for edge in settings.irradiance_gap)
-            is_logged = (middle < low) | (middle > high)
-            stamp, begin, middle = stamp[is_logged], begin[is_logged], middle[is_logged]
-        factors = self.light.mean_factors(begin / 1e9, (begin + length) / 1e9)
+            gap_start, gap_end = (round(1e9 * edge) for edge in settings.irradiance_gap)
+            is_logged = (middle < gap_start) | (middle > gap_end)
+            stamp, average_start, middle = stamp[is_logged], average_start[is_logged], middle[is_logged]
+        factors = self.light.mean_factors(average_start / 1e9, (average_start + length) / 1e9)
         spectra = convolve_gaussian(self.sky, self.grid, ASD_WAVELENGTH, settings.irradiance_fwhm_nm)
         irradiance = factors.T @ spectra
         if settings.irradiance_noise:
@@ -361,19 +361,19 @@ class Flight(abc.ABC):
 
     @cached_property
     def frame(self) -> LocalFrame:
-        # The scene's axes: x east, y north, z up of `ORIGIN`.
+        # axes of the scene: x east, y north, z up, from `ORIGIN`
         return LocalFrame(*ORIGIN)
 
     @cached_property
     def plane(self) -> TransverseMercator:
-        # The map projection of places in the truth.
+        # map projection of the positions in the truth
         return TransverseMercator.of(*ORIGIN[:2])
 
     @cached_property
     def trajectory(self) -> Trajectory:
         speed = self.ground_sample / (self.settings.frame_period_ms / 1e3)
-        return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE)
+        return Trajectory.of(self.settings, self.frame, speed, self.ground_sample / PIXEL_ANGLE_RAD)
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
-        # Position and attitude of the navigation system at times from the first line [s].
+        # position and attitude of the navigation system at times after the first line [s]
         return self.trajectory.pose(seconds)

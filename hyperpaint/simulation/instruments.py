@@ -3,9 +3,9 @@
 ENVI header and BIL cube as the ENVI documentation describes them, with the side files of a Headwall
 Nano-Hyperspec flight folder; ASD binary after "ASD File Format, version 8, revision B", written as version 7.
 
-Files of an SVC HR-1024i are text: keys and values, then a row a channel of wavelength, radiance of the white
-panel, radiance of the target and their ratio in per cent. Three detectors overlap, so that wavelengths fall
-twice; nothing is matched.
+Files of an SVC HR-1024i are text: keys and values, then for every channel a row of wavelength, radiance of
+the white panel, radiance of the target and their ratio in per cent. Its three detectors overlap, so that
+wavelengths decrease at two joins; overlaps are not matched.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from hyperpaint.base.arrays import Floats
 #: Wavelengths of the simulated spectrometer [nm].
 ASD_WAVELENGTH = np.arange(350.0, 1076.0)
 
-#: Integration time [ms] of one scan of the simulated spectrometer, and scans in a spectrum.
+#: Integration time of a scan of the simulated spectrometer [ms], and number of scans in a spectrum.
 ASD_INTEGRATION_MS, ASD_AVERAGES = 34, 20
 
 _CALIBRATION_MS = 136
 _GPS_EPOCH = np.datetime64("1980-01-06T00:00:00", "ns")
-#: Days from which GPS time is one second further ahead of UTC (IERS Bulletin C)
+#: Days of leap seconds, from which GPS time is another second ahead of UTC (IERS Bulletin C).
 _LEAPS = np.array(
     [
         *("1981-07-01", "1982-07-01", "1983-07-01", "1985-07-01", "1988-01-01", "1990-01-01", "1991-01-01"),
@@ -43,12 +43,12 @@ _OLE_EPOCH = np.datetime64("1899-12-30T00:00:00", "s")
 
 
 class BilWriter:
-    """Writes a cube line block by line block, band-interleaved by line, and its header at the end.
+    """Writer of a cube in blocks of lines, band-interleaved by line; the header is written at the end.
 
     Parameters
     ----------
     path
-        Binary without an extension; the header stands beside it.
+        Path of the binary file, without an extension; the header is beside it.
     wavelength
         Centre wavelengths, shape (band,) [nm], written with three decimals.
     columns
@@ -78,8 +78,10 @@ class BilWriter:
 
     def _header(self) -> str:
         bands = len(self._wavelength)
-        shown = ",".join(str(1 + int(np.abs(self._wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0))
-        # Headwall puts the comma at the start of the next line
+        default_bands = ",".join(
+            str(1 + int(np.abs(self._wavelength - nm).argmin())) for nm in (640.0, 550.0, 470.0)
+        )
+        # Headwall headers have the comma at the start of the next line
         wavelengths = "\n,".join(f"{nm:.3f}" for nm in self._wavelength)
         comments = "".join(f";{key} = {value}\n" for key, value in self._comments.items())
         return (
@@ -87,7 +89,8 @@ class BilWriter:
             "description = {[HEADWALL Hyperspec III]}\n"
             f"samples = {self._columns}\nlines = {self._lines}\nbands = {bands}\n"
             "header offset = 0\nfile type = ENVI Standard\ndata type = 12\ninterleave = bil\n"
-            f"sensor type = Unknown\ndefault bands = {{{shown}}}\nbyte order = 0\nwavelength units = nm\n"
+            f"sensor type = Unknown\ndefault bands = {{{default_bands}}}\n"
+            "byte order = 0\nwavelength units = nm\n"
             f"wavelength = {{\n{wavelengths}\n}}\n{comments}"
         )
 
@@ -97,7 +100,7 @@ def write_settings(path: Path, settings: Mapping[str, object]) -> None:
 
 
 def write_frame_index(path: Path, frames: NDArray[np.int64], stamps: NDArray[np.int64]) -> None:
-    """Write a ``frameIndex`` file (variant A): frame number, microseconds of the instrument's clock."""
+    """Write a ``frameIndex`` file (variant A) of frame numbers and microseconds of the instrument's clock."""
     rows = "".join(
         f"{frame}\t{stamp}\n" for frame, stamp in zip(frames.tolist(), stamps.tolist(), strict=True)
     )
@@ -134,7 +137,7 @@ def write_navigation(
 
 
 def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime64]) -> None:
-    """Write an SBET file: 17 float64 a row, angles in radians, seconds of the GPS week; no velocities.
+    """Write an SBET file: rows of 17 float64, angles in radians, seconds of the GPS week, zero velocities.
 
     Parameters
     ----------
@@ -154,20 +157,20 @@ def write_sbet(path: Path, pose: Mapping[str, Floats], utc: NDArray[np.datetime6
 
 
 def _lamp() -> Floats:
-    # Smooth as a filament at 3100 K [W m-2 nm-1].
+    # irradiance of a filament at 3100 K [W m-2 nm-1]
     shape = ASD_WAVELENGTH**-5 / np.expm1(1.4388e7 / (ASD_WAVELENGTH * 3100.0))
     return np.asarray(0.3 * shape / shape.max())
 
 
 def _lamp_counts() -> Floats:
-    # The fore optic under the calibration lamp, with detector ripple [count].
+    # counts with the fore optic under the calibration lamp, with ripple of the detector [count]
     detector = np.exp(-0.5 * ((ASD_WAVELENGTH - 700.0) / 190.0) ** 2)
     ripple = 1.0 + 0.03 * np.sin(ASD_WAVELENGTH / 17.0)
     return np.asarray(9000.0 * detector * ripple * _lamp() / 0.3 + 40.0)
 
 
 def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, reference_stamp: int) -> None:
-    """Write one irradiance spectrum as an ASD binary, version 7.
+    """Write an irradiance spectrum as an ASD binary file, version 7.
 
     The file holds raw counts and three calibration blocks; irradiance is LMP x counts / FO x
     (integration time of FO / integration time).
@@ -175,13 +178,13 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
     Parameters
     ----------
     irradiance
-        On `ASD_WAVELENGTH`, shape (726,) [W m-2 nm-1].
+        Irradiance on `ASD_WAVELENGTH`, shape (726,) [W m-2 nm-1].
     stamp
-        Clock of the logging computer, as seconds since 1970 in its idea of UTC.
+        Time by the clock of the logging computer, UTC as seconds since 1970.
     utc_offset
-        Zone of that computer [s].
+        Time zone of this computer [s].
     reference_stamp
-        The same clock when the reference was taken.
+        Time of the reference by the same clock.
     """
     lamp, lamp_counts = _lamp(), _lamp_counts()
     counts = irradiance * lamp_counts / lamp * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
@@ -197,26 +200,26 @@ def write_asd(path: Path, irradiance: Floats, *, stamp: int, utc_offset: int, re
 def write_asd_reflectance(
     path: Path, radiance: Floats, white: Floats, *, stamp: int, utc_offset: int, reference_stamp: int
 ) -> None:
-    """Write one reflectance spectrum as an ASD binary, version 7: counts, and counts of a white panel.
+    """Write a reflectance spectrum as an ASD binary file, version 7: counts of surface and white panel.
 
     Parameters
     ----------
     radiance, white
-        Of the surface and of the panel, on `ASD_WAVELENGTH`, shape (726,) [W m-2 sr-1 nm-1].
+        Radiance of the surface and of the panel, on `ASD_WAVELENGTH`, shape (726,) [W m-2 sr-1 nm-1].
     stamp, utc_offset, reference_stamp
-        As for `write_asd`; the panel was seen at ``reference_stamp``.
+        As for `write_asd`; ``reference_stamp`` is the time of the panel.
     """
     per_radiance = np.pi * _lamp_counts() / _lamp() * (ASD_INTEGRATION_MS / _CALIBRATION_MS)
     clock = _AsdClock(stamp, utc_offset, reference_stamp)
     _write_asd(path, _REFLECTANCE, radiance * per_radiance, white * per_radiance, clock)
 
 
-# Chosen by the operator: data type, fore optic, highest ordinate, comment.
+# Settings of the operator: data type, fore optic, maximum of the plot, comment.
 @dataclass(frozen=True)
 class _AsdKind:
     number: int
     fore_optic: int
-    highest: float
+    plot_maximum: float
     comment: bytes
 
 
@@ -224,7 +227,7 @@ _IRRADIANCE = _AsdKind(4, 180, 65535.0, b"hyperpaint simulation, remote cosine r
 _REFLECTANCE = _AsdKind(1, 8, 1.25, b"hyperpaint simulation, white panel")
 
 
-# Times [s]: since 1970 in the computer's idea of UTC, and the computer's zone.
+# Times by the computer's clock [s since 1970 UTC], and its time zone [s].
 @dataclass(frozen=True)
 class _AsdClock:
     stamp: int
@@ -256,7 +259,7 @@ def _write_asd(
         (390, "I", (ASD_INTEGRATION_MS,)),
         (394, "h", (kind.fore_optic,)),  # 180: cosine receptor
         (398, "HH", (1, 18875)),
-        (402, "4f", (0.0, kind.highest, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
+        (402, "4f", (0.0, kind.plot_maximum, ASD_WAVELENGTH[0], ASD_WAVELENGTH[-1])),
         (418, "H", (16,)),
         (425, "3H", (ASD_AVERAGES, ASD_AVERAGES, ASD_AVERAGES)),
         (431, "B", (2,)),  # LSVNIR
@@ -264,7 +267,7 @@ def _write_asd(
     )
     for offset, layout, values in fields:
         struct.pack_into("<" + layout, header, offset, *values)
-    parts = [
+    sections = [
         bytes(header),
         counts.astype("<f8").tobytes(),
         struct.pack("<Hdd", 0xFFFF, _ole(clock.reference_stamp + zone), _ole(clock.stamp + zone)),
@@ -276,15 +279,15 @@ def _write_asd(
         *(struct.pack("<b20sihh", number, name, _CALIBRATION_MS, 0, 0) for number, name, _ in blocks),
         *(values.astype("<f8").tobytes() for _, _, values in blocks),
     ]
-    path.write_bytes(b"".join(parts))
+    path.write_bytes(b"".join(sections))
 
 
-# two codes, twenty empty strings, no constituents, an array of no dims
+# classifier block: two codes, twenty empty strings, no constituents, an array without dims
 _EMPTY_CLASSIFIER = struct.pack("<BB20HHH", 0, 0, *[0] * 20, 0, 0)
 
 
 def _c_time(local: int) -> tuple[int, ...]:
-    # C's ``tm``: sec min hour mday mon year wday yday isdst.
+    # fields of C's ``tm``: sec min hour mday mon year wday yday isdst
     moment = np.datetime64(local, "s")
     day = moment.astype("datetime64[D]")
     year, month = day.astype("datetime64[Y]"), day.astype("datetime64[M]")
@@ -303,25 +306,25 @@ def _c_time(local: int) -> tuple[int, ...]:
 
 
 def _ole(local: int) -> float:
-    # Days since 1899-12-30.
+    # OLE automation date: days since 1899-12-30
     return float((np.datetime64(local, "s") - _OLE_EPOCH).astype(np.int64)) / 86400.0
 
 
-_UNIT = 1e-6  # W m-2 sr-1 nm-1: the files count radiance in 1e-10 W cm-2 sr-1 nm-1
+_UNIT = 1e-6  # W m-2 sr-1 nm-1 per unit of the files, 1e-10 W cm-2 sr-1 nm-1
 
 
 @dataclass(frozen=True)
 class SvcDetector:
-    """One of the three detectors.
+    """A detector of the SVC spectrometer.
 
     Attributes
     ----------
     channels
-        Their number.
+        Number of channels.
     first, last
         Wavelengths of the outer channels [nm].
     first_step
-        Distance of the first two channels [nm]; it changes evenly to the last.
+        Distance of the first two channels [nm]; the distance changes linearly with the channel.
     fwhm
         Full width at half maximum of every channel [nm].
     """
@@ -334,20 +337,20 @@ class SvcDetector:
 
     @property
     def wavelength(self) -> Floats:
-        """Of every channel as the files say it, shape (channel,) [nm].
+        """Wavelength of every channel as written to files, shape (channel,) [nm].
 
         Examples
         --------
         >>> SVC_DETECTORS[0].wavelength[[0, 1, -2, -1]]
         array([ 338.5,  340. , 1009.1, 1010.3])
         """
-        place = np.arange(self.channels)
+        channel = np.arange(self.channels)
         steps = self.channels - 1
-        bend = (self.first_step - (self.last - self.first) / steps) / steps
-        return np.asarray(np.round(self.first + self.first_step * place - bend * place**2, 1))
+        curvature = (self.first_step - (self.last - self.first) / steps) / steps
+        return np.asarray(np.round(self.first + self.first_step * channel - curvature * channel**2, 1))
 
 
-#: Silicon and two of InGaAs.
+#: Detectors of the SVC spectrometer: silicon, and two of InGaAs.
 SVC_DETECTORS = (
     SvcDetector(512, 338.5, 1010.3, 1.47, 3.5),
     SvcDetector(256, 963.9, 1912.0, 3.72, 9.5),
@@ -356,7 +359,7 @@ SVC_DETECTORS = (
 
 
 def svc_wavelengths() -> Floats:
-    """Return the wavelengths of a file's rows, shape (1024,) [nm]; they step back at two joins."""
+    """Return the wavelengths of the rows of a file, shape (1024,) [nm]; they decrease at two joins."""
     return np.concatenate([detector.wavelength for detector in SVC_DETECTORS])
 
 
@@ -370,7 +373,7 @@ def write_svc(
     position: tuple[float, float],
     sun: tuple[float, float],
 ) -> None:
-    """Write one measurement, a white panel first and the target second.
+    """Write a measurement of a white panel and a target.
 
     Parameters
     ----------
@@ -383,14 +386,14 @@ def write_svc(
     position
         Latitude and longitude [degree].
     sun
-        Zenith angle and azimuth [degree].
+        Zenith angle and azimuth of the sun [degree].
     """
     header = _header(path.name, stamps, utc_offset, position, sun)
-    shown = np.round(np.stack([white, target]) / _UNIT, 2)
-    percent = 100.0 * shown[1] / shown[0]
+    rounded = np.round(np.stack([white, target]) / _UNIT, 2)
+    percent = 100.0 * rounded[1] / rounded[0]
     rows = (
-        f"{nm:.1f}  {panel:.2f}  {surface:.2f}  {share:.2f}"
-        for nm, panel, surface, share in zip(svc_wavelengths(), *shown, percent, strict=True)
+        f"{nm:.1f}  {panel:.2f}  {surface:.2f}  {percentage:.2f}"
+        for nm, panel, surface, percentage in zip(svc_wavelengths(), *rounded, percent, strict=True)
     )
     lines = ["/*** Spectra Vista SIG Data ***/", *(f"{key}= {value}" for key, value in header.items()), *rows]
     path.write_text("\r\n".join(lines) + "\r\n", encoding="ascii", newline="")
@@ -450,5 +453,5 @@ def _degrees_and_minutes(angle: float, width: int, letters: str) -> str:
     >>> _degrees_and_minutes(-77.6749, 3, "EW")
     '07740.4940W'
     """
-    whole, minutes = divmod(round(abs(angle) * 60.0, 4), 60.0)
-    return f"{int(whole):0{width}d}{minutes:07.4f}{letters[angle < 0]}"
+    degrees, minutes = divmod(round(abs(angle) * 60.0, 4), 60.0)
+    return f"{int(degrees):0{width}d}{minutes:07.4f}{letters[angle < 0]}"

@@ -1,15 +1,15 @@
 """Optics and spectrograph between a scene and its detector: blur, keystone, stray light.
 
-The fore optics blur the scene across and along the track, the same in all bands; behind the slit the
-spectrograph displaces a band's image along the slit (keystone) and scatters light into other bands. Of the
-integrals I = INT L R0 s d lambda that places of the scene give an element without factor of its own
+The fore optics blur the scene across and along the track, equally in all bands; behind the slit the
+spectrograph displaces the image of a band along the slit (keystone) and scatters light into other bands. With
+the integrals I = INT L R0 s d lambda of the scene, without element factors,
 
     I'[b, y, x] = SUM_ij k_ij I[b, y - i, x - j - keystone_b],    I'' = (1 + D) I',
 
-k of unit sum, so that no light is lost. The scene is constant within each column: an image displaced by a
+where k has unit sum, so that no light is lost. The scene is constant within a column: an image displaced by a
 fraction f of a column is f of one neighbour and 1 - f of the other, and its centre of mass moves by f. Beyond
-its outer lines and columns the scene is mirrored at its edge. The smile changes too little from column to
-column for the order of blur and response to matter.
+its outer lines and columns the scene is mirrored. The smile changes so little between columns that the order
+of blur and response does not matter.
 """
 
 from __future__ import annotations
@@ -23,13 +23,15 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.facts import declared, fact, is_number
 
-_SIGMAS = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))  # standard deviations in a full width at half maximum
-_TAIL = 1e-9  # weight below which neighbours are left out of a point spread
-_RANK = 1e-12  # of the largest singular value of a kernel, below which a term is rounding
-#: Spread of scattered light [nm], and the share of it that does not cover all bands alike.
+_SIGMA_PER_FWHM = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
+_TAIL = 1e-9  # minimum weight of a neighbour in a point spread
+_RANK = (
+    1e-12  # minimum singular value of a kernel, relative to the largest; smaller values are rounding errors
+)
+#: Decay length of scattered light [nm], and its share; the rest is equal in all bands.
 _WINGS = (60.0, 0.6)
-_MAX_FWHM_PIXELS = 50.0  # of a point spread
-_MAX_TAPS = 101  # rows or columns of a kernel
+_MAX_FWHM_PIXELS = 50.0  # maximum width of a point spread
+_MAX_TAPS = 101  # maximum rows or columns of a kernel
 
 
 def _is_kernel(value: Any) -> bool:
@@ -38,9 +40,11 @@ def _is_kernel(value: Any) -> bool:
     except TypeError:
         return False
     width = len(rows[0]) if rows else 0
-    odd = len(rows) % 2 == width % 2 == 1 and max(len(rows), width) <= _MAX_TAPS
-    good = odd and all(len(row) == width and all(is_number(x) and x >= 0 for x in row) for row in rows)
-    return good and sum(map(sum, rows)) > 0
+    has_odd_size = len(rows) % 2 == width % 2 == 1 and max(len(rows), width) <= _MAX_TAPS
+    is_valid = has_odd_size and all(
+        len(row) == width and all(is_number(x) and x >= 0 for x in row) for row in rows
+    )
+    return is_valid and sum(map(sum, rows)) > 0
 
 
 @declared
@@ -56,16 +60,22 @@ class OpticsSettings:
 
     psf_across_columns: float = fact(
         0.0,
-        "full width at half maximum of a Gaussian point spread across the track [columns]; the variance is "
-        "kept for widths below a pixel; 0 switches it off",
+        "full width at half maximum of a Gaussian blur across the track [columns]; 0 for no blur; the "
+        "variance is exact also for widths below a pixel",
         least=0.0,
         most=_MAX_FWHM_PIXELS,
     )
-    psf_along_lines: float = fact(0.0, "the same along the track [lines]", least=0.0, most=_MAX_FWHM_PIXELS)
+    psf_along_lines: float = fact(
+        0.0,
+        "full width at half maximum of a Gaussian blur along the track [lines]; 0 for no blur",
+        least=0.0,
+        most=_MAX_FWHM_PIXELS,
+    )
     psf_kernel: Sequence[Sequence[float]] | None = fact(
         None,
-        "weights of a point spread in place of the Gaussian, divided by their sum; weights to the right of "
-        "and behind the middle move light right and behind",
+        "weights of a blur that replaces the Gaussian blur, one row per line; they are divided by their sum; "
+        "a weight right of the middle column moves light to the right, a weight after the middle row to "
+        "later lines",
         kind="own",
         accepts=_is_kernel,
         phrase="rows of equally many numbers from 0 on, rows and columns odd and at most "
@@ -73,35 +83,35 @@ class OpticsSettings:
     )
     keystone_columns: float = fact(
         0.0,
-        "displacement of the image of the last band to the right, of the first to the left [columns]; bands "
-        "between in proportion",
+        "displacement of the image of the last band to the right [columns]; the first band is displaced "
+        "equally to the left, bands between them in proportion",
         least=-20.0,
         most=20.0,
     )
     stray_light: float = fact(
         0.0,
-        "light scattered into broad wings over all bands, relative to the light of a band",
+        "share of the light of a band that is scattered into all bands",
         least=0.0,
         most=0.5,
     )
     pedestal: float = fact(
         0.0,
-        "counts of every frame of the scene and of the lab on top of its dark",
+        "offset of the counts of every frame, in flight and in the lab, that the dark does not contain",
         unit="count",
         least=-1000.0,
         most=30_000.0,
     )
     masked_columns: int = fact(
         0,
-        "columns at either edge of the detector that see no light; their gain is NaN, and their counts above "
-        "the dark are the pedestal",
+        "number of columns at each edge of the detector that receive no light; their gain is NaN, and their "
+        "counts minus dark are the pedestal",
         least=0,
         most=10_000,
     )
 
 
 def point_spread(fwhm: float) -> Floats:
-    """Return the weights of a Gaussian blur, of unit sum, odd in number.
+    """Return an odd number of weights of a Gaussian blur, with unit sum.
 
     Parameters
     ----------
@@ -110,8 +120,8 @@ def point_spread(fwhm: float) -> Floats:
 
     Notes
     -----
-    The discrete analogue of a Gaussian, w_n = exp(-t) I_n(t) with the modified Bessel function I_n [1]_: its
-    variance is t = sigma^2 exactly, where samples of a Gaussian narrower than a pixel have too little.
+    The discrete analogue of a Gaussian, w_n = exp(-t) I_n(t) with the modified Bessel function I_n [1]_, has
+    exactly the variance t = sigma^2; samples of a Gaussian narrower than a pixel have a smaller variance.
 
     References
     ----------
@@ -127,10 +137,10 @@ def point_spread(fwhm: float) -> Floats:
     """
     from scipy.special import ive
 
-    variance = (_SIGMAS * fwhm) ** 2
-    half = np.asarray(ive(np.arange(int(np.ceil(8.0 * _SIGMAS * fwhm + 8.0)) + 1), variance))
-    half = half[: int(np.flatnonzero(half > _TAIL).max()) + 1]
-    weights = np.concatenate([half[:0:-1], half])
+    variance = (_SIGMA_PER_FWHM * fwhm) ** 2
+    right_side = np.asarray(ive(np.arange(int(np.ceil(8.0 * _SIGMA_PER_FWHM * fwhm + 8.0)) + 1), variance))
+    right_side = right_side[: int(np.flatnonzero(right_side > _TAIL).max()) + 1]
+    weights = np.concatenate([right_side[:0:-1], right_side])
     return np.asarray(weights / weights.sum())
 
 
@@ -148,7 +158,7 @@ def keystone(bands: int, columns: float) -> Floats:
 def stray_light_wings(wavelength: Floats, share: float) -> Floats:
     """Return stray counts of a band per count of a source band, shape (band, source_band).
 
-    Each column sums to ``share``: a part falls off with the distance in wavelength, the rest is equal in all
+    Each column sums to ``share``: a part decreases with the distance in wavelength, the rest is equal in all
     bands.
 
     Examples
@@ -156,20 +166,20 @@ def stray_light_wings(wavelength: Floats, share: float) -> Floats:
     >>> stray_light_wings(np.array([400.0, 700.0, 1000.0]), 0.02).sum(axis=0).round(6)
     array([0.02, 0.02, 0.02])
     """
-    spread, peaked = _WINGS
-    wing = np.exp(-np.abs(wavelength[:, None] - wavelength) / spread)
-    wing = peaked * wing / wing.sum(axis=0) + (1.0 - peaked) / len(wavelength)
+    decay_nm, peaked_share = _WINGS
+    wing = np.exp(-np.abs(wavelength[:, None] - wavelength) / decay_nm)
+    wing = peaked_share * wing / wing.sum(axis=0) + (1.0 - peaked_share) / len(wavelength)
     return np.asarray(share * wing)
 
 
-# A point spread as a product: weights of lines (line,), and of columns in every band (band, column).
+# A separable term of a point spread: weights of lines (line,), and of columns in every band (band, column).
 class _Term(NamedTuple):
     along: Floats
     across: Floats
 
 
 class Optics:
-    """Blur, keystone and stray light of a camera; `image` takes a scene through them.
+    """Blur, keystone and stray light of a camera; `image` applies them to a scene.
 
     Parameters
     ----------
@@ -202,13 +212,13 @@ class Optics:
         if settings.psf_kernel is None:
             pairs = [(point_spread(settings.psf_along_lines), point_spread(settings.psf_across_columns))]
         else:
-            pairs = _products(np.asarray(settings.psf_kernel, np.float64))
+            pairs = _separable_terms(np.asarray(settings.psf_kernel, np.float64))
         self._terms = [_Term(along, _displaced(across, self.keystone)) for along, across in pairs]
         self.reach = len(pairs[0][0]) // 2
 
     @classmethod
     def of(cls, settings: OpticsSettings, wavelength: Floats) -> Optics | None:
-        # Optics of these settings, or None where all effects are off.
+        # optics with these settings, or None if all effects are off
         blurs = settings.psf_across_columns or settings.psf_along_lines or settings.psf_kernel is not None
         is_on = blurs or settings.keystone_columns or settings.stray_light
         return cls(settings, wavelength) if is_on else None
@@ -219,12 +229,12 @@ class Optics:
         Parameters
         ----------
         window
-            The line in the middle of ``2 * reach + 1``, each (band, column), without the elements' factors.
+            ``2 * reach + 1`` lines around the line, each (band, column), without element factors.
         """
         total = np.zeros(window[0].shape)
         for along, across in self._terms:
             line = np.zeros_like(total)
-            # convolution: the line in front has the weight behind the middle
+            # a convolution: weights are applied in reversed order
             for weight, row in zip(along[::-1].tolist(), window, strict=True):
                 line += weight * row
             total += _convolved(line, across)
@@ -233,50 +243,50 @@ class Optics:
         return total
 
     def displaced(self, profile: Floats) -> Floats:
-        # A profile along the slit (column,) as every band receives it, shape (band, column).
+        # profile along the slit (column,) displaced by keystone, shape (band, column)
         return _convolved(np.broadcast_to(profile, (len(self.keystone), len(profile))),
                           _displaced(np.ones(1), self.keystone))  # fmt: skip
 
     def rows_of(self, line: int, lines: int) -> list[int]:
-        """Return the lines of the window of a line, those beyond the first and last of ``lines`` mirrored.
+        """Return the line numbers of the window of `image`, mirrored at the first and last of ``lines``.
 
         Examples
         --------
         >>> Optics(OpticsSettings(psf_kernel=[[1], [1], [1]]), np.array([400.0, 500.0])).rows_of(0, 4)
         [0, 0, 1]
         """
-        place = np.arange(line - self.reach, line + self.reach + 1) % (2 * lines)
-        return [int(row) for row in np.minimum(place, 2 * lines - 1 - place)]
+        numbers = np.arange(line - self.reach, line + self.reach + 1) % (2 * lines)
+        return [int(row) for row in np.minimum(numbers, 2 * lines - 1 - numbers)]
 
 
-def _products(kernel: Floats) -> list[tuple[Floats, Floats]]:
-    # A kernel (line, column), of unit sum, is a sum of products of weights along and across.
-    left, value, right = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
-    rank = int(np.count_nonzero(value > _RANK * value[0]))
-    return [(left[:, k] * value[k], right[k]) for k in range(rank)]
+def _separable_terms(kernel: Floats) -> list[tuple[Floats, Floats]]:
+    # write a kernel (line, column) as a sum of products of weights along and across the track
+    along, singular_values, across = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
+    rank = int(np.count_nonzero(singular_values > _RANK * singular_values[0]))
+    return [(along[:, k] * singular_values[k], across[k]) for k in range(rank)]
 
 
 def _displaced(across: Floats, shift: Floats) -> Floats:
-    # Weights (column,) displaced by the shifts of the bands, shape (band, column), odd.
+    # weights (column,) displaced by the shifts of the bands, shape (band, column), odd number of columns
     extra = int(np.ceil(np.abs(shift).max()))
-    whole = np.floor(shift).astype(int)
+    whole_columns = np.floor(shift).astype(int)
     weights = np.zeros((len(shift), len(across) + 2 * extra))
-    places = zip((whole + extra).tolist(), (shift - whole).tolist(), strict=True)
-    for band, (start, part) in enumerate(places):
-        weights[band, start : start + len(across)] += (1.0 - part) * across
-        if part:
-            weights[band, start + 1 : start + 1 + len(across)] += part * across
+    places = zip((whole_columns + extra).tolist(), (shift - whole_columns).tolist(), strict=True)
+    for band, (start, fraction) in enumerate(places):
+        weights[band, start : start + len(across)] += (1.0 - fraction) * across
+        if fraction:
+            weights[band, start + 1 : start + 1 + len(across)] += fraction * across
     return weights
 
 
 def _convolved(line: Floats, weights: Floats) -> Floats:
-    # ``line`` and ``weights`` have shape (band, column); the sum runs along the columns.
+    # convolve ``line`` with ``weights``, both (band, column), along the columns
     reach, columns = weights.shape[1] // 2, line.shape[1]
     padded = np.pad(line, ((0, 0), (reach, reach)), mode="symmetric") if reach else line
     result = np.zeros(line.shape)
-    for place in range(weights.shape[1]):
-        each = weights[:, place, None]
-        if each.any():
-            start = 2 * reach - place
-            result += each * padded[:, start : start + columns]
+    for tap in range(weights.shape[1]):
+        tap_weights = weights[:, tap, None]
+        if tap_weights.any():
+            start = 2 * reach - tap
+            result += tap_weights * padded[:, start : start + columns]
     return result

@@ -1,9 +1,9 @@
-"""Reflectance spectra of paints and of surroundings of cars, from a few parameters each.
+"""Reflectance spectra of car paints and other surfaces of a car park, computed from a few parameters.
 
 A paint is a scattering layer under a clear coat. Kubelka & Munk (1931): a thick layer whose absorption is K/S
 times its scattering reflects R_inf = 1 + K/S - sqrt((K/S)^2 + 2 K/S). Saunderson (1942) adds the interface:
 R = k1 + (1 - k1)(1 - k2) R_inf / (1 - k2 R_inf), with k1 = 0.04 and k2 = 0.60 for a refractive index of 1.5.
-Other surfaces are a line with edges and bumps. No measured spectrum is used: there is no licence to heed.
+Other spectra are a straight line plus edges and bumps. No measured spectra are used, which may have licences.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from hyperpaint.base.arrays import Floats
 
 class Feature(Protocol):
     def __call__(self, wavelength: Floats) -> Floats:
-        """Return its height at ``wavelength`` [nm]."""
+        """Return the height of the feature at ``wavelength`` [nm]."""
 
 
-# A logistic step of ``height`` at ``centre`` [nm]; ``width`` [nm] is positive where it rises.
+# A logistic step of ``height`` at ``centre`` [nm]; a positive ``width`` [nm] rises, a negative one falls.
 @dataclass(frozen=True)
 class Edge:
     centre: float
@@ -33,7 +33,7 @@ class Edge:
         return np.asarray(self.height * 0.5 * (1.0 + np.tanh((wavelength - self.centre) / (2 * self.width))))
 
 
-# A Gaussian of ``height`` at ``centre`` [nm], ``width`` [nm] its standard deviation.
+# A Gaussian of ``height`` at ``centre`` [nm] with the standard deviation ``width`` [nm].
 @dataclass(frozen=True)
 class Bump:
     centre: float
@@ -44,7 +44,7 @@ class Bump:
         return np.asarray(self.height * np.exp(-0.5 * ((wavelength - self.centre) / self.width) ** 2))
 
 
-# A paint layer: K/S is ``absorption`` plus its absorbers (Kubelka-Munk with Saunderson's interface).
+# A paint layer by Kubelka-Munk and Saunderson: K/S is ``absorption`` plus the absorbers.
 @dataclass(frozen=True)
 class Paint:
     absorption: float
@@ -64,15 +64,15 @@ class Paint:
         ratio = np.full_like(wavelength, self.absorption, dtype=np.float64)
         for absorber in self.absorbers:
             ratio += absorber(wavelength)
-        # the other root of the same square: no cancellation where the layer is dark
+        # this form of R_inf has no cancellation for dark layers
         deep = 1.0 / (1.0 + ratio + np.sqrt(ratio * (ratio + 2.0)))
         k1, k2 = self.interface, self.internal
         return k1 + (1.0 - k1) * (1.0 - k2) * deep / (1.0 - k2 * deep)
 
 
-# A surface given by its reflectance at 550 nm, its slope per micrometre, and features.
+# A surface with its reflectance at 550 nm, its slope per micrometre, and features.
 @dataclass(frozen=True)
-class Plain:
+class PlainSurface:
     level: float
     slope: float = 0.0
     features: Sequence[Feature] = ()
@@ -100,20 +100,20 @@ CAR_PAINTS: dict[str, Paint] = {
     "orange": Paint(0.025, [Edge(562.0, -8.0, 7.0)]),
 }
 
-#: Reflectance factors of the grey panels, the same at every wavelength.
+#: Reflectance factors of the grey panels, constant over wavelength.
 PANELS = (0.05, 0.20, 0.50, 0.90)
 
 _VEGETATION: list[Feature] = [Bump(552.0, 28.0, 0.075), Edge(716.0, 12.0, 0.40), Bump(968.0, 22.0, -0.05)]
 
-#: Every material of a scene; its place in this table is its class.
-MATERIALS: dict[str, Paint | Plain] = {
-    "asphalt": Plain(0.085, 0.08, [Edge(430.0, 30.0, 0.01)]),
+#: Materials of a scene; the position in this table is the class of a pixel.
+MATERIALS: dict[str, Paint | PlainSurface] = {
+    "asphalt": PlainSurface(0.085, 0.08, [Edge(430.0, 30.0, 0.01)]),
     "painted_line": Paint(0.03, [Edge(410.0, -8.0, 3.0)]),
-    "grass": Plain(0.035, 0.02, _VEGETATION),
-    "concrete": Plain(0.30, 0.18, [Edge(480.0, 60.0, 0.04)]),
-    "glass": Plain(0.035, -0.005),
-    "tyre": Plain(0.04, 0.01),
-    **{f"panel_{round(100 * level):02d}": Plain(level) for level in PANELS},
+    "grass": PlainSurface(0.035, 0.02, _VEGETATION),
+    "concrete": PlainSurface(0.30, 0.18, [Edge(480.0, 60.0, 0.04)]),
+    "glass": PlainSurface(0.035, -0.005),
+    "tyre": PlainSurface(0.04, 0.01),
+    **{f"panel_{round(100 * level):02d}": PlainSurface(level) for level in PANELS},
     **CAR_PAINTS,
 }
 

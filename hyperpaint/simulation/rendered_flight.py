@@ -1,8 +1,8 @@
-"""A flight over a car park of triangles, whose light is traced along the camera's own wobbling view.
+"""A flight over a ray-traced car park of triangles, along the moving line of sight of the camera.
 
-Paths of light are recorded without a spectrum, and every kind of path has its integrals INT E_k PROD rho R
-with the camera's own responses in one table. The code of a path says its source, so that direct and diffuse
-light keep their own course in time. The air between ground and camera adds and takes nothing.
+Paths of light are recorded without spectra; a table has the integrals INT E_k PROD rho R with the camera's
+responses for every kind of path. The code of a path contains its source, so that direct and diffuse light
+vary independently in time. The air between ground and camera neither absorbs nor scatters.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
 
-from .flight import PIXEL_ANGLE, Flight, Layer, Lines, Seen
+from .flight import Flight, Layer, Lines, LineView
 from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
@@ -32,20 +32,20 @@ from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of
 from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
-from .settings import SWATH_M, SimulationSettings
+from .settings import PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
 from .transport.path_blocks import Block
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
 
-#: Reflectance that the sun's mirror image in a clear coat adds to a pixel which counts as glint.
+#: Reflectance added by the sun mirrored in a clear coat, above which a pixel is glint [1].
 GLINT = 0.02
 
-_MAX_LENGTH_M = 2000.0  # m of car park that are built
-_MARGIN_BEFORE_M = 3.0  # m of car park before and behind what is seen
-_PANEL_PERIOD_M = 30.0  # m after which its grey panels come again; a flight soon sees its first
-_MARGIN = 30.0  # m of ground around it
-_MIN_LEAN_DEG = 0.5  # degrees that the camera leans from the vertical, at least
-_LINES_AT_ONCE = 4  # of a thread
+_MAX_LENGTH_M = 2000.0  # maximum length of the car park
+_MARGIN_BEFORE_M = 3.0  # minimum length of car park before and behind the imaged area
+_PANEL_PERIOD_M = 30.0  # distance of repeated grey panels, with which a flight starts
+_GROUND_MARGIN_M = 30.0  # ground around the car park
+_MIN_LEAN_DEG = 0.5  # minimum angle assumed between camera axis and vertical
+_LINES_AT_ONCE = 4  # lines traced by a thread at once
 
 
 class RenderedFlight(Flight):
@@ -54,7 +54,7 @@ class RenderedFlight(Flight):
     Raises
     ------
     SchemaError
-        The flight is longer than the car parks that are built.
+        The flight is longer than the maximum length of a car park.
 
     Examples
     --------
@@ -86,7 +86,7 @@ class RenderedFlight(Flight):
         self._surface = np.array([self.surfaces.index(name) for name in spectra], np.int16)
         self._cosine = float(np.cos(np.radians(settings.sun[0])))
         bands = BandSet.of(self.imager)
-        # the light, without air before the camera
+        # light without path radiance and with unit transmittance
         direct, diffuse = self.sky
         spread = clear_spread(self.grid, direct, settings.sun[0])
         atmosphere = Atmosphere(
@@ -106,39 +106,39 @@ class RenderedFlight(Flight):
         self._products = ProductTable(bands, self._scene.codes, self.grid, light, factors, normalise=False)
 
     def paint_reflectance(self, names: Sequence[str], wavelength: Floats) -> Floats:
-        # Reflectance of paints without mirror reflection and flakes, shape (name, wavelength).
-        shares = [self._flakes(name) for name in names]
+        # reflectance of paints without mirror reflection and flakes, shape (name, wavelength)
+        shares = [self._flake_share(name) for name in names]
         return np.stack(
             [(1 - s) * spectrum_of(name)(wavelength) for s, name in zip(shares, names, strict=True)]
         )
 
     def paint_properties(self, paint: str) -> Mapping[str, str]:
-        # no paint of a solid fleet has flakes, whatever the catalogue says
-        finish = paint_spec(paint).finish if self._flakes(paint) else "solid"
+        # paints of a solid fleet have no flakes, also if their catalogue entry has flakes
+        finish = paint_spec(paint).finish if self._flake_share(paint) else "solid"
         return {"colour": paint_spec(paint).colour, "finish": finish}
 
-    def _flakes(self, paint: str) -> float:
-        # Share of the light in a paint that meets flakes in this scene.
+    def _flake_share(self, paint: str) -> float:
+        # share of flakes in a paint of this scene
         flakes = paint_spec(paint).flakes
         has_some = flakes is not None and self.settings.fleet == "real" and self.settings.coat
         return flakes.share if flakes is not None and has_some else 0.0
 
     def clean_paint(self, lines: Lines) -> NDArray[np.int32]:
-        # Which pixels show the paint of one car only, in full sun and without glint.
+        # paint and car of pixels that show only one car's paint, in full sun and without glint; else -1
         paint, car = super().clean_paint(lines), np.asarray(lines.layers["car_id"], np.int32)
-        clean = (paint >= 0) & (car >= 0)
-        clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
-        return np.where(clean, paint + len(self.paints) * car, -1).astype(np.int32)
+        is_clean = (paint >= 0) & (car >= 0)
+        is_clean &= (lines.layers["purity"] == 1.0) & (lines.layers["shadow"] == 0.0)
+        return np.where(is_clean, paint + len(self.paints) * car, -1).astype(np.int32)
 
     def _car_park(self) -> Scene:
-        # It begins before the first line's view and ends behind the last one's.
+        # the park starts before the view of the first line and ends behind that of the last line
         settings = self.settings
-        # how far ahead the camera may look, and length of park before its view [m]
+        # maximum distance ahead at which the camera looks, and length of park before its view [m]
         path = self.trajectory
         lean = float(np.tan(np.radians(max(_MIN_LEAN_DEG, path.steepest))))
-        ahead = lean * self.ground_sample / PIXEL_ANGLE
-        turned = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
-        before = ahead + max(_MARGIN_BEFORE_M, turned + 1.0) + max(map(abs, path.lever_arm))
+        ahead = lean * self.ground_sample / PIXEL_ANGLE_RAD
+        yaw_margin = float(np.sin(np.radians(path.max_yaw))) * SWATH_M / 2
+        before = ahead + max(_MARGIN_BEFORE_M, yaw_margin + 1.0) + max(map(abs, path.lever_arm))
         start = np.ceil((before + ahead) / _PANEL_PERIOD_M) * _PANEL_PERIOD_M - ahead
         length = start + settings.lines * self.ground_sample + before
         if length > _MAX_LENGTH_M:
@@ -155,34 +155,35 @@ class RenderedFlight(Flight):
             neighbours=("trees", "walls", "lamps") if settings.neighbours else (),
             coat="own" if settings.coat else None,
             fleet=settings.fleet,
-            # a metallic paint has no one reflectance that a field spectrometer could confirm
+            # flakes only for the real fleet: a metallic paint has no single reflectance for a field
+            # spectrometer
             flakes=settings.fleet == "real",
-            margin=float(_MARGIN + 2 * before),
+            margin=float(_GROUND_MARGIN_M + 2 * before),
             name="simulated car park",
         )
         return park.moved((0.0, -float(start), 0.0))
 
     @cached_property
     def platform(self) -> Platform:
-        # Camera poses at begin and end of every exposure.
+        # camera poses at start and end of every exposure
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
-        edges = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64) * PIXEL_ANGLE
-        along = np.array([-0.5, 0.5]) * PIXEL_ANGLE
+        columns = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64)
+        edges, along = columns * PIXEL_ANGLE_RAD, np.array([-0.5, 0.5]) * PIXEL_ANGLE_RAD
         return Platform(
             *self.trajectory.camera(moment), edges, along, self.line_times, settings.exposure_time
         )
 
-    def _view(self, start: int, stop: int, into: Lines | None) -> Seen:
+    def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
         block = self._trace(start, stop)
         factors = self._factors(start, stop)
         record = Lines(
             self._surface[block.material],
-            self._glint(block, factors),
+            self._glint_mask(block, factors),
             *self._cubes(stop - start, into),
-            self._label(block),
+            self._labels(block),
         )
-        # on its way to counts, INT L R stands where the radiance will be
+        # the array of radiance holds INT L R until counts are computed
         direct, diffuse = factors[:, :, None, None]
         weight = (block.weight * np.where(is_direct(block.code), direct, diffuse)).astype(np.float32)
         place = np.moveaxis(block.position, 1, 0)
@@ -193,10 +194,10 @@ class RenderedFlight(Flight):
         )
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
-        return Seen(record, lambda row: record.radiance[row] * per_element)
+        return LineView(record, lambda row: record.radiance[row] * per_element)
 
     def _trace(self, start: int, stop: int) -> Block:
-        # Threads: the kernel releases the interpreter.
+        # threads run in parallel, because the kernel releases the interpreter lock
         platform = self.platform
 
         def trace(begin: int) -> Block:
@@ -206,7 +207,7 @@ class RenderedFlight(Flight):
             blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
         return Block(*map(np.concatenate, zip(*blocks, strict=True)))
 
-    def _label(self, block: Block) -> dict[str, NDArray[Any]]:
+    def _labels(self, block: Block) -> dict[str, NDArray[Any]]:
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
         east, north = self.plane.project(latitude, longitude)
         return {
@@ -219,8 +220,8 @@ class RenderedFlight(Flight):
             "up": block.position[:, 2],
         }
 
-    def _glint(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
-        # Pixels with `GLINT` or more of the sun's mirror image, shape (line, column).
+    def _glint_mask(self, block: Block, factors: Floats) -> NDArray[np.bool_]:
+        # pixels in which mirrored sun adds more than `GLINT`, shape (line, column)
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
         weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
         level = self._incident.mean(axis=(1, 2)) @ factors
@@ -235,7 +236,7 @@ def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
         "height": "Mean height above the ellipsoid of what is seen",
         "up": "Mean height above the ground, a plane that touches it under the first line",
     }
-    described: dict[str, tuple[str, dict[str, Any]]] = {
+    layers: dict[str, tuple[str, dict[str, Any]]] = {
         "surface_class": ("int16", {"long_name": "Kind of the surface", **labels.attrs("surface_class")}),
         "paint_id": ("int16", {"long_name": "Paint of the car; -1 off paint", **labels.attrs("paint_id")}),
         "car_id": ("int32", {"long_name": "Number of the car; -1 where there is none"}),
@@ -243,11 +244,11 @@ def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
         "shadow": ("float32", {"long_name": "Share of the pixel that does not see the sun", "units": "1"}),
         **{name: ("float64", {"long_name": text, "units": "m"}) for name, text in meters.items()},
     }
-    # attributes become JSON: lists, no arrays
-    plain = {
+    # convert arrays to lists, because attributes are written as JSON
+    json_attrs = {
         name: {
             key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attrs.items()
         }
-        for name, (_, attrs) in described.items()
+        for name, (_, attrs) in layers.items()
     }
-    return {name: Layer(dtype, plain[name]) for name, (dtype, _) in described.items()}
+    return {name: Layer(dtype, json_attrs[name]) for name, (dtype, _) in layers.items()}

@@ -1,37 +1,13 @@
-"""Checks of single arguments of the simulator; each notes a problem and goes on, so that all are listed."""
+"""Checks of arguments of the simulator, which add faults to `Problems`, so that all are listed."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Any
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems
-from hyperpaint.base.facts import Fact, as_argument, one_of
-
-
-def check_choice(problems: Problems, name: str, value: object, allowed: Collection[str]) -> None:
-    one_of(value, allowed, name, problems=problems)
-
-
-def check_whole(problems: Problems, name: str, value: Any, low: int, high: int | None = None) -> None:
-    Fact(doc=name, kind="whole", least=low, most=high).note(problems, as_argument(name, value), value)
-
-
-def check_number(
-    problems: Problems,
-    name: str,
-    value: object,
-    low: float,
-    high: float | None = None,
-    *,
-    above: bool = False,
-) -> None:
-    """Note a value that is not a number from ``low`` to ``high``; ``above`` excludes ``low`` itself."""
-    fact = Fact(doc=name, kind="number", least=low, most=high, above=above)
-    fact.note(problems, as_argument(name, value), value)
 
 
 def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
@@ -43,7 +19,7 @@ def finite_floats(values: Any, name: str, problems: Problems) -> Floats:
         return np.zeros(0)
     if not np.isfinite(array).all():
         problems.add(
-            f"{name} holds {np.count_nonzero(~np.isfinite(array))} values that are not finite",
+            f"{name} has {np.count_nonzero(~np.isfinite(array))} values that are not finite",
             code="not-finite",
         )
     return array

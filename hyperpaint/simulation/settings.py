@@ -1,4 +1,4 @@
-"""Settings of a simulated collect: every effect is one field, declared with its unit, range and default."""
+"""Settings of a simulated collect: every effect is a field, declared with unit, range and default."""
 
 from __future__ import annotations
 
@@ -15,25 +15,28 @@ from hyperpaint.base.facts import Spelling, as_argument, check_fields, declared,
 
 from .optics import OpticsSettings
 from .setting_checks import moment_of
-from .sun_clock import USUAL_START, when_sun_stands
+from .sun_clock import DEFAULT_START, when_sun_stands
 
 #: Instants of an exposure that a time stamp can mark.
 STAMPS = ("start", "mid", "end")
 
-#: Scenes: a flat picture of a car park, a car park of triangles whose light is traced, or level squares of
-#: known corners.
+#: Scenes: a flat picture of a car park, a ray-traced car park of triangles, or level squares with known
+#: corners.
 SCENES = ("plan", "rendered", "checkerboard")
 
 #: Line shapes of the imager.
 SHAPES = ("gaussian", "slit")
 
-#: Motions of a platform about its course.
+#: Motions of a platform around its course.
 WOBBLES = ("none", "slow", "calm", "rough")
 
 #: Width of a scene across the track, unless it is a checkerboard.
 SWATH_M = 16.0
 
-#: Maximum number of paths that are traced for a pixel.
+#: Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad].
+PIXEL_ANGLE_RAD = 7.4e-6 / 12e-3
+
+#: Maximum number of paths traced for a pixel.
 MOST_SAMPLES = 1 << 14
 
 #: Largest seed of a random generator.
@@ -48,20 +51,20 @@ SKIES = ("clear", "near_sunset", "overcast")
 #: Zenith angle and azimuth of the sun near sunset [degree].
 NEAR_SUNSET = (80.0, 292.0)
 
-#: Latitude and longitude [degree] of the ground under the first line, and its height [m].
+#: Latitude and longitude [degree] of the ground under the first line, and its height above the ellipsoid [m].
 ORIGIN = (43.0845, -77.6749, 160.0)
 
 _ISO_TIME = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}([T ][0-9]{2}:[0-9]{2}(:[0-9]{2}(\.[0-9]{1,9})?)?)?")
 
 
 def _is_start_time(value: object) -> bool:
-    # the spectrometer's files count seconds in 32 bits
+    # times must fit the files of the spectrometer, which count seconds in 32 bits
     if not isinstance(value, str) or not _ISO_TIME.fullmatch(value):
         return False
     return bool(np.datetime64("1980-01-01") <= moment_of(value) < np.datetime64("2038-01-01"))
 
 
-def _is_dropped(value: object) -> bool:
+def _is_frame_selection(value: object) -> bool:
     numbers = list(value) if isinstance(value, list | tuple | range) else [value]
     return all(isinstance(number, int) for number in numbers)
 
@@ -87,13 +90,13 @@ class SimulationSettings(OpticsSettings):
       srf_shape='box', expected one of gaussian, slit [choice-unknown]
     """
 
-    lines: int = fact(512, "lines of the cube, dropped frames included", least=2, most=10_000_000)
-    bands: int = fact(272, "bands of the cube", least=2, most=10_000)
-    columns: int = fact(320, "columns of the cube", least=1, most=100_000)
+    lines: int = fact(512, "number of lines of the cube, dropped frames included", least=2, most=10_000_000)
+    bands: int = fact(272, "number of bands of the cube", least=2, most=10_000)
+    columns: int = fact(320, "number of columns of the cube", least=1, most=100_000)
     seed: int = fact(
         0,
-        "chooses the scene, the pattern of the detector and the noise; the spectral lines of the light never "
-        "change",
+        "seed of the random numbers for the scene, the detector pattern and the noise; the absorption lines "
+        "of the light do not depend on it",
         least=0,
         most=MAX_SEED,
         phrase=f"a whole number from 0 to {MAX_SEED}",
@@ -136,7 +139,7 @@ class SimulationSettings(OpticsSettings):
     )
     boresight: tuple[float, float, float] = fact(
         (0.0, 0.0, 0.0),
-        "roll, pitch and heading of the camera in the body",
+        "mounting angles of the camera on the platform: roll, pitch and heading",
         unit="degree",
         length=3,
         least=-10.0,
@@ -144,18 +147,19 @@ class SimulationSettings(OpticsSettings):
     )
     lever_arm: tuple[float, float, float] = fact(
         (0.0, 0.0, 0.0),
-        "vector from the reference point of the navigation to the camera: forward, right, down",
+        "vector from the reference point of the navigation to the camera: forward, right and down",
         unit="m",
         length=3,
         least=-2.0,
         most=2.0,
     )
     navigation_rate: int = fact(
-        100, "rows of the navigation files in a second, a divisor of 1e9", least=1, most=1000
+        100, "number of rows of the navigation files per second, a divisor of 1e9", least=1, most=1000
     )
     samples: int = fact(
         16,
-        "rays of a pixel of a rendered scene; the rendered picture is the truth, however few they are",
+        "number of rays per pixel of a rendered scene; the true values are those of the rendered picture, "
+        "for any number of rays",
         least=1,
         most=MOST_SAMPLES,
     )
@@ -188,65 +192,90 @@ class SimulationSettings(OpticsSettings):
         accepts=_is_start_time,
         phrase="text like '2021-07-20T17:10:00', in UTC without a zone, from 1980 to 2037",
     )
-    exposure_time_ms: float = fact(5.0, "exposure of a line", unit="ms", least=0, above=True)
-    frame_period_ms: float = fact(7.0, "time from line to line", unit="ms", least=0, above=True)
+    exposure_time_ms: float = fact(5.0, "exposure time of a line", unit="ms", least=0, above=True)
+    frame_period_ms: float = fact(
+        7.0, "time from the start of a line to the start of the next line", unit="ms", least=0, above=True
+    )
     stamp: str = fact("end", "instant of the exposure that the time stamp of a frame marks", choices=STAMPS)
     first_wavelength: float = fact(
-        399.356, "centre of the first band", unit="nm", least=380.0, most=1050.0, key="first_wavelength_nm"
+        399.356,
+        "centre wavelength of the first band",
+        unit="nm",
+        least=380.0,
+        most=1050.0,
+        key="first_wavelength_nm",
     )
     last_wavelength: float = fact(
-        1001.42, "centre of the last band", unit="nm", least=380.0, most=1050.0, key="last_wavelength_nm"
+        1001.42,
+        "centre wavelength of the last band",
+        unit="nm",
+        least=380.0,
+        most=1050.0,
+        key="last_wavelength_nm",
     )
     dispersion_bow_nm: float = fact(
         0.0,
-        "deviation of the band centres from even spacing, largest in the middle",
+        "deviation of the centre wavelength of the middle band from even spacing; zero for the first and "
+        "last band",
         unit="nm",
         least=-20.0,
         most=20.0,
     )
     srf_shape: str = fact(
         "gaussian",
-        'line shape of the imager; "slit" is a box ``fwhm_nm`` wide convolved with a box one band wide',
+        'shape of the spectral response of a band; "slit" is a box ``fwhm_nm`` wide convolved with a box one '
+        "band wide",
         choices=SHAPES,
     )
-    fwhm_nm: float = fact(6.0, "full width at half maximum of the imager", unit="nm", least=0, above=True)
+    fwhm_nm: float = fact(
+        6.0,
+        "full width at half maximum of the spectral response of a band",
+        unit="nm",
+        least=0,
+        above=True,
+    )
     fwhm_slope: float = fact(
-        0.0, "relative change of that width from the middle to the last band", least=-0.5, most=0.5
+        0.0, "relative change of ``fwhm_nm`` from the middle band to the last band", least=-0.5, most=0.5
     )
     smile_nm: float = fact(
         0.5,
-        "wavelength shift at the edge of the swath, zero at the centre column",
+        "smile: wavelength shift of the outermost columns relative to the centre column",
         unit="nm",
         least=-20.0,
         most=20.0,
     )
-    noise: bool = fact(True, "shot and read noise in the frames of the scene")
-    dark_noise: bool = fact(True, "read noise in the dark frames")
+    noise: bool = fact(True, "whether the frames of the scene contain shot noise and read noise")
+    dark_noise: bool = fact(True, "whether the dark frames contain read noise")
     quantise: bool = fact(True, "whole, clipped counts (uint16); False leaves float32 counts, in memory only")
-    bit_depth: int = fact(12, "bits of the converter", least=1, most=16)
-    electrons_per_count: float = fact(20.0, "gain", unit="electron count-1", least=0, above=True)
-    read_noise: float = fact(0.5, "standard deviation of a dark count", unit="count", least=0)
-    dark_level: float = fact(110.0, "mean dark at no exposure", unit="count", least=0)
-    dark_pattern: float = fact(
-        3.0, "spread of the fixed pattern of the dark over the elements, 1 sigma", unit="count", least=0
+    bit_depth: int = fact(12, "number of bits of the analogue-digital converter", least=1, most=16)
+    electrons_per_count: float = fact(
+        20.0, "electrons of the detector per count", unit="electron count-1", least=0, above=True
     )
-    dark_rate: float = fact(0.0, "mean growth of the dark with exposure", unit="count s-1", least=0)
-    dark_frames: int = fact(64, "frames of the dark cube", least=1, most=100_000)
+    read_noise: float = fact(0.5, "standard deviation of the counts of a dark element", unit="count", least=0)
+    dark_level: float = fact(110.0, "mean dark at an exposure time of zero", unit="count", least=0)
+    dark_pattern: float = fact(
+        3.0, "standard deviation of the dark between detector elements", unit="count", least=0
+    )
+    dark_rate: float = fact(0.0, "mean increase of the dark with exposure time", unit="count s-1", least=0)
+    dark_frames: int = fact(64, "number of frames of the dark cube", least=1, most=100_000)
     nonuniformity: float = fact(
         0.02,
-        "spread of the elements' response about the common responsivity, 1 sigma",
+        "relative standard deviation of the responsivity between detector elements",
         least=0.0,
         most=0.2,
     )
     column_nonuniformity: float = fact(
-        0.0, "the same of whole columns: a slit of uneven width", least=0.0, most=0.2
+        0.0,
+        "relative standard deviation of the responsivity between columns, as from a slit of uneven width",
+        least=0.0,
+        most=0.2,
     )
     bad_elements: int = fact(
-        0, "number of elements that see no light; their gain is NaN", least=0, most=2**40
+        0, "number of detector elements that receive no light; their gain is NaN", least=0, most=2**40
     )
     texture: float = fact(
         0.02,
-        "spread of the brightness of a surface from pixel to pixel, 1 sigma, in a plan scene",
+        "relative standard deviation of the brightness between pixels of a surface, in a plan scene",
         least=0.0,
         most=0.2,
     )
@@ -261,7 +290,7 @@ class SimulationSettings(OpticsSettings):
         25.0, "zenith angle of the sun in a clear sky", unit="degree", least=0.0, most=85.0
     )
     sun_azimuth: float = fact(
-        178.0, "azimuth of that sun, clockwise from north", unit="degree", least=0.0, most=360.0
+        178.0, "azimuth of the sun in a clear sky, clockwise from north", unit="degree", least=0.0, most=360.0
     )
     drift_per_minute: float = fact(
         0.001,
@@ -280,7 +309,7 @@ class SimulationSettings(OpticsSettings):
         0,
         "frames that were never recorded: their number, with frames chosen by the seed, or the frame numbers",
         kind="own",
-        accepts=_is_dropped,
+        accepts=_is_frame_selection,
         phrase="a number of frames or a list of frame numbers",
     )
     irradiance_interval_s: int = fact(
@@ -311,23 +340,31 @@ class SimulationSettings(OpticsSettings):
     )
     frame_clock_offset_s: float = fact(
         0.0,
-        "lag of the clock that stamps the camera's frames behind the clock of the navigation",
+        "delay of the clock that stamps the camera's frames relative to the clock of the navigation",
         unit="s",
         least=-1.0,
         most=1.0,
     )
     clock_offset_s: float = fact(
         37.25,
-        "lag of the spectrometer's clock: UTC = stamp - utc_offset_h + clock_offset_s",
+        "delay of the spectrometer's clock: UTC = stamp - utc_offset_h + clock_offset_s",
         unit="s",
         least=-86400.0,
         most=86400.0,
     )
     clock_uncertainty_s: float | None = fact(
-        None, "declared uncertainty of that lag; None declares nothing", kind="number", unit="s", least=0
+        None,
+        "declared uncertainty of ``clock_offset_s``; None declares none",
+        kind="number",
+        unit="s",
+        least=0,
     )
     utc_offset_h: float = fact(
-        -5.0, "zone of the computer that logs the spectrometer", unit="h", least=-14.0, most=14.0
+        -5.0,
+        "time zone of the computer that logs the spectrometer: local time minus UTC",
+        unit="h",
+        least=-14.0,
+        most=14.0,
     )
 
     def __post_init__(self) -> None:
@@ -356,23 +393,23 @@ class SimulationSettings(OpticsSettings):
 
     @classmethod
     def note_faults(cls, values: Mapping[str, Any], problems: Problems, spelled: Spelling) -> None:
-        """Note the faults of values, by field, without making settings; others have their defaults."""
+        """Note the faults of values, by field, without creating settings; other fields take defaults."""
         draft = object.__new__(cls)
         for field in fields(cls):
             object.__setattr__(draft, field.name, values.get(field.name, field.default))
         draft._note_faults(problems, spelled)
 
     def _note_faults(self, problems: Problems, spelled: Spelling) -> None:
-        before = len(problems)
+        problem_count = len(problems)
         check_fields(self, problems, spelled)
-        # the clock of a flight without a start time follows the sun
+        # the clock of a flight without a start time is set by the sun
         sun_is_known = self.sky in SKIES and all(is_number(v) and 0 <= v <= 360 for v in self.sun)
         if self.start_time is None and sun_is_known:
             try:
                 _ = self.start
             except SchemaError as error:
                 problems.extend([error.problem])
-        if len(problems) == before:
+        if len(problems) == problem_count:
             self._note_contradictions(problems, spelled)
 
     @property
@@ -393,10 +430,10 @@ class SimulationSettings(OpticsSettings):
         try:
             return when_sun_stands(*self.sun, *ORIGIN[:2])
         except SchemaError:
-            # nothing under a closed cloud shows where its sun stands
+            # under an overcast sky the position of the sun does not matter
             if self.sky != "overcast":
                 raise
-            return USUAL_START
+            return DEFAULT_START
 
     @property
     def exposure_time(self) -> float:
@@ -424,17 +461,17 @@ class SimulationSettings(OpticsSettings):
         return np.linspace(0, self.lines, self.cubes + 1).astype(np.int64)
 
     def _note_contradictions(self, problems: Problems, spelled: Spelling) -> None:
-        # Each value is in its range here.
+        # contradictions between values, each of which is in its range
         def add(name: str, found: str, expected: str, mend: str, code: str = "value-out-of-range") -> None:
-            problems.add(f"{other(name)}{found}", expected=expected, mend=mend, code=code)
+            problems.add(f"{spelled_value(name)}{found}", expected=expected, mend=mend, code=code)
 
-        def other(name: str) -> str:
+        def spelled_value(name: str) -> str:
             return spelled(name, getattr(self, name))
 
         if self.exposure_time_ms > self.frame_period_ms:
             add(
                 "exposure_time_ms",
-                f" exceeds {other('frame_period_ms')}",
+                f" exceeds {spelled_value('frame_period_ms')}",
                 "",
                 "shorten the exposure, or lengthen the period",
                 "exposure-too-long",
@@ -461,7 +498,13 @@ class SimulationSettings(OpticsSettings):
                         "option-conflict",
                     )
         if self.first_wavelength >= self.last_wavelength:
-            add("first_wavelength", "", f"less than {other('last_wavelength')}", "swap them", "band-order")
+            add(
+                "first_wavelength",
+                "",
+                f"less than {spelled_value('last_wavelength')}",
+                "swap them",
+                "band-order",
+            )
         if self.lines < 2 * self.cubes:
             add("cubes", "", f"at most one for every two of the {self.lines} lines", "take fewer cubes")
         elements = self.bands * self.columns
@@ -478,7 +521,7 @@ class SimulationSettings(OpticsSettings):
         if dark >= 2**self.bit_depth - 1:
             add(
                 "dark_level",
-                f" with {other('dark_rate')} and {other('pedestal')}",
+                f" with {spelled_value('dark_rate')} and {spelled_value('pedestal')}",
                 f"less than the {2**self.bit_depth - 1} counts of {self.bit_depth} bits",
                 "lower the dark, or take more bits",
                 "dark-saturated",
@@ -489,9 +532,9 @@ class SimulationSettings(OpticsSettings):
             add("cloud", "", "a fraction from 0 to 1 and a duration above 0 s", "correct them")
         dropped = self.dropped
         if isinstance(dropped, int):
-            most = self.lines - 2 * self.cubes
-            if not 0 <= dropped <= most:
-                add("dropped", "", f"at most {most}: a cube keeps its outer frames", "drop fewer")
+            max_dropped = self.lines - 2 * self.cubes
+            if not 0 <= dropped <= max_dropped:
+                add("dropped", "", f"at most {max_dropped}: a cube keeps its outer frames", "drop fewer")
         elif any(not 0 <= frame < self.lines for frame in dropped):
             add("dropped", "", f"frames from 0 to {self.lines - 1}", "leave the others out")
         elif any(
@@ -501,7 +544,7 @@ class SimulationSettings(OpticsSettings):
             add("dropped", " leaves a cube empty", "", "keep a frame of every cube", "cube-empty")
 
 
-#: Fields of `hyperpaint.simulation.SimulationSettings` that make the camera.
+#: Fields of `hyperpaint.simulation.SimulationSettings` that define the camera.
 CAMERA_FIELDS = frozenset(
     {
         "bands",

@@ -1,4 +1,4 @@
-"""Calibration, truth and sweeps as labelled arrays: the part of the simulator that uses xarray and zarr."""
+"""Calibration, truth and sweeps of the simulator as labelled arrays and Zarr stores."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from .trajectories import CONVENTION
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)
 
-#: Prefix of variables that only a simulated sweep has.
+#: Prefix of the names of truth variables.
 TRUTH = "true_"
 
 _MASKS = {
@@ -56,7 +56,7 @@ def _surface_attrs(flight: Flight) -> dict[str, Any]:
 
 
 def labelled(row: Variable, values: Any, dims: tuple[str, ...] | None = None) -> xr.Variable:
-    """Return values under the dims, dtype and attributes of a row of the table of variables."""
+    """Return values with the dims, dtype and attributes of a row of the table of variables."""
     values = np.asarray(values).astype(row.dtype)
     if dims is None:
         dims = next(d for d in (row.dims, *row.alternatives) if len(d) == values.ndim)
@@ -100,7 +100,7 @@ def write_calibration(flight: Flight, path: Path) -> None:
             "history": f"exact calibration of the simulated imager, seed {flight.settings.seed}",
         },
     )
-    # one chunk each, and everything written: a missing chunk is then a fault
+    # every array is one chunk and written completely, so that a missing chunk is a fault
     chunks = {
         str(name): {"chunks": array.shape} for name, array in calibration.variables.items() if array.ndim
     }
@@ -109,17 +109,17 @@ def write_calibration(flight: Flight, path: Path) -> None:
 
 
 def _write_small(dataset: xr.Dataset, path: Path, **encoding: dict[str, Any]) -> None:
-    # hyperpaint does not read zarr's default codec, zstd.
+    # write with a codec that hyperpaint reads, instead of zarr's default zstd
     codec = BloscCodec(typesize=1, cname="lz4", clevel=5, shuffle="bitshuffle")
     forms = {name: {"compressors": [codec], **encoding.get(str(name), {})} for name in dataset.variables}
-    store = zarr.storage.LocalStore(path)  # a path such as dask::x is to xarray the URL of a cluster
+    store = zarr.storage.LocalStore(path)  # xarray would take a path such as dask::x for a URL
     dataset.to_zarr(store, mode="w", zarr_format=3, consolidated=False, encoding=forms)
 
 
 def _consolidate(path: Path) -> None:
-    # Plain `xarray.open_zarr` looks for metadata at the root first.
+    # consolidate metadata, which `xarray.open_zarr` reads first
     with warnings.catch_warnings():
-        # zarr warns that consolidated metadata is not yet in the specification of version 3
+        # zarr warns that the specification of version 3 does not have consolidated metadata
         warnings.simplefilter("ignore")
         zarr.consolidate_metadata(path)
 
@@ -130,14 +130,14 @@ def _line_coords(flight: Flight, recorded: NDArray[np.bool_] | None = None) -> d
         stamps[~recorded] = np.datetime64("NaT", "ns")
     lines, _, columns = (np.arange(size) for size in flight.settings.shape)
     values = {"time": stamps, "frame": lines, ALONG_TRACK: lines, CROSS_TRACK: columns}
-    return {name: _variable(name, each) for name, each in values.items()}
+    return {name: _variable(name, column_values) for name, column_values in values.items()}
 
 
-# ``truth.zarr`` of a flight, filled line block by line block; replaced where it exists.
+# ``truth.zarr`` of a flight, written in blocks of lines; replaces an existing store.
 class TruthStore:
     def __init__(self, flight: Flight, path: Path) -> None:
         settings = flight.settings
-        self._full = flight.detector.saturation_count
+        self._saturation_count = flight.detector.saturation_count
         head = xr.Dataset(
             {
                 f"corner_{name}": xr.Variable(
@@ -182,19 +182,19 @@ class TruthStore:
         _consolidate(path)
 
     def write(self, start: int, lines: Lines, recorded: NDArray[np.bool_]) -> None:
-        here = slice(start, start + len(recorded))
+        rows = slice(start, start + len(recorded))
         layers = {
             **{name: getattr(lines, name) for name in ("reflectance", "radiance", "surface", "glint")},
-            "saturated": _saturated(lines, self._full),
+            "saturated": _saturated(lines, self._saturation_count),
             "no_data": ~recorded,
             **lines.layers,
         }
         for name, values in layers.items():
-            self._arrays[name][here] = values
+            self._arrays[name][rows] = values
 
 
-def _saturated(lines: Lines, full: int) -> NDArray[np.bool_]:
-    return np.asarray((lines.counts >= full - 0.5).any(axis=1))
+def _saturated(lines: Lines, saturation_count: int) -> NDArray[np.bool_]:
+    return np.asarray((lines.counts >= saturation_count - 0.5).any(axis=1))
 
 
 def _create_array(
@@ -207,7 +207,7 @@ def _create_array(
     attrs: dict[str, Any],
     chunk_length: int = CHUNK_LINES,
 ) -> Any:
-    # Filled block by block, in chunks of ``chunk_length`` along its first dim.
+    # array with chunks of ``chunk_length`` along its first dim, to be filled in blocks
     kind = np.dtype(dtype)
     return group.create_array(
         name,
@@ -273,15 +273,15 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
 
 
 def _scalar_or_step(values: Any) -> Any:
-    # One number if all steps have the same value.
+    # one value if all steps have the same value
     return values[0] if np.all(values == values[0]) else values
 
 
-def _is_one_dark(sweep: Sweep) -> bool:
+def _has_one_dark(sweep: Sweep) -> bool:
     return np.ndim(_scalar_or_step(sweep.settings.dark_exposure_time)) == 0
 
 
-def _without_cubes(sweep: Sweep) -> xr.Dataset:
+def _sweep_dataset(sweep: Sweep) -> xr.Dataset:
     settings, camera = sweep.settings, sweep.camera
     values: dict[str, Any] = {
         "flux": sweep.recorded_flux,
@@ -307,7 +307,7 @@ def _without_cubes(sweep: Sweep) -> xr.Dataset:
 
 
 def sweep_truth(sweep: Sweep) -> xr.Dataset:
-    """Return the expected results of a sweep's calibration; names begin with `TRUTH`."""
+    """Return the expected results of a sweep's calibration; names start with `TRUTH`."""
     camera = sweep.camera
     imager = camera.imager
     values: dict[str, Any] = {
@@ -322,7 +322,7 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
         "read_noise": camera.read_noise,
     }
     variables = {name: labelled(VARIABLES[name], value) for name, value in values.items()}
-    # of the gain every digit: a calibration is to be compared with it to 1e-3 and better
+    # the gain keeps float64, because calibrations are compared with it to better than 1e-3
     variables["radiance_gain"] = variables["radiance_gain"].copy(data=values["radiance_gain"])
     variables["step_wavelength"] = labelled(SWEEP_VARIABLES["step_wavelength"], sweep.wavelength)
     variables["bad"] = xr.Variable(
@@ -333,7 +333,7 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
         sweep.power[:, None] * sweep.beam,
         {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"},
     )
-    variables |= {name: xr.Variable(*each) for name, each in camera.imperfections.items()}
+    variables |= {name: xr.Variable(*fields) for name, fields in camera.imperfections.items()}
     return xr.Dataset(
         {f"{TRUTH}{name}": variable for name, variable in variables.items()},
         attrs={f"{TRUTH}srf_shape": imager.shape},
@@ -351,16 +351,16 @@ def simulate_sweep(
     steps
         Wavelengths of the sweep, from ``first_step_nm`` to ``last_step_nm``.
     bands, columns, seed
-        Of the camera. A collect with equal settings is flown with the same camera.
+        Settings of the camera; a collect with equal settings has the same camera.
     **effects
 
     Returns
     -------
-    The sweep as the store holds one: ``counts`` (step, band, cross_track), float32 mean of the frames with
-    the dark still in them, ``counts_variance``, ``dark_counts``, ``flux`` ... Beside it the truth, each
-    variable named ``true_``: ``true_radiance_gain``, ``true_wavelength``, ``true_wavelength_shift``,
-    ``true_fwhm``, ``true_responsivity``, ``true_dark_bias``, ``true_dark_rate``, ``true_bad``; where
-    the camera has them also ``true_stray_light``, ``true_keystone`` and ``true_pedestal``.
+    A sweep with the variables of a store: ``counts`` (step, band, cross_track), float32 mean of the frames
+    including the dark, ``counts_variance``, ``dark_counts``, ``flux`` and others; and its truth:
+    ``true_radiance_gain``, ``true_wavelength``, ``true_wavelength_shift``, ``true_fwhm``,
+    ``true_responsivity``, ``true_dark_bias``, ``true_dark_rate``, ``true_bad``; for a camera with these
+    effects also ``true_stray_light``, ``true_keystone`` and ``true_pedestal``.
 
     Raises
     ------
@@ -369,7 +369,7 @@ def simulate_sweep(
 
     Examples
     --------
-    The light of a line, summed over its bands, gives the responsivity where it falls.
+    The light of a lamp line, summed over its bands, gives the responsivity at its wavelength.
 
     >>> sweep = simulate_sweep(steps=3, columns=2, smile_nm=0, nonuniformity=0, noise=False, quantise=False)
     >>> line = (sweep.counts - sweep.dark_counts).sum("band") / sweep.exposure_time
@@ -382,7 +382,7 @@ def simulate_sweep(
     sweep = Sweep(SweepSettings.of(values))
     cubes = {name: np.empty(shape, dtype=np.float32) for name, shape in _shapes(sweep).items()}
     _fill(sweep, cubes)
-    line, truth = _without_cubes(sweep), sweep_truth(sweep)
+    line, truth = _sweep_dataset(sweep), sweep_truth(sweep)
     line = line.assign({name: labelled(SWEEP_VARIABLES[name], values) for name, values in cubes.items()})
     return line.assign(truth.data_vars).assign_attrs(truth.attrs)
 
@@ -405,7 +405,7 @@ def write_sweep(
     Parameters
     ----------
     path
-        The store. Its truth goes into a store of its own beside it: ``sweep.zarr`` has ``sweep_truth.zarr``.
+        The store. The truth is a separate store beside it: for ``sweep.zarr``, ``sweep_truth.zarr``.
     steps, bands, columns, seed
         As for `hyperpaint.simulation.simulate_sweep`.
     truth
@@ -423,7 +423,7 @@ def write_sweep(
     SchemaError
         An effect is unknown or out of range; all are listed.
     StoreError
-        There is something at the path already, and ``overwrite`` is not set.
+        The path exists, and ``overwrite`` is not set.
 
     Examples
     --------
@@ -437,7 +437,7 @@ def write_sweep(
     path = input_path(path, "a folder for the sweep", StoreError, "simulate to a folder, and copy it")
     sweep = Sweep(SweepSettings.of(values))
     for target in (path, _truth_beside(path)):
-        _clear(target, overwrite)
+        _remove_earlier(target, overwrite)
     store_sweep(sweep, path, truth=truth, progress=progress)
     return path
 
@@ -446,15 +446,15 @@ def store_sweep(sweep: Sweep, path: Path, *, truth: bool = True, progress: Progr
     if truth:
         _write_small(sweep_truth(sweep).assign_attrs(hyperpaint_format=FORMAT_VERSION), _truth_beside(path))
         _consolidate(_truth_beside(path))
-    # xarray writes the small arrays; the cubes are filled step by step and never held whole
-    head = _without_cubes(sweep)
+    # xarray writes the small arrays; cubes are written step by step and are never complete in memory
+    head = _sweep_dataset(sweep)
     head.attrs = {"hyperpaint_format": FORMAT_VERSION, **head.attrs}
     _write_small(head, path)
     group, cubes = zarr.open_group(path, mode="r+"), {}
     for name, shape in _shapes(sweep).items():
         row = SWEEP_VARIABLES[name]
         dims = next(d for d in (row.dims, *row.alternatives) if len(d) == len(shape))
-        # a step a chunk; one dark for all steps is one chunk
+        # a chunk holds one step; a dark for all steps is one chunk
         length = 1 if len(shape) == 3 else shape[0]
         cubes[name] = _create_array(
             group, name, shape, dims=dims, dtype=row.dtype, attrs=row.attrs, chunk_length=length
@@ -467,12 +467,12 @@ def _truth_beside(path: Path) -> Path:
     return path.with_name(f"{path.stem}_truth{path.suffix}")
 
 
-def _clear(target: Path, overwrite: bool) -> None:
+def _remove_earlier(target: Path, overwrite: bool) -> None:
     if not target.exists():
         return
-    # only an earlier sweep, or its truth, is ours to remove
+    # remove only an earlier simulated sweep, or its truth
     if not overwrite or not is_simulated_sweep(target, f"{TRUTH}srf_shape"):
-        mend = "name another path, or replace an earlier sweep with {}"
+        mend = "choose another path, or replace an earlier sweep with {}"
         raise StoreError(
             f"{target} exists",
             mend=mend.format("overwrite=True"),
@@ -485,21 +485,21 @@ def _clear(target: Path, overwrite: bool) -> None:
 def _shapes(sweep: Sweep) -> dict[str, tuple[int, ...]]:
     settings, camera = sweep.settings, sweep.settings.camera
     shape = (settings.steps, camera.bands, camera.columns)
-    dark = shape[1:] if _is_one_dark(sweep) else shape
+    dark = shape[1:] if _has_one_dark(sweep) else shape
     shapes: dict[str, tuple[int, ...]] = {"counts": shape, "dark_counts": dark}
     return {**shapes, "counts_variance": shape} if settings.variance else shapes
 
 
 def _fill(sweep: Sweep, cubes: Mapping[str, Any], progress: Progress | None = None) -> None:
-    one_dark = _is_one_dark(sweep)
-    if one_dark:
+    has_one_dark = _has_one_dark(sweep)
+    if has_one_dark:
         cubes["dark_counts"][...] = sweep.dark(0).mean
     for step in range(sweep.settings.steps):
         frames = sweep.frames(step)
         cubes["counts"][step] = frames.mean
         if "counts_variance" in cubes:
             cubes["counts_variance"][step] = frames.variance
-        if not one_dark:
+        if not has_one_dark:
             cubes["dark_counts"][step] = sweep.dark(step).mean
         if progress is not None:
             progress(step + 1, sweep.settings.steps)

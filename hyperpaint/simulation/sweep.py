@@ -4,11 +4,11 @@ At step k an element (band b, column x) counts
 
     n = dark(t) + t phi[k,x] INT m_k(lambda) R_b,x(lambda) d lambda,
 
-m_k the spectrum of the monochromator of unit area, phi the power that enters slit width x one column, R the
-absolute response of the element (see `hyperpaint.simulation.camera`). The integral is computed numerically
-for every element, without assumptions of slow variation or separability, and without a calibration formula.
-Columns differ by their smile and their element factor only, so that it is computed on a table of shifts and
-interpolated.
+with the spectrum m_k of the monochromator of unit area, the power phi into the area of slit width x one
+column, and the absolute response R of the element (see `hyperpaint.simulation.camera`). The integral is
+computed numerically for every element, without assuming slow variation or separability, and without a
+calibration formula. Columns differ only in smile and element factor, so that it is computed for a table of
+shifts and interpolated.
 """
 
 from __future__ import annotations
@@ -172,9 +172,9 @@ class SweepSettings:
         Parameters
         ----------
         values
-            Fields of this class and, of `SimulationSettings`, those of camera and frames.
+            Fields of this class, and the fields of `SimulationSettings` for camera and frames.
         camera
-            An existing camera, of which ``values`` can only change the fields of frames.
+            Settings of an existing camera, of which ``values`` may only change the fields for frames.
 
         Raises
         ------
@@ -220,17 +220,17 @@ class SweepSettings:
         return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), self.steps))
 
 
-# keys of the random streams: [seed, stream, step], so that nothing depends on which steps are made
+# keys of the random streams [seed, stream, step], so that values do not depend on other steps
 _LINE_NOISE, _DARK_NOISE, _POWER_METER, _DIAL = 30, 31, 32, 33
 
-_GRID_STEP = {"gaussian": 0.05, "triangle": 0.02}  # nm, coarsest allowed; corners want the finer one
-_SHIFT_STEP = 0.1  # nm, coarsest allowed
+_MAX_GRID_STEP_NM = {"gaussian": 0.05, "triangle": 0.02}  # finer for the corners of triangles
+_MAX_SHIFT_STEP_NM = 0.1
 
 
-# Frames of one step, reduced, shape (band, cross_track).
+# Mean and variance over the frames of a step, shape (band, cross_track).
 class Frames(NamedTuple):
     mean: Floats32  # [count]
-    variance: Floats32  # of one frame over the frames [count2]
+    variance: Floats32  # variance of a frame [count2]
 
 
 def is_simulated_sweep(store: Path, truth: str) -> bool:
@@ -249,7 +249,8 @@ class Sweep:
         self.settings = settings
         self.camera = Camera.of(settings.camera)
         self._shifts, self._to_columns = _shift_table(
-            self.camera.imager.wavelength_shift, min(_SHIFT_STEP, settings.monochromator_fwhm.min() / 25)
+            self.camera.imager.wavelength_shift,
+            min(_MAX_SHIFT_STEP_NM, settings.monochromator_fwhm.min() / 25),
         )
 
     def _rng(self, stream: int, *key: int) -> np.random.Generator:
@@ -257,14 +258,14 @@ class Sweep:
 
     @cached_property
     def wavelength(self) -> Floats:
-        # True centre wavelength of every step, shape (step,) [nm].
+        # true centre wavelength of every step, shape (step,) [nm]
         settings = self.settings
         jitter = settings.monochromator_jitter_nm * self._rng(_DIAL).standard_normal(settings.steps)
         return np.asarray(settings.dial + settings.monochromator_offset_nm + jitter)
 
     @cached_property
     def beam(self) -> Floats:
-        # Power of the beam in a column relative to the brightest, shape (step, cross_track).
+        # power of the beam in a column relative to the brightest column, shape (step, cross_track)
         settings, columns = self.settings, self.settings.camera.columns
         if settings.beam_fwhm_columns is None:
             return np.ones((settings.steps, columns))
@@ -275,13 +276,13 @@ class Sweep:
 
     @cached_property
     def power(self) -> Floats:
-        # Power of the beam at every step, shape (step,) [W]: a halogen lamp behind a blazed grating.
+        # power of the beam at every step, shape (step,) [W]: a halogen lamp with a blazed grating
         lamp = 0.25 + 0.75 * np.exp(-0.5 * ((self.wavelength - 660.0) / 170.0) ** 2)
         return self.settings.beam_power_w * lamp
 
     @cached_property
     def recorded_flux(self) -> Floats:
-        # Reading of the power meter, shape (step,) or (step, cross_track) [W].
+        # reading of the power meter, shape (step,) or (step, cross_track) [W]
         settings = self.settings
         error = settings.flux_noise * self._rng(_POWER_METER).standard_normal(settings.steps)
         reading = self.power * (1.0 + settings.flux_bias) * (1.0 + error)
@@ -292,16 +293,16 @@ class Sweep:
         )
 
     def line_integrals(self, step: int) -> Floats:
-        # INT m_k R_b,x d lambda without the elements' own factors, shape (band, cross_track).
-        integrals = self._order(step, 1)
+        # INT m_k R_b,x d lambda without element factors, shape (band, cross_track)
+        integrals = self._order_integrals(step, 1)
         if self.settings.second_order:
-            integrals += self.settings.second_order * self._order(step, 2)
+            integrals += self.settings.second_order * self._order_integrals(step, 2)
         if (optics := self.camera.optics) is not None and optics.has_stray_light:
             integrals += optics.stray_matrix @ integrals
         return integrals
 
-    def _order(self, step: int, order: int) -> Floats:
-        # Light falls at ``order`` x its wavelength.
+    def _order_integrals(self, step: int, order: int) -> Floats:
+        # integrals of a diffraction order, whose light appears at ``order`` x its wavelength
         imager, centre = self.camera.imager, self.wavelength[step]
         fwhm = float(self.settings.monochromator_fwhm[step])
         offset, weights = _line_quadrature(
@@ -314,16 +315,16 @@ class Sweep:
         cell = order * (offset[1] - offset[0])
         for band in np.flatnonzero(np.abs(imager.wavelength - order * centre) <= reach).tolist():
             distance = order * grid - (imager.wavelength[band] + self._shifts[:, None])
-            at_shifts: Floats = imager.line_shape(band, distance, cell) @ weights
-            integrals[band] = self._to_columns @ at_shifts
+            integrals_by_shift: Floats = imager.line_shape(band, distance, cell) @ weights
+            integrals[band] = self._to_columns @ integrals_by_shift
         return integrals
 
     def signal(self, step: int) -> Floats:
-        # Noise-free counts above dark, shape (band, cross_track) [count].
+        # noise-free counts above the dark, shape (band, cross_track) [count]
         settings, imager = self.settings, self.camera.imager
         energy = settings.exposure_time[step] * settings.capture_fraction * self.power[step] * self.beam[step]
-        # the beam is what enters the slit, which the fore optics have blurred already; behind it, a band's
-        # image is displaced
+        # the beam is measured at the slit, after the blur of the fore optics; the spectrograph displaces the
+        # images of bands
         if self.camera.optics is not None:
             energy = self.camera.optics.displaced(energy)
         signal = energy * self.line_integrals(step) * imager.element_factor
@@ -339,45 +340,44 @@ class Sweep:
         return self._average(self.signal(step), dark, settings.frames, rng)
 
     def dark(self, step: int) -> Frames:
-        # Dark frames of a step; with one dark for all steps, the dark of step 0.
+        # dark frames of a step; a dark for all steps is that of step 0
         settings = self.settings.camera
         level = self.camera.detector(float(self.settings.dark_exposure_time[step])).dark
         rng = self._rng(_DARK_NOISE, step) if settings.noise and settings.dark_noise else None
         return self._average(np.zeros_like(level), level, settings.dark_frames, rng)
 
     def _average(self, signal: Floats, dark: Floats, frames: int, rng: np.random.Generator | None) -> Frames:
-        # Mean and variance of ``frames`` frames, drawn from their distributions. Whole counts average to
-        # multiples of 1 / frames. Rounding adds 1/12 to the variance of a frame, which holds for a noise
-        # above some 0.4 counts.
+        # mean and variance of ``frames`` frames, drawn from their distributions: means of whole counts are
+        # multiples of 1 / frames, and rounding adds 1/12 to the variance of a frame (valid for noise above
+        # some 0.4 counts)
         camera, settings = self.camera, self.settings.camera
         mean = signal + dark
-        spread = np.zeros_like(mean)
+        variance = np.zeros_like(mean)
         if rng is not None:
-            spread = np.maximum(signal, 0.0) / camera.electrons_per_count + camera.read_noise**2
+            variance = np.maximum(signal, 0.0) / camera.electrons_per_count + camera.read_noise**2
             rounded = (1.0 - 1.0 / frames) / 12.0 if settings.quantise else 0.0
-            mean += np.sqrt((spread + rounded) / frames) * rng.standard_normal(mean.shape, dtype=np.float32)
-            spread += 1.0 / 12.0 if settings.quantise else 0.0
+            mean += np.sqrt((variance + rounded) / frames) * rng.standard_normal(mean.shape, dtype=np.float32)
+            variance += 1.0 / 12.0 if settings.quantise else 0.0
             if frames > 1:
-                half = (frames - 1) / 2.0
-                spread *= rng.standard_gamma(half, mean.shape, dtype=np.float32) / half
+                shape = (frames - 1) / 2.0
+                variance *= rng.standard_gamma(shape, mean.shape, dtype=np.float32) / shape
             else:
-                spread[:] = np.nan
+                variance[:] = np.nan
         if settings.quantise:
-            full = camera.detector(0.0).saturation_count
-            spread[mean >= full] = 0.0
-            np.clip(mean, 0.0, full, out=mean)
-            parts = 1 if rng is None else frames
-            mean = np.rint(mean * parts) / parts
-        return Frames(mean.astype(np.float32), spread.astype(np.float32))
+            saturation = camera.detector(0.0).saturation_count
+            variance[mean >= saturation] = 0.0
+            np.clip(mean, 0.0, saturation, out=mean)
+            divisor = 1 if rng is None else frames
+            mean = np.rint(mean * divisor) / divisor
+        return Frames(mean.astype(np.float32), variance.astype(np.float32))
 
 
 def _line_quadrature(fwhm: float, shape: str, other_width: float) -> tuple[Floats, Floats]:
-    # Distances from the centre [nm], and weights whose sum over them is one. The grid is even, symmetric
-    # about the centre and, for a triangle, has the corners on its points: the sum is then as good as an
-    # integral, to 2e-5 of the peak.
-    parts = int(np.ceil(fwhm / min(_GRID_STEP[shape], fwhm / 40.0, other_width / 40.0)))
-    step = fwhm / parts
-    reach = parts if shape == "triangle" else int(np.ceil(GAUSSIAN_REACH * parts))
+    # Distances from the centre [nm], and weights of unit sum. The grid is even and symmetric around the
+    # centre and includes the corners of a triangle, so that a sum equals the integral to 2e-5 of the peak.
+    divisions = int(np.ceil(fwhm / min(_MAX_GRID_STEP_NM[shape], fwhm / 40.0, other_width / 40.0)))
+    step = fwhm / divisions
+    reach = divisions if shape == "triangle" else int(np.ceil(GAUSSIAN_REACH * divisions))
     offset = np.asarray(np.arange(-reach, reach + 1) * step, dtype=np.float64)
     height = (
         np.asarray(1.0 - np.abs(offset) / fwhm)
@@ -388,16 +388,16 @@ def _line_quadrature(fwhm: float, shape: str, other_width: float) -> tuple[Float
 
 
 def _shift_table(shifts: Floats, step: float) -> tuple[Floats, Floats]:
-    # Shifts to compute at, and the matrix (cross_track, table) from there to the columns. The few shifts of a
-    # narrow camera are taken as they are; many lie close together, and four neighbours on an even table then
-    # give a column's value by Lagrange's cubic.
+    # Shifts at which integrals are computed, and the matrix (cross_track, shift) that interpolates them to
+    # columns. Few distinct shifts are used directly; many are interpolated by Lagrange's cubic from an even
+    # table.
     distinct, column = np.unique(shifts, return_inverse=True)
-    parts = int(np.ceil((distinct[-1] - distinct[0]) / step))
-    if len(distinct) <= parts + 3:
+    cells = int(np.ceil((distinct[-1] - distinct[0]) / step))
+    if len(distinct) <= cells + 3:
         return distinct, np.eye(len(distinct))[column]
-    table = distinct[0] + step * np.arange(-1, parts + 2)
+    table = distinct[0] + step * np.arange(-1, cells + 2)
     place = (shifts - table[0]) / step
-    left = np.clip(np.floor(place).astype(int), 1, len(table) - 3)
+    lower = np.clip(np.floor(place).astype(int), 1, len(table) - 3)
     weights = np.zeros((len(shifts), len(table)))
-    np.put_along_axis(weights, left[:, None] + np.arange(-1, 3), cubic_weights(place - left), axis=1)
+    np.put_along_axis(weights, lower[:, None] + np.arange(-1, 3), cubic_weights(place - lower), axis=1)
     return table, weights

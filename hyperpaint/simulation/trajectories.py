@@ -1,11 +1,11 @@
-"""The flight of a drone over the earth: a straight course, and deviations by wind and propellers.
+"""The flight of a drone over the earth: a straight course, with deviations by wind and propellers.
 
-The earth's figure is WGS-84 by closed formulas, its map one UTM zone. Simulation and geolocation must be
-independent: nothing here comes from a library of geodesy, or from the part of the package that places pixels.
+The ellipsoid is WGS-84 by closed formulas, the map a UTM zone. Simulation and geolocation must be
+independent: this module uses neither a geodesy library nor `hyperpaint.geometry`.
 
 Angles are those of ISO 1151-2: heading clockwise from true north, pitch with the nose up, roll with the right
-wing down, turned in this order; heights are above the ellipsoid. A wobble is a sum of sines whose frequencies
-are chosen by the seed, so that it is known at every moment and not at samples only.
+wing down, applied in this order; heights are above the ellipsoid. A deviation is a sum of sines with random
+frequencies, so that it is defined at all times and not only at samples.
 """
 
 from __future__ import annotations
@@ -33,35 +33,39 @@ def geocentric(latitude: ArrayLike, longitude: ArrayLike, height: ArrayLike) -> 
     lat, lon = np.radians(latitude), np.radians(longitude)
     h = np.asarray(height, np.float64)
     normal = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
-    across = (normal + h) * np.cos(lat)
-    return np.stack([across * np.cos(lon), across * np.sin(lon), ((1 - _E2) * normal + h) * np.sin(lat)], -1)
+    axis_distance = (normal + h) * np.cos(lat)
+    return np.stack(
+        [axis_distance * np.cos(lon), axis_distance * np.sin(lon), ((1 - _E2) * normal + h) * np.sin(lat)], -1
+    )
 
 
-def geodetic(place: Floats) -> tuple[Floats, Floats, Floats]:
+def geodetic(xyz: Floats) -> tuple[Floats, Floats, Floats]:
     """Return latitude, longitude [degree] and height [m] of earth-centred coordinates (..., 3).
 
     Notes
     -----
-    Bowring (1976), "Transformation from spatial to geographical coordinates": one step is good to less than
-    a micrometre up to some tens of kilometres of height.
+    Bowring (1976), "Transformation from spatial to geographical coordinates": one step has an
+    error below a micrometre up to some tens of kilometres of height.
 
     Examples
     --------
     >>> [float(value.round(6)) for value in geodetic(geocentric(43.0, -77.5, 160.0))]
     [43.0, -77.5, 160.0]
     """
-    x, y, z = np.moveaxis(place, -1, 0)
-    across = np.hypot(x, y)
-    reduced = np.arctan2(z * _A, across * _B)
-    second = _E2 / (1 - _E2)
-    lat = np.arctan2(z + second * _B * np.sin(reduced) ** 3, across - _E2 * _A * np.cos(reduced) ** 3)
+    x, y, z = np.moveaxis(xyz, -1, 0)
+    axis_distance = np.hypot(x, y)
+    reduced = np.arctan2(z * _A, axis_distance * _B)
+    second_eccentricity = _E2 / (1 - _E2)
+    lat = np.arctan2(
+        z + second_eccentricity * _B * np.sin(reduced) ** 3, axis_distance - _E2 * _A * np.cos(reduced) ** 3
+    )
     sine = np.sin(lat)
-    height = across * np.cos(lat) + z * sine - _A * np.sqrt(1 - _E2 * sine**2)
+    height = axis_distance * np.cos(lat) + z * sine - _A * np.sqrt(1 - _E2 * sine**2)
     return np.degrees(lat), np.degrees(np.arctan2(y, x)), height
 
 
 def north_east_down(latitude: ArrayLike, longitude: ArrayLike) -> Floats:
-    # Rotations from north, east, down at a place [degree] to the earth-centred frame (..., 3, 3).
+    # rotations from north, east, down at a position [degree] to the earth-centred frame (..., 3, 3)
     lat, lon = np.broadcast_arrays(np.radians(latitude), np.radians(longitude))
     (cl, co), (sl, so) = ([f(angle) for angle in (lat, lon)] for f in (np.cos, np.sin))
     rows = [[-sl * co, -so, -cl * co], [-sl * so, co, -cl * so], [cl, np.zeros_like(cl), -sl]]
@@ -70,18 +74,18 @@ def north_east_down(latitude: ArrayLike, longitude: ArrayLike) -> Floats:
 
 @dataclass(frozen=True)
 class LocalFrame:
-    """A frame that touches the earth at a place: x east, y north, z up [m].
+    """A local tangent frame at a position: x east, y north, z up [m].
 
     Attributes
     ----------
     latitude, longitude
-        Of its origin [degree].
+        Position of the origin [degree].
     height
-        Of its origin above the ellipsoid [m].
+        Height of the origin above the ellipsoid [m].
 
     Examples
     --------
-    A kilometre away the earth has fallen off by eight centimetres:
+    At a distance of a kilometre, the tangent plane is eight centimetres above the ellipsoid:
 
     >>> frame = LocalFrame(43.0, -77.5, 160.0)
     >>> latitude, longitude, height = frame.geodetic(np.array([0.0, 1000.0, 0.0]))
@@ -99,27 +103,27 @@ class LocalFrame:
 
     @cached_property
     def axes(self) -> Floats:
-        # Rotation from this frame to the earth-centred one, (3, 3).
+        # rotation from this frame to the earth-centred frame, (3, 3)
         north, east, down = north_east_down(self.latitude, self.longitude).T
         return np.stack([east, north, -down], axis=-1)
 
     def local(self, latitude: ArrayLike, longitude: ArrayLike, height: ArrayLike) -> Floats:
-        # x, y, z (..., 3) of places.
+        # x, y, z (..., 3) of positions
         return np.asarray((geocentric(latitude, longitude, height) - self._origin) @ self.axes)
 
-    def geodetic(self, place: Floats) -> tuple[Floats, Floats, Floats]:
-        # Latitude, longitude [degree] and height [m] of x, y, z (..., 3).
-        return geodetic(self._origin + place @ self.axes.T)
+    def geodetic(self, xyz: Floats) -> tuple[Floats, Floats, Floats]:
+        # latitude, longitude [degree] and height [m] of x, y, z (..., 3)
+        return geodetic(self._origin + xyz @ self.axes.T)
 
 
 @dataclass(frozen=True)
 class TransverseMercator:
-    """The map of a UTM zone of the northern half of the earth.
+    """The map projection of a UTM zone in the northern hemisphere.
 
     Attributes
     ----------
     zone
-        1 to 60.
+        Number of the zone, 1 to 60.
 
     Notes
     -----
@@ -137,18 +141,18 @@ class TransverseMercator:
 
     @classmethod
     def of(cls, latitude: float, longitude: float) -> TransverseMercator:
-        # Map of a place [degree], north of the equator.
+        # projection of the zone of a position [degree] in the northern hemisphere
         if not 0.0 <= latitude < 84.0:
             raise ValueError(latitude)
         return cls(int((longitude + 180.0) // 6.0) % 60 + 1)
 
     @property
     def crs(self) -> str:
-        # EPSG code.
+        # EPSG code
         return f"EPSG:{32600 + self.zone}"
 
     def project(self, latitude: ArrayLike, longitude: ArrayLike) -> tuple[Floats, Floats]:
-        # East and north [m] of latitude and longitude [degree].
+        # east and north [m] of latitude and longitude [degree]
         lat = np.radians(np.asarray(latitude, np.float64))
         lon = np.radians(np.asarray(longitude, np.float64) - (6.0 * self.zone - 183.0))
         tau = np.tan(lat)
@@ -197,14 +201,14 @@ _SINES = 12
 
 @dataclass(frozen=True)
 class Motion:
-    """A sum of sines about a mean.
+    """A sum of sines around a mean.
 
     Attributes
     ----------
     amplitude, frequency, phase
-        Of each sine, shape (sine,); frequency [Hz], phase [rad].
+        Parameters of the sines, shape (sine,); frequency [Hz], phase [rad].
     mean
-        What it moves about.
+        Mean of the motion.
     """
 
     amplitude: Floats
@@ -214,20 +218,25 @@ class Motion:
 
     @classmethod
     def slow(cls, amplitude: float, period: float, phase: float, mean: float = 0.0) -> Motion:
-        # One sine of a period [s].
+        # a single sine of this period [s]
         return cls(np.array([amplitude]), np.array([1 / period]), np.array([phase]), mean)
 
     @classmethod
-    def random(cls, spread: float, rate: float, rng: np.random.Generator) -> Motion:
-        # Sines with these standard deviations of the motion and of its rate of change [s-1].
-        part = np.geomspace(0.2, 2.0, _SINES) * rng.uniform(0.94, 1.06, _SINES)
-        amplitude = part**-0.5
-        amplitude *= spread * np.sqrt(2 / (amplitude**2).sum())
-        frequency = part * rate / np.sqrt(((amplitude * part) ** 2).sum() / 2) / (2 * np.pi)
+    def random(cls, sd: float, rate_sd: float, rng: np.random.Generator) -> Motion:
+        # random sines with these standard deviations of the motion and of its rate of change [s-1]
+        relative_frequency = np.geomspace(0.2, 2.0, _SINES) * rng.uniform(0.94, 1.06, _SINES)
+        amplitude = relative_frequency**-0.5
+        amplitude *= sd * np.sqrt(2 / (amplitude**2).sum())
+        frequency = (
+            relative_frequency
+            * rate_sd
+            / np.sqrt(((amplitude * relative_frequency) ** 2).sum() / 2)
+            / (2 * np.pi)
+        )
         return cls(amplitude, frequency, rng.uniform(0, 2 * np.pi, _SINES))
 
     def at(self, seconds: Floats) -> Floats:
-        # Motion at times [s].
+        # motion at times [s]
         motion = np.full(np.shape(seconds), self.mean)
         for a, f, p in zip(
             self.amplitude.tolist(), self.frequency.tolist(), self.phase.tolist(), strict=True
@@ -237,12 +246,12 @@ class Motion:
 
     @property
     def peak(self) -> float:
-        # Largest possible magnitude.
+        # maximum possible magnitude
         return abs(self.mean) + float(np.abs(self.amplitude).sum())
 
 
-#: Standard deviations of an angle [degree] or a distance [m], and of their rates [s-1], of what drones do.
-_SPREADS: Mapping[str, Mapping[str, tuple[float, float]]] = {
+#: Standard deviations of motions of drones, angles [degree] or distances [m], and of their rates [s-1].
+_STANDARD_DEVIATIONS: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "calm": {
         "roll": (0.15, 0.69), "pitch": (0.15, 0.87), "heading": (1.1, 3.7),
         "right": (0.02, 0.03), "altitude": (0.02, 0.03),
@@ -263,29 +272,34 @@ def _motions(settings: SimulationSettings) -> dict[str, Motion]:
             "altitude": Motion.slow(0.1, 11.0, 0.0),
         }
     rng = np.random.default_rng([settings.seed, _STREAM])
-    return {name: Motion.random(*pair, rng) for name, pair in _SPREADS.get(settings.wobble, {}).items()}
+    return {
+        name: Motion.random(*pair, rng)
+        for name, pair in _STANDARD_DEVIATIONS.get(settings.wobble, {}).items()
+    }
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Pose of the navigation system, and of the camera fixed to it, at any moment.
+    """Pose of the navigation system, and of the camera fixed to it, at any time.
 
     Attributes
     ----------
     frame
-        Scene: x east, y north, z up of a place on the ground, over which the camera is at time zero [m].
+        Frame of the scene: x east, y north, z up, from the point on the ground below the camera at time zero
+        [m].
     course
         Direction of flight, clockwise from north [degree].
     speed
-        [m s-1]
+        Ground speed [m s-1].
     altitude
-        Of the navigation's reference point above the ground [m].
+        Height of the navigation's reference point above the ground [m].
     boresight
         Roll, pitch and heading of the camera in the body [degree].
     lever_arm
-        Camera from the navigation's reference point: forward, right, down [m].
+        Position of the camera from the navigation's reference point: forward, right, down [m].
     motions
-        Of ``roll``, ``pitch``, ``heading`` [degree], ``altitude``, and to the ``right`` of the course [m].
+        Motions of ``roll``, ``pitch``, ``heading`` [degree], ``altitude``, and to the ``right`` of the course
+        [m].
     """
 
     frame: LocalFrame
@@ -298,20 +312,20 @@ class Trajectory:
 
     @classmethod
     def of(cls, settings: SimulationSettings, frame: LocalFrame, speed: float, altitude: float) -> Trajectory:
-        first, second, third = settings.boresight
+        roll, pitch, heading = settings.boresight
         forward, right, down = settings.lever_arm
         return cls(
             frame,
             float(settings.course),
             speed,
             altitude,
-            (float(first), float(second), float(third)),
+            (float(roll), float(pitch), float(heading)),
             (float(forward), float(right), float(down)),
             _motions(settings),
         )
 
     def pose(self, seconds: Floats) -> dict[str, Floats]:
-        # Position and attitude of the navigation system [degree, m]; heading from 0 to 360.
+        # position and attitude of the navigation system [degree, m]; heading from 0 to 360
         seconds = np.asarray(seconds, np.float64)
         sine, cosine = np.sin(np.radians(self.course)), np.cos(np.radians(self.course))
         ahead, right = self.speed * seconds, self._motion("right", seconds)
@@ -329,27 +343,27 @@ class Trajectory:
         }
 
     def camera(self, seconds: Floats) -> tuple[Floats, Floats]:
-        """Return the camera's place (..., 3) [m], and its rotation into the scene's axes (..., 3, 3).
+        """Return the position of the camera (..., 3) [m], and its rotation to the scene's axes (..., 3, 3).
 
         Notes
         -----
-        With M from north, east, down at the platform into the scene, and the attitude R of the body and B of
-        the camera in it: p = p_nav + M R l, and M R B.
+        With M the rotation from north, east, down at the platform to the scene, R the attitude of the body, B
+        that of the camera in the body, and l the lever arm: p = p_nav + M R l, and the rotation is M R B.
         """
         pose = self.pose(seconds)
-        place = self.frame.local(pose["latitude"], pose["longitude"], pose["altitude"])
+        position = self.frame.local(pose["latitude"], pose["longitude"], pose["altitude"])
         down = np.asarray(self.frame.axes.T @ north_east_down(pose["latitude"], pose["longitude"]))
         body = down @ turns(quaternions(pose["roll"], pose["pitch"], pose["heading"]))
-        return place + body @ np.array(self.lever_arm), body @ turns(quaternions(*self.boresight))
+        return position + body @ np.array(self.lever_arm), body @ turns(quaternions(*self.boresight))
 
     @property
     def steepest(self) -> float:
-        # Angle by which the camera's axis can lean from the vertical, along or across the track [degree].
+        # maximum angle between camera axis and vertical, along or across the track [degree]
         return max(self._peak("roll"), self._peak("pitch")) + max(map(abs, self.boresight[:2]))
 
     @property
     def max_yaw(self) -> float:
-        # Angle by which the camera can be turned from its course [degree].
+        # maximum angle between camera and course [degree]
         return self._peak("heading") + abs(self.boresight[2])
 
     def _motion(self, name: str, seconds: Floats) -> Floats:

@@ -29,7 +29,7 @@ from .sun_and_sky import sun_zenith_of
 #: Attribute of reflectance with the assumed coat.
 COAT_CORRECTED = "coat_corrected"
 
-#: Standard deviation of the lean of roofs and bonnets that are taken as level [degree].
+#: Standard deviation of the lean of roofs and bonnets that are assumed to be level [degree].
 LEAN_U_DEG = 2.0
 
 
@@ -110,18 +110,18 @@ def correct_coat(
     numbers = {"index": (index, 1.0, 3.0), "index_u": (index_u, 0.0, 1.0), "lean_u": (lean_u, 0.0, 45.0)}
     note_unusable(problems, line, numbers)
     if "reflectance" in line.variables:
-        before = line["reflectance"].attrs
-        if COAT_CORRECTED in before:
+        attrs = line["reflectance"].attrs
+        if COAT_CORRECTED in attrs:
             problems.add(
-                f"the coat was corrected before: {COAT_CORRECTED} is {before[COAT_CORRECTED]!r}",
+                f"the coat was corrected before: {COAT_CORRECTED} is {attrs[COAT_CORRECTED]!r}",
                 mend="start from reflectance without this correction",
                 code="corrected-before",
             )
         elif mirror_reflection(line) != EXCLUDED:
             problems.add(
-                "the reflectance includes the sky that the coat mirrors, or does not say that it excludes it",
+                "the reflectance includes the sky mirrored by the coat, or does not declare its exclusion",
                 mend="call remove_mirrored_sky first, or set reflectance.attrs['mirror_reflection'] = "
-                f"{EXCLUDED!r} where there is none",
+                f"{EXCLUDED!r} where no mirrored sky is included",
                 option="give --specular-sky",
                 code="mirrored-sky-included",
             )
@@ -129,76 +129,78 @@ def correct_coat(
     line = as_fractions(line)
     coat = (float(index), float(index_u), float(lean_u))
     if SIGNATURE in line["reflectance"].dims:
-        shares = _of_paints(line, coat, (diffuse, sun_zenith, sky), view_zenith)
+        shares = _paint_shares(line, coat, (diffuse, sun_zenith, sky), view_zenith)
     else:
         split = split_of(line, diffuse, sun_zenith, sky)
         zenith = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(line, sun_zenith)
         shares = _shares(split, zenith, 0.0 if view_zenith is None else view_zenith, coat)
-    whole, u, mirror_u = (share.astype(np.float32) for share in shares)
-    corrected = {name: line[name] / whole for name in (*LEVELS, *WIDTHS) if name in line.variables}
-    # the subtracted mirrored sky is as uncertain as index and split
+    share, share_u, mirror_u = (array.astype(np.float32) for array in shares)
+    corrected = {name: line[name] / share for name in (*LEVELS, *WIDTHS) if name in line.variables}
+    # index and split also determine the uncertainty of the subtracted mirrored sky
     was_removed = "mirrored_sky_removed" in line["reflectance"].attrs
-    coat_u = ((corrected["reflectance"] * u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / whole
+    coat_u = ((corrected["reflectance"] * share_u) ** 2 + float(was_removed) * mirror_u**2) ** 0.5 / share
     if "reflectance_u_systematic" in corrected:
         corrected["reflectance_u_systematic"] = (
             corrected["reflectance_u_systematic"] ** 2 + coat_u**2
         ) ** 0.5
     text = f"clear coat of index {index:g} +- {index_u:g}, panel level +- {lean_u:g} degree"
     result = with_correction(line, corrected, COAT_CORRECTED, text)
-    attrs = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
-    result["reflectance"] = result["reflectance"].assign_attrs(attrs)
-    layers = {"coat_transmission": whole, "coat_transmission_u": u}
+    quantity = {"quantity": BODY, "specular_component": EXCLUDED, "mirror_reflection": EXCLUDED}
+    result["reflectance"] = result["reflectance"].assign_attrs(quantity)
+    layers = {"coat_transmission": share, "coat_transmission_u": share_u}
     table = schema.LIBRARY_VARIABLES if SIGNATURE in line["reflectance"].dims else schema.VARIABLES
     if SIGNATURE in line["reflectance"].dims:
         layers["reflectance_u_coat"] = coat_u.transpose(SIGNATURE, BAND).astype(np.float32)
-    return result.assign({name: share.assign_attrs(table[name].attrs) for name, share in layers.items()})
+    return result.assign({name: layer.assign_attrs(table[name].attrs) for name, layer in layers.items()})
 
 
 def _shares(
     split: LightSplit, incidence: float, view: float, coat: tuple[float, float, float]
 ) -> tuple[xr.DataArray, xr.DataArray, xr.DataArray]:
-    # C, its standard uncertainty and that of the mirrored sky, on the dims of the split.
-    # `coat`: index, its uncertainty, uncertainty of the lean [degree].
+    # Relative transmission C, its standard uncertainty, and the uncertainty of the mirrored sky, on the dims
+    # of the split. `coat`: index, its uncertainty, uncertainty of the lean [degree].
     index, index_u, lean_u = coat
 
     def share(fraction: Any, n: float, angle: float) -> Any:
-        sky = _sky(split, incidence, n)
+        sky = _mean_sky_reflectance(split, incidence, n)
         return transmitted_share(fraction, sky, float(np.clip(angle, 0.0, 89.9)), view, n)
 
-    whole = share(split.fraction, index, incidence)
+    # uncertainties by finite differences in index, lean and diffuse fraction
+    relative = share(split.fraction, index, incidence)
     by_index = 0.5 * (
         share(split.fraction, index + index_u, incidence)
         - share(split.fraction, max(1.0, index - index_u), incidence)
     )
-    leans = [abs(share(split.fraction, index, incidence + turn) - whole) for turn in (-lean_u, lean_u)]
+    leans = [abs(share(split.fraction, index, incidence + turn) - relative) for turn in (-lean_u, lean_u)]
     by_sky = split.u * abs(share(1.0, index, incidence) - share(0.0, index, incidence))
-    whole_u = np.sqrt(by_index**2 + (0.5 * (leans[0] + leans[1])) ** 2 + by_sky**2)
+    relative_u = np.sqrt(by_index**2 + (0.5 * (leans[0] + leans[1])) ** 2 + by_sky**2)
     normal_u = 4.0 * (index - 1.0) / (index + 1.0) ** 3 * index_u
     mirror_u = sky_above(split) * np.sqrt(
         (normal_u * split.fraction) ** 2 + (NORMAL_REFLECTANCE * split.u) ** 2
     )
-    return whole, whole_u, mirror_u
+    return relative, relative_u, mirror_u
 
 
-def _sky(split: LightSplit, sun_zenith: float, index: float) -> Any:
-    def of(zenith: float | None, cloud: float) -> xr.DataArray:
+def _mean_sky_reflectance(split: LightSplit, sun_zenith: float, index: float) -> Any:
+    # Reflectance of the coat for the light of the whole sky, between clear and overcast
+    def reflectance(zenith: float | None, cloud: float) -> xr.DataArray:
         return xr.DataArray(sky_reflectance(split.wavelength, zenith, cloud, index), dims=BAND)
 
     if split.sky == "uniform":
-        return of(None, 0.0)
+        return reflectance(None, 0.0)
     sun = min(sun_zenith, 89.0)
-    return (1.0 - split.cloud) * of(sun, 0.0) + split.cloud * of(sun, 1.0)
+    return (1.0 - split.cloud) * reflectance(sun, 0.0) + split.cloud * reflectance(sun, 1.0)
 
 
-def _of_paints(
+def _paint_shares(
     library: xr.Dataset,
     coat: tuple[float, float, float],
     light: tuple[Any, float | None, str | None],
     view_zenith: float | None,
 ) -> tuple[xr.DataArray, ...]:
-    # `_shares` (signature, band), each paint under its sun; `light`: arguments of `split_of`
+    # `_shares` of every paint under its sun (signature, band); `light`: arguments of `split_of`
     diffuse, sun_zenith, sky = light
-    wanted = (
+    names = (
         "wavelength",
         "diffuse_fraction",
         "diffuse_fraction_u",
@@ -206,10 +208,10 @@ def _of_paints(
         "sun_zenith",
         "view_zenith",
     )
-    small = library[[name for name in wanted if name in library.variables]].reset_coords().compute()
+    light_variables = library[[name for name in names if name in library.variables]].reset_coords().compute()
     rows = []
     for number in range(library.sizes[SIGNATURE]):
-        paint = small.isel({SIGNATURE: number})
+        paint = light_variables.isel({SIGNATURE: number})
         zenith = sun_zenith
         if zenith is None and "sun_zenith" in paint and np.isfinite(paint["sun_zenith"].item()):
             zenith = float(paint["sun_zenith"].item())
@@ -218,9 +220,9 @@ def _of_paints(
         split = split_of(paint, diffuse, zenith, sky)
         incidence = split.zenith if np.isfinite(split.zenith) else sun_zenith_of(paint, zenith)
         view = paint["view_zenith"].item() if view_zenith is None and "view_zenith" in paint else view_zenith
-        at = 0.0 if view is None or not np.isfinite(view) else min(float(view), 85.0)
-        rows.append(_shares(split, incidence, at, coat))
+        view_angle = 0.0 if view is None or not np.isfinite(view) else min(float(view), 85.0)
+        rows.append(_shares(split, incidence, view_angle, coat))
     return tuple(
-        xr.concat([part.reset_coords(drop=True) for part in parts], SIGNATURE).transpose(SIGNATURE, BAND)
-        for parts in zip(*rows, strict=True)
+        xr.concat([array.reset_coords(drop=True) for array in arrays], SIGNATURE).transpose(SIGNATURE, BAND)
+        for arrays in zip(*rows, strict=True)
     )

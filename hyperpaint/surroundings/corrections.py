@@ -1,6 +1,6 @@
 """Corrections of reflectance for the light of the sky: mirrored sky, tilt, hidden sky.
 
-Made on request only; each is recorded in the attributes of ``reflectance``.
+They are applied on request only, and recorded in the attributes of ``reflectance``.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from .sun_and_sky import OVERCAST_ZENITH
 #: Attributes of reflectance that record corrections.
 CORRECTIONS = ("mirrored_sky_removed", "light_corrected", "tilt", "coat_corrected")
 
-#: Largest change of the direct light that changes the diffuse light as well, as a lean does [1].
+#: Maximum relative change of direct light that is treated as a lean, which changes diffuse light, too [1].
 MAX_TILT_GAIN = 0.3
 
 #: Normal reflectance of a clear coat of index 1.5, ((n - 1) / (n + 1))^2 [1].
 NORMAL_REFLECTANCE = 0.04
 
-#: Remedy by the correction that was made before.
+#: Mend of the error by the earlier correction.
 _MENDS = {
     "mirrored_sky_removed": "start from uncorrected reflectance",
     "coat_corrected": "start from uncorrected reflectance, and correct the coat last",
@@ -41,7 +41,7 @@ _MENDS = {
     "correct_light(direct=cos(incidence) / cos(sun zenith), sky_view_factor=(1 + cos(tilt)) / 2)",
 }
 
-#: Variables of a flight line or paint library that shift with a subtraction, and those that only scale.
+#: Variables of a flight line or paint library that a subtraction changes; a division changes `WIDTHS`, too.
 LEVELS = ("reflectance", "reflectance_quantiles", "member_reflectance")
 WIDTHS = ("reflectance_sd", "reflectance_u_random", "reflectance_u_systematic", "reflectance_errors")
 
@@ -110,17 +110,17 @@ def remove_mirrored_sky(
     array([0.032, 0.031], dtype=float32)
     """
     line = schema.rename_to_roles(line)
-    # the sky mirrored by a tilted surface is subtracted before the division by its light
+    # all corrections must follow this one: mirrored light does not scale with the light on the paint
     numbers = {"strength": (strength, 0.0, 1.0), "sky_view_factor": (sky_view_factor, 0.0, 1.0)}
     _check(line, CORRECTIONS, numbers)
     line = as_fractions(line)
     split = _split(line, diffuse, sun_zenith, sky)
-    taken = (strength * sky_view_factor * split.fraction * sky_above(split)).astype(np.float32)
+    mirrored = (strength * sky_view_factor * split.fraction * sky_above(split)).astype(np.float32)
     text = (
         f"F0 {strength:g} x sky view {sky_view_factor:g} x diffuse fraction ({split.source}) "
         f"x zenith of a sky ({split.sky})"
     )
-    corrected = {name: line[name] - taken for name in LEVELS if name in line.variables}
+    corrected = {name: line[name] - mirrored for name in LEVELS if name in line.variables}
     return with_correction(line, corrected, "mirrored_sky_removed", text)
 
 
@@ -202,61 +202,62 @@ def correct_light(
         gain = (1.0 - split.cloud) * _on_bands(sunward_gain(split.wavelength, split.zenith))
     share, lean = split.fraction.astype(np.float32), np.clip(direct - 1.0, -MAX_TILT_GAIN, MAX_TILT_GAIN)
     with _same_pixels():
-        seen = sky_view_factor * (1.0 + lean * gain) * share
-        light = direct * (1.0 - share) + seen + (1.0 - sky_view_factor) * neighbour_reflectance
+        sky_light = sky_view_factor * (1.0 + lean * gain) * share
+        light = direct * (1.0 - share) + sky_light + (1.0 - sky_view_factor) * neighbour_reflectance
         light = light.where(light > 0)
         corrected = {name: line[name] / light for name in (*LEVELS, *WIDTHS) if name in line.variables}
     factors = {
         name: f"{value:g}" if name in plain else "given"
         for name, value in (("direct", direct), ("sky view", sky_view_factor))
     }
-    parts = ", ".join(f"{name} {value}" for name, value in factors.items())
-    text = f"{parts}, diffuse fraction ({split.source}), sky ({split.sky})"
+    amounts = ", ".join(f"{name} {value}" for name, value in factors.items())
+    text = f"{amounts}, diffuse fraction ({split.source}), sky ({split.sky})"
     return with_correction(line, corrected, "light_corrected", text)
 
 
 def note_unusable(
     problems: Problems, line: xr.Dataset, numbers: Mapping[str, tuple[float, float, float]]
 ) -> None:
-    """Note missing variables of a line, and numbers (value, least, most) out of range."""
+    """Add missing variables, and numbers (value, minimum, maximum) out of range, to the problems."""
     for name in ("reflectance", "wavelength"):
         if name not in line.variables:
             problems.add(f"{name!r} is missing", code="variable-missing")
-    for name, (value, least, most) in numbers.items():
-        if not least <= value <= most:
-            problems.add(f"{name}={value!r}", expected=f"{least:g} to {most:g}", code="value-out-of-range")
+    for name, (value, low, high) in numbers.items():
+        if not low <= value <= high:
+            problems.add(f"{name}={value!r}", expected=f"{low:g} to {high:g}", code="value-out-of-range")
 
 
 def _check(
-    line: xr.Dataset, done: tuple[str, ...], numbers: Mapping[str, tuple[float, float, float]]
+    line: xr.Dataset, excluded: tuple[str, ...], numbers: Mapping[str, tuple[float, float, float]]
 ) -> None:
+    # Raise for unusable input, and for reflectance with one of the excluded corrections
     problems = Problems("reflectance cannot be corrected", SchemaError)
     note_unusable(problems, line, numbers)
-    before = line["reflectance"].attrs if "reflectance" in line.variables else {}
-    for name in done:
-        if name in before:
+    attrs = line["reflectance"].attrs if "reflectance" in line.variables else {}
+    for name in excluded:
+        if name in attrs:
             problems.add(
-                f"corrected before: {name} is {before[name]!r}", mend=_MENDS[name], code="corrected-before"
+                f"corrected before: {name} is {attrs[name]!r}", mend=_MENDS[name], code="corrected-before"
             )
     problems.raise_if_any()
 
 
 @contextlib.contextmanager
 def _same_pixels() -> Iterator[None]:
-    # xarray would cut arrays of other pixels to the common ones
+    # Raise where operands differ in their pixels, which xarray would reduce to the common ones
     try:
         with xr.set_options(arithmetic_join="exact"):
             yield
     except xr.AlignmentError as error:
         raise SchemaError(
-            "direct= or sky_view_factor= has other lines or columns than the line",
-            mend="crop them alike, or drop their coordinates along_track and cross_track",
+            "lines or columns of direct= or sky_view_factor= differ from those of the flight line",
+            mend="crop all to the same pixels, or drop their coordinates along_track and cross_track",
             code="grid-mismatch",
         ) from error
 
 
 def as_fractions(line: xr.Dataset) -> xr.Dataset:
-    """Return the line with all variables to correct in units of 1."""
+    """Return the line with `LEVELS` and `WIDTHS` in units of 1."""
     names = [name for name in (*LEVELS, *WIDTHS) if name in line.variables]
     return line.assign({name: convert(line[name], "1") for name in names})
 
@@ -283,17 +284,17 @@ def _on_bands(values: Any) -> xr.DataArray:
 
 def with_correction(line: xr.Dataset, variables: dict[str, xr.DataArray], name: str, text: str) -> xr.Dataset:
     """Return the line with corrected variables and the attributes of the correction."""
-    done = {
+    corrected = {
         key: array.astype(np.float32).transpose(*line[key].dims).assign_attrs(line[key].attrs)
         for key, array in variables.items()
     }
     attrs = {}
     if name == "mirrored_sky_removed":
         attrs = {"mirror_reflection": EXCLUDED, "quantity": THROUGH_COAT, "specular_component": EXCLUDED}
-    done["reflectance"] = done["reflectance"].assign_attrs({name: text, **attrs})
-    corrected = line.assign(done)
+    corrected["reflectance"] = corrected["reflectance"].assign_attrs({name: text, **attrs})
+    result = line.assign(corrected)
     if SIGNATURE in line["reflectance"].dims:
-        before = line.attrs.get("corrections", "none")
+        earlier = line.attrs.get("corrections", "none")
         entry = f"{name}: {text}"
-        corrected = corrected.assign_attrs(corrections=entry if before == "none" else f"{before}; {entry}")
-    return corrected
+        result = result.assign_attrs(corrections=entry if earlier == "none" else f"{earlier}; {entry}")
+    return result

@@ -1,7 +1,7 @@
 """Glint, shadow, coloured light from neighbours and mixed pixels: layers, and bits by thresholds.
 
-Pointwise, given a scene model: a pixel's light is unmixed into its body's reflectance under changed amounts
-of sun and sky, mirror images of both, and the light of coloured neighbours.
+Every pixel is unmixed into the reflectance of its body in the scene model, under changed amounts of sun and
+sky, plus mirrored sun and sky and the light of coloured neighbours.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.many_outputs import split_outputs
-from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality
+from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, flags_set_from
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
 from .detection_rules import FLAGS, MIRROR
-from .full_light import Light, most_amounts
+from .full_light import Light, max_excesses
 from .lobes import SATURATED_IN_LOBE
 from .model import SHADED
 from .surveying import to_channels, to_nominal_channels
@@ -147,7 +147,7 @@ def flag(
     limits = {"glint": glint, "shadow": shadow, "adjacency": adjacency, "edge": edge}
     problems = Problems("thresholds cannot be used", SchemaError)
     for name, value in limits.items():
-        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
+        if not is_number(value) or value < 0:
             problems.add(f"{name}={value!r}", expected="a number from 0 on", code="value-out-of-range")
     problems.raise_if_any()
     if model is None:
@@ -155,16 +155,16 @@ def flag(
     elif options:
         raise SchemaError(
             f"{', '.join(options)}= are options of the survey, which does not run with model=",
-            mend="leave out one or the other",
+            mend="pass only one of them",
             code="option-conflict",
         )
     scene = model if isinstance(model, SceneModel) else SceneModel.from_dataset(model)
     _check_model(scene, cube, line["wavelength"])
-    return _lazily(line, cube, scene, limits)
+    return _flag_lazily(line, cube, scene, limits)
 
 
 def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray) -> None:
-    problems = Problems("the scene model is not of this line", SchemaError)
+    problems = Problems("the scene model belongs to another line", SchemaError)
     lines, bands, columns = cube.shape
     if model.segment.shape != (lines, columns):
         problems.add(
@@ -172,20 +172,22 @@ def _check_model(model: SceneModel, cube: xr.DataArray, wavelength: xr.DataArray
             expected=f"({lines}, {columns}) as the line",
             code="grid-mismatch",
         )
-    # only the size of a lazy coordinate is compared
+    # a lazy coordinate is not computed: only its size is compared
     line_wavelength = model.wavelength if wavelength.chunks is not None else wavelength.values
     if model.wavelength.shape != (bands,) or not np.array_equal(
         model.wavelength, line_wavelength, equal_nan=True
     ):
         problems.add(
-            f"the model has other bands than the {bands} of the line",
-            mend="survey the same line that is flagged",
+            f"the bands of the model differ from the {bands} bands of the line",
+            mend="survey the line that is flagged",
             code="bands-differ",
         )
     problems.raise_if_any()
 
 
-def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]) -> xr.Dataset:
+def _flag_lazily(
+    line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dict[str, float]
+) -> xr.Dataset:
     data = line_chunked(cube).data
     starts = tuple(int(start) for start in np.cumsum((0, *data.chunks[0][:-1])))
     blocks = da.map_blocks(
@@ -212,8 +214,8 @@ def _lazily(line: xr.Dataset, cube: xr.DataArray, model: SceneModel, limits: dic
         layers[name].attrs["threshold"] = limits[limit]
     bits = layers["quality"]
     if "quality" in line.variables:
-        before = schema.require(line, ["quality"], "flags")["quality"].variable
-        bits = bits.copy(data=(bits.variable | before.transpose(*pixel)).data)
+        line_bits = schema.require(line, ["quality"], "flags")["quality"].variable
+        bits = bits.copy(data=(bits.variable | line_bits.transpose(*pixel)).data)
     origin = f"diffuse fraction: {model.attrs.get('diffuse_fraction_from', 'unknown')}"
     layers["quality"] = schema.label(bits, "quality", flags_from=origin)
     return line.assign(layers)
@@ -231,23 +233,23 @@ def _flag_block(
 
     start = starts[block_id[0]]
     stop = start + len(block)
-    seen = to_channels(block, model.channel)
-    to_nominal_channels(seen, model.channel_wavelength, model.shift)
-    shape = seen.shape[:2]
+    channels = to_channels(block, model.channel)
+    to_nominal_channels(channels, model.channel_wavelength, model.shift)
+    shape = channels.shape[:2]
     neighbours = model.neighbours(start, stop)
     amount = np.empty((*shape, PARTS), np.float32)
     added = np.empty((*shape, 2), np.float32)
     together, misfit = np.empty((2, *shape), np.float32)
-    # no surface gets more direct light than one that faces the sun
-    max_amounts, lean = most_amounts(), 0.0
+    # a surface that faces the sun gets the maximum of direct light
+    max_amounts, lean = max_excesses(), 0.0
     zenith = float(model.attrs.get("sun_zenith", np.nan))
     if np.isfinite(zenith):
         max_amounts[0] = FLAGS.max_direct / max(np.cos(np.radians(zenith)), 0.2)
-        # excess of direct light, over level ground, on a surface that mirrors the sun upwards
+        # excess of direct light over level ground on a surface that mirrors the sun to the zenith
         angle = np.radians(min(zenith, 80.0))
         lean = float(np.cos(angle / 2) / np.cos(angle) - 1.0)
     unmix_lines(
-        seen,
+        channels,
         arguments.Bodies(model.bodies(start, stop), model.reference, neighbours),
         arguments.LightParts(
             *Light.under(model.diffuse_fraction, model.zenith_radiance, model.sunward_radiance)
@@ -258,20 +260,21 @@ def _flag_block(
         arguments.Glinting(lean, MIRROR.coat),
         arguments.Unmixed(amount, added, together, misfit),
     )
-    most = np.argmax(added, axis=2)[..., None]
+    brightest = np.argmax(added, axis=2)[..., None]
+    adjacency_segment = np.take_along_axis(neighbours, brightest, 2)[..., 0]
     layers = {
         "glint_fraction": amount[..., 2],
         "blocked_direct": 1.0 - amount[..., 0],
         "adjacency": together,
-        "adjacency_segment": np.where(together > 0, np.take_along_axis(neighbours, most, 2)[..., 0], -1),
+        "adjacency_segment": np.where(together > 0, adjacency_segment, -1),
         "mirrored_sky": amount[..., 3],
     }
     bits = np.zeros(shape, np.uint16)
     added_glint = layers["glint_fraction"] * (1.0 - model.diffuse_fraction).mean()
-    rest = np.maximum(seen.mean(axis=2) - added_glint, 0.0)
-    mirrored = added_glint > np.maximum(limits["glint"] * rest, FLAGS.min_glint)
+    without_glint = np.maximum(channels.mean(axis=2) - added_glint, 0.0)
+    in_glint = added_glint > np.maximum(limits["glint"] * without_glint, FLAGS.min_glint)
     lobe = model.lobe[start:stop]
-    bits[mirrored & (lobe > 0)] |= np.uint16(Quality.GLINT)
+    bits[in_glint & (lobe > 0)] |= np.uint16(Quality.GLINT)
     bits[_shaded(layers["blocked_direct"], model, slice(start, stop), limits["shadow"])] |= np.uint16(
         Quality.SHADOW
     )
@@ -286,16 +289,18 @@ def _flag_block(
 
 
 def _shaded(missing: Array, model: SceneModel, lines: slice, limit: float) -> Bools:
+    # Whether the missing direct light of pixels (line, column) is that of a cast shadow
     segment = model.segment[lines]
     on_ground = np.append(model.ground > 0, False)[segment]
     near = on_ground & (model.shade_distance[lines] <= FLAGS.penumbra_px)
-    # surfaces that lean away from the sun beside a shadow, or in a segment with one, lack light as well
-    on_things = ~on_ground & np.append(model.state == SHADED, False)[segment]
-    most = max(limit, FLAGS.min_missing_on_things)
-    return np.asarray(near & (missing >= limit) | on_things & (missing >= most))
+    # surfaces that lean away from the sun lack direct light, too: on objects more of it must be missing
+    on_objects = ~on_ground & np.append(model.state == SHADED, False)[segment]
+    object_limit = max(limit, FLAGS.min_missing_on_objects)
+    return np.asarray(near & (missing >= limit) | on_objects & (missing >= object_limit))
 
 
-_LOOKED_FOR = Quality.GLINT | Quality.SHADOW | Quality.ADJACENCY | Quality.MIXED_EDGE
+_SURVEYED_FLAGS = flags_set_from("scene")
+#: Arguments of `flag` that are thresholds.
 _LIMITS = ("glint", "shadow", "adjacency", "edge")
 
 
@@ -303,36 +308,36 @@ _LIMITS = ("glint", "shadow", "adjacency", "edge")
 class Flagged:
     """A line with its flags."""
 
-    line: xr.Dataset  #: The line with ``quality``, and the layers its bits are set from, lazy.
-    seen: xr.Dataset  #: The surveyed line, at nominal wavelengths where it has smile.
+    line: xr.Dataset  #: The line with ``quality`` and `LAYERS`, lazy.
+    surveyed: xr.Dataset  #: The line as surveyed: at nominal wavelengths where it has smile.
     model: SceneModel  #: From `hyperpaint.surroundings.survey`.
 
 
 def is_flagged(line: xr.Dataset) -> bool:
     """Return whether a line was searched for glint, shadow, adjacency or mixed edges.
 
-    Reads ``quality``, where its attributes do not say so.
+    Reads the values of ``quality`` where its attributes do not record the search.
     """
     if "quality" not in line.variables:
         return False
     quality = line["quality"]
-    return "flags_from" in quality.attrs or bool((quality & np.uint16(_LOOKED_FOR)).any())
+    return "flags_from" in quality.attrs or bool((quality & np.uint16(_SURVEYED_FLAGS)).any())
 
 
 def flag_line(
     line: xr.Dataset, *, progress: Callable[[int, int], None] | None = None, **options: Any
 ) -> Flagged:
-    """Survey a line with ``reflectance``, and flag it; with smile above 1 nm, at nominal wavelengths.
+    """Survey a line with ``reflectance``, and flag it; a line with smile above 1 nm at nominal wavelengths.
 
-    ``options`` are thresholds of `flag` and options of `survey`; ``progress`` is called with lines surveyed
-    and to do; flags are lazy. Raises as `flag` and `survey`.
+    ``options`` are thresholds of `flag` and options of `survey`; ``progress`` is called with the numbers of
+    surveyed lines and of all lines; flags are lazy. Raises as `flag` and `survey`.
     """
     has_smile = (
         "wavelength_shift" in line.variables
         and (np.abs(line["wavelength_shift"].values) > FLAGS.max_smile_nm).any()
     )
-    seen = to_nominal(line) if has_smile else line
+    surveyed = to_nominal(line) if has_smile else line
     limits = {name: options.pop(name) for name in _LIMITS if name in options}
-    model = survey(seen, progress=progress, **options)
-    flagged = flag(seen, model, **limits)
-    return Flagged(line.assign({name: flagged[name] for name in ("quality", *LAYERS)}), seen, model)
+    model = survey(surveyed, progress=progress, **options)
+    flagged = flag(surveyed, model, **limits)
+    return Flagged(line.assign({name: flagged[name] for name in ("quality", *LAYERS)}), surveyed, model)

@@ -1,6 +1,7 @@
-"""Division of the light of a line into direct and diffuse, measured, modelled or declared, and its sky.
+"""Division of the light of a line into direct and diffuse light, and the distribution of its sky.
 
-The only place that chooses the source of a diffuse fraction; `survey`, the corrections and signatures use it.
+Only this module chooses the source of a diffuse fraction: measured, modelled or declared. `survey`, the
+corrections and signatures use it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import ALONG_TRACK, BAND, SIGNATURE
 from hyperpaint.light.diffuse_record import SKY_STATES, SPLIT, split_of_lines
 from hyperpaint.light.sun import diffuse_fraction
@@ -28,60 +30,61 @@ from .sun_and_sky import (
     sun_zenith_of,
 )
 
-#: Warning where only the position of the sun is known.
+#: Warning for a line without an irradiance record.
 CLEAR_SKY_ASSUMED = (
-    "no irradiance record tells the state of the sky, a clear sky is assumed; pass diffuse='model' where "
+    "no irradiance record shows the state of the sky, a clear sky is assumed; pass diffuse='model' where "
     "it was clear, or a measured spectrum"
 )
 
-#: Warning where most lines match no possible sky.
+#: Warning for a line whose record mostly fits no possible sky.
 CONTRADICTION = (
     "the irradiance record contradicts every sky with the sun at {zenith:.1f} degrees from the zenith: check "
     "the clocks (utc_offset_h) and the receiver's calibration, pass sun_zenith= where the clock is wrong, or "
     "diffuse= where the split was measured; until then the split is uncertain"
 )
 
-#: Difference of ``sun_zenith`` from the clock's, beyond which the split is computed anew [degree].
+#: Maximum difference between ``sun_zenith`` and the angle from the clock; beyond, the split is computed again
+#: [degree].
 MAX_CLOCK_DEG = 2.0
 
-#: Sky of a line with ``sky_state``.
+#: Value of ``LightSplit.sky`` where the record determines the sky.
 RECORDED = "as recorded"
 
 CONTRADICTORY = SKY_STATES.index("contradictory")
 
-#: Replaces the number of `SKY_STATES` where the state of the sky is unknown, as for a measured split.
+#: Number of an unknown state of the sky, as for a measured split; see `SKY_STATES`.
 UNKNOWN_STATE = -1
 
-#: Minimum share of the lines with a state that is listed for a mean [1].
+#: Minimum share of the lines for a state that `LightSplit.states` lists [1].
 MIN_STATE_SHARE = 0.1
 
-#: Standard uncertainty of a modelled clear sky's fraction, relative to f (1 - f): aerosol of 0.05 to 0.25.
+#: Standard uncertainty of a modelled clear sky's diffuse fraction f, relative to f (1 - f): it covers aerosol
+#: optical depths of 0.05 to 0.25 [1].
 MODEL_U = 0.2
 
 
 @dataclass(frozen=True)
 class LightSplit:
-    """The diffuse part of the light, and its origin in the sky.
+    """The diffuse fraction of the light, with the sky that it comes from.
 
-    ``fraction`` and ``u``, its standard uncertainty, have dims (band,), or (along_track, band) or (signature,
-    band) where they differ; ``cloud``, without ``band``, is the weight of an overcast sky in a clear one [1].
-    Lazy where the line is. ``zenith`` of the sun is NaN where it is unknown and not needed [degree].
+    Arrays have dims (band,); (along_track, band) where they differ from line to line; (signature, band) where
+    they differ from paint to paint. They are lazy where the line is lazy.
     """
 
     wavelength: Floats  #: (band,) [nm]
-    fraction: xr.DataArray
-    u: xr.DataArray
-    cloud: Any
-    source: str  #: Source of the fraction, as in attributes.
+    fraction: xr.DataArray  #: Diffuse fraction [1].
+    u: xr.DataArray  #: Its standard uncertainty [1].
+    cloud: Any  #: Weight of an overcast sky in a mixture with a clear sky, without ``band`` [1].
+    source: str  #: Source of the fraction, in words for attributes.
     sky: str  #: One of `SKIES`, or `RECORDED`.
-    zenith: float
-    state: Any = UNKNOWN_STATE  #: Number in `SKY_STATES`, or of each line's; or `UNKNOWN_STATE`.
-    states: tuple[str, ...] = ()  #: States of the sky that occur; of a mean only.
+    zenith: float  #: Zenith angle of the sun [degree]; NaN where it is unknown and not needed.
+    state: Any = UNKNOWN_STATE  #: Number in `SKY_STATES`, also as an array over lines; or `UNKNOWN_STATE`.
+    states: tuple[str, ...] = ()  #: Frequent states of the sky; only of a mean over lines.
 
     def mean(self) -> LightSplit:
         """Return the mean over lines; eager."""
-        over = [dim for dim in self.fraction.dims if dim != BAND]
-        if not over:
+        line_dims = [dim for dim in self.fraction.dims if dim != BAND]
+        if not line_dims:
             return self
         import dask
 
@@ -90,28 +93,28 @@ class LightSplit:
         numbers, counts = np.unique(state, return_counts=True)
         frequent = numbers[(counts > MIN_STATE_SHARE * counts.sum()) & (numbers != UNKNOWN_STATE)]
         words = tuple(SKY_STATES[number] for number in frequent)
-        # the uncertainty of the sky is common to its lines
-        spread = np.sqrt((u**2).mean(over) + fraction.var(over))
+        # errors of the sky are common to all lines: their variance does not fall with the number of lines
+        mean_u = np.sqrt((u**2).mean(line_dims) + fraction.var(line_dims))
         weight = cloud.mean() if hasattr(cloud, "mean") else cloud
-        whole = fraction.mean(over)
-        has_value = np.isfinite(whole.values)
+        mean = fraction.mean(line_dims)
+        has_value = np.isfinite(mean.values)
         if not has_value.any():
             raise SchemaError(
-                "'diffuse_fraction' of the line, or of its irradiance record, has no value",
+                "'diffuse_fraction' of the line, or of its irradiance record, has no finite value",
                 mend="pass diffuse= with a measured spectrum, or 'model' where the sky was clear",
                 option="give --set diffuse=",
                 code="diffuse-fraction-empty",
             )
         if not has_value.all():  # bands without irradiance are interpolated
             nm = self.wavelength
-            whole, spread = (
+            mean, mean_u = (
                 array.copy(data=np.interp(nm, nm[has_value], array.values[has_value]))
-                for array in (whole, spread)
+                for array in (mean, mean_u)
             )
         return LightSplit(
             self.wavelength,
-            whole,
-            spread,
+            mean,
+            mean_u,
             float(weight),
             self.source,
             self.sky,
@@ -124,7 +127,7 @@ class LightSplit:
         """Return `mirrored_radiances` of a mean (band,) [1]."""
         if not np.isfinite(self.zenith) and self.sky not in ("uniform", "overcast"):
             raise SchemaError(
-                "the position of the sun, which the mirrored sky depends on, is unknown",
+                "the mirrored sky depends on the position of the sun, which is unknown",
                 mend="pass sun_zenith= [degree]",
                 option="give --sun-zenith",
                 code="sun-unknown",
@@ -147,9 +150,9 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
     line
         With ``wavelength``.
     diffuse
-        None for the line's own ``diffuse_fraction`` and ``sky_state``, else the split that follows from its
-        record of ``irradiance``; a clear sky, with a warning, without either. "model" or "pvlib" for a clear
-        sky; or a measured spectrum.
+        "model" or "pvlib" for a clear sky; or a measured spectrum. None uses ``diffuse_fraction`` and
+        ``sky_state`` of the line, or the split from its ``irradiance`` record, or, without either, a clear
+        sky with a warning.
     sun_zenith
         [degree]; by default from time and place.
     sky
@@ -165,8 +168,8 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
     PaintWarning
         `CLEAR_SKY_ASSUMED`.
     """
-    if sky is not None and sky not in SKIES:
-        raise SchemaError(f"sky={sky!r}", expected=f"one of {', '.join(SKIES)}", code="choice-unknown")
+    if sky is not None:
+        one_of(sky, SKIES, "sky")
     wavelength = line["wavelength"].values.astype(np.float64)
     if not isinstance(diffuse, str) and diffuse is not None:
         fraction = xr.DataArray(measured_fraction(diffuse, wavelength), dims=BAND)
@@ -175,9 +178,9 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
         zenith = sun_zenith_of(line, sun_zenith) if has_sun or name == "clear" else float("nan")
         cloud = float(name == "overcast")
         return LightSplit(wavelength, fraction, 0.0 * fraction, cloud, "measured", name, zenith)
-    declared = _own(line, sun_zenith) if diffuse is None else None
+    declared = _line_split(line, sun_zenith) if diffuse is None else None
     if declared is not None:
-        return _recorded(line, declared, wavelength, sun_zenith, sky)
+        return _from_line_split(line, declared, wavelength, sun_zenith, sky)
     if diffuse is not None and diffuse not in SOURCES:
         raise SchemaError(
             f"diffuse={diffuse!r}",
@@ -190,48 +193,43 @@ def split_of(line: xr.Dataset, diffuse: Any, sun_zenith: float | None, sky: str 
     fraction = xr.DataArray(diffuse_from_clear_sky(diffuse or "model", wavelength, zenith), dims=BAND)
     source = f"{diffuse or 'model'}, sun zenith {zenith:.4g} degree"
     name = sky or "clear"
-    spread = MODEL_U * fraction * (1.0 - fraction)
+    u = MODEL_U * fraction * (1.0 - fraction)
     cloud, state = float(name == "overcast"), SKY_STATES.index("overcast" if name == "overcast" else "clear")
-    return LightSplit(wavelength, fraction, spread, cloud, source, name, zenith, state)
+    return LightSplit(wavelength, fraction, u, cloud, source, name, zenith, state)
 
 
-def says_its_split(line: xr.Dataset) -> bool:
-    """Return whether a line declares the division of its light, or has a record that it follows from."""
-    return _own(line, None) is not None
+def has_split(line: xr.Dataset) -> bool:
+    """Return whether a line declares its diffuse fraction, or has a record from which it follows."""
+    return _line_split(line, None) is not None
 
 
 def warn_of_contradiction(states: Any, zenith: float) -> None:
-    """Warn where most of the lines' states, numbers of `SKY_STATES`, are "contradictory"."""
+    """Warn where most of the lines' states, numbers in `SKY_STATES`, are "contradictory"."""
     if np.mean(np.asarray(states) == CONTRADICTORY) > 0.5:
         warnings.warn(
             PaintWarning(CONTRADICTION.format(zenith=zenith), code="sky-contradictory"), stacklevel=3
         )
 
 
-def _own(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
+def _line_split(line: xr.Dataset, sun_zenith: float | None) -> xr.Dataset | None:
     # Declared split of a line, or the split from its record; None without either
+    is_declared = "diffuse_fraction" in line.variables and BAND in line["diffuse_fraction"].dims
     if SIGNATURE in line.dims or ALONG_TRACK not in line.dims:
-        # small for paints; without any finite value there is no split
-        declared = line["diffuse_fraction"] if "diffuse_fraction" in line.variables else None
-        return (
-            _held(line)
-            if declared is not None and BAND in declared.dims and np.isfinite(declared).any()
-            else None
-        )
+        # a paint library is small: its values are read
+        has_value = is_declared and np.isfinite(line["diffuse_fraction"]).any()
+        return _declared_split(line) if has_value else None
     if (
         sun_zenith is not None
         and set(SUN_FROM) <= set(line.variables)
         and abs(sun_zenith_of(line, None) - sun_zenith) > MAX_CLOCK_DEG
-        and (anew := split_of_lines(line, sun_zenith=float(sun_zenith))) is not None
+        and (recomputed := split_of_lines(line, sun_zenith=float(sun_zenith))) is not None
     ):
-        return anew
-    if "diffuse_fraction" in line.variables and BAND in line["diffuse_fraction"].dims:
-        return _held(line)
-    return split_of_lines(line)
+        return recomputed
+    return _declared_split(line) if is_declared else split_of_lines(line)
 
 
-def _held(line: xr.Dataset) -> xr.Dataset:
-    # Split declared by a line or a library; raise where it belongs to samples of the record
+def _declared_split(line: xr.Dataset) -> xr.Dataset:
+    # Split declared by a line or a library; raise for one on the samples of the irradiance record
     dims = line["diffuse_fraction"].dims
     if not set(dims) <= {ALONG_TRACK, SIGNATURE, BAND}:
         raise SchemaError(
@@ -243,9 +241,10 @@ def _held(line: xr.Dataset) -> xr.Dataset:
     return line[[name for name in SPLIT if name in line.variables]].reset_coords(drop=True)
 
 
-def _recorded(
+def _from_line_split(
     line: xr.Dataset, declared: xr.Dataset, wavelength: Floats, sun_zenith: float | None, sky: str | None
 ) -> LightSplit:
+    # The split of a line, with the weight of an overcast sky from its states and its diffuse fraction
     fraction = declared["diffuse_fraction"].astype(np.float64)
     if ALONG_TRACK in fraction.dims and ALONG_TRACK in line.coords:
         fraction = fraction.assign_coords({ALONG_TRACK: line[ALONG_TRACK]})
@@ -256,7 +255,7 @@ def _recorded(
     )
     try:
         zenith = sun_zenith_of(line, sun_zenith)
-    except SchemaError:  # raised later where it is needed
+    except SchemaError:  # raised later if the angle is needed
         if sun_zenith is not None:
             raise
         zenith = float("nan")
@@ -265,14 +264,14 @@ def _recorded(
     if "sky_state" in declared:
         state = declared["sky_state"].reset_coords(drop=True)
     if sky is None:
-        middle = int(np.nanargmin(np.abs(wavelength - 550.0)))
-        clear = float(diffuse_fraction(wavelength[[middle]], zenith if np.isfinite(zenith) else 45.0)[0])
-        share = ((fraction.isel({BAND: middle}) - clear) / (1.0 - clear)).clip(0.0, 1.0)
-        share = share.reset_coords(drop=True) if hasattr(share, "reset_coords") else share
-        # for unknown and broken skies the weight of overcast follows from the fraction
-        clear_words = [SKY_STATES.index(word) for word in ("clear", "hazy")]
+        # excess of the fraction at 550 nm over a clear sky: the weight for unknown and broken skies
+        green = int(np.nanargmin(np.abs(wavelength - 550.0)))
+        clear = float(diffuse_fraction(wavelength[[green]], zenith if np.isfinite(zenith) else 45.0)[0])
+        excess = ((fraction.isel({BAND: green}) - clear) / (1.0 - clear)).clip(0.0, 1.0)
+        excess = excess.reset_coords(drop=True) if hasattr(excess, "reset_coords") else excess
+        clear_states = [SKY_STATES.index(word) for word in ("clear", "hazy")]
         overcast = SKY_STATES.index("overcast")
-        known_state = state if hasattr(state, "isin") else xr.full_like(share, state)
-        cloud = share.where(~known_state.isin(clear_words), 0.0).where(known_state != overcast, 1.0)
+        states = state if hasattr(state, "isin") else xr.full_like(excess, state)
+        cloud = excess.where(~states.isin(clear_states), 0.0).where(states != overcast, 1.0)
     source = "of the lines' own record"
     return LightSplit(wavelength, fraction, u, cloud, source, sky or RECORDED, zenith, state)

@@ -20,42 +20,42 @@ Index = npt.NDArray[np.int32]
 CELL = 4
 
 
-def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first: int) -> Index:
-    """Return the two nearest coloured bodies, of other paint than its own, for the pixels of some lines.
+def two_nearest(neighbour: Index, body: Index, paint: Index, number: Index, first_line: int) -> Index:
+    """Return the two coloured bodies nearest to every pixel of some lines, of other paints than the pixel.
 
     (line, column, 2), int32: numbers of segments, -1 for none. Takes ``neighbour`` (cell_along, cell_cross,
     rank): segments nearest to a cell, -1 for none; ``body`` (segment,): body of a segment; ``paint``
     (segment,): the same number for all bodies of one paint; ``number`` (line, column): segment of every
-    pixel of these lines, -1 without data; ``first``: number of the first of these lines.
+    pixel of these lines, -1 without data; ``first_line``: number of the first of these lines.
     """
     lines, columns = number.shape
-    cells = neighbour[(first + np.arange(lines)) // CELL][:, np.arange(columns) // CELL]
+    cells = neighbour[(first_line + np.arange(lines)) // CELL][:, np.arange(columns) // CELL]
     return _first_two(cells, body, paint, number)
 
 
-def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, places: Ints) -> Index:
-    """Return `two_nearest` of pixels of a whole line at places counted line by line (pixel, 2)."""
-    line, column = np.divmod(places, number.shape[1])
+def nearest_at(neighbour: Index, body: Index, paint: Index, number: Index, pixels: Ints) -> Index:
+    """Return `two_nearest` (pixel, 2) of pixels (pixel,) given as flat indices into a complete line."""
+    line, column = np.divmod(pixels, number.shape[1])
     return _first_two(neighbour[line // CELL, column // CELL], body, paint, number[line, column])
 
 
-def _first_two(cells: Index, body: Index, paint: Index, number: Index) -> Index:
-    # First two bodies of other paint among the segments nearest to pixels (..., rank)
+def _first_two(candidates: Index, body: Index, paint: Index, number: Index) -> Index:
+    # First two bodies of other paints than the pixels' among candidate segments (..., rank)
     bodies = np.append(body, np.int32(-1))
     paints = np.append(paint, np.int32(-2))
-    own_paint = paints[number]
+    pixel_paint = paints[number]
     nearest = np.full((*number.shape, 2), -1, np.int32)
-    for rank in range(cells.shape[-1]):
-        here = bodies[cells[..., rank]]
-        fresh = (here >= 0) & (paints[here] != own_paint) & (here != nearest[..., 0])
-        into_first = fresh & (nearest[..., 0] < 0)
-        into_second = fresh & ~into_first & (nearest[..., 1] < 0)
-        nearest[..., 0] = np.where(into_first, here, nearest[..., 0])
-        nearest[..., 1] = np.where(into_second, here, nearest[..., 1])
+    for rank in range(candidates.shape[-1]):
+        candidate = bodies[candidates[..., rank]]
+        is_new = (candidate >= 0) & (paints[candidate] != pixel_paint) & (candidate != nearest[..., 0])
+        into_first = is_new & (nearest[..., 0] < 0)
+        into_second = is_new & ~into_first & (nearest[..., 1] < 0)
+        nearest[..., 0] = np.where(into_first, candidate, nearest[..., 0])
+        nearest[..., 1] = np.where(into_second, candidate, nearest[..., 1])
     return nearest
 
 
-#: States of a segment: in full light; another body's cast shadow; another body under the sun's mirror image.
+#: States of a segment: its surface in full light, in cast shadow, or under the sun's mirror image.
 LIT, SHADED, GLINTED = 0, 1, 2
 
 #: Field to its dims, dtype, units and meaning.
@@ -91,13 +91,12 @@ _LAYOUT: dict[str, tuple[tuple[str, ...], str, str, str]] = {
     "reference": (("segment_number", "channel"), "float64", "1", "Reflectance of the body in full light"),
 }  # fmt: skip
 
-#: Values of older models without these fields: a uniform sky, glint wherever it fits, and shadows on
-#: all objects as on the ground.
+#: Values of fields that older models lack: a uniform sky, glint allowed in all pixels, all bodies ground.
 _DEFAULTS = {"zenith_radiance": 1.0, "sunward_radiance": 0.0, "lobe": 1, "ground": 1}
 
 
 def _fits(values: Array, dtype: np.dtype[Any]) -> bool:
-    # checked before a cast wraps others around
+    # Whether a cast to `dtype` keeps all values in range
     if values.dtype.kind not in "iufb":
         return False
     if dtype.kind == "f" or not values.size:
@@ -116,8 +115,8 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
                 f"{name!r} refers to segments other than the {count} of the model", code="segment-unknown"
             )
     if "channel" in fields:
-        used = np.unique(fields["channel"])
-        if not channels or not np.array_equal(used[used != -1], np.arange(channels)):
+        numbers = np.unique(fields["channel"])
+        if not channels or not np.array_equal(numbers[numbers != -1], np.arange(channels)):
             problems.add(
                 "'band_channel' is incomplete",
                 expected=f"each of the {channels} channels, and -1 for unused bands",
@@ -133,7 +132,7 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
             )
     if not np.isfinite(fields.get("shift", np.empty(0))).all():
         problems.add("'shift' is not finite", code="not-finite")
-    for name, least, most in (
+    for name, low, high in (
         ("noise", 0.0, np.inf),
         ("tilt", 1e-6, np.inf),
         ("diffuse_fraction", 0.0, 1.0),
@@ -141,23 +140,21 @@ def _check_numbers(fields: dict[str, Any], sizes: Mapping[Any, int], problems: P
         ("sunward_radiance", 0.0, np.inf),
     ):
         values = fields.get(name, np.empty(0))
-        if not (np.isfinite(values) & (values >= least) & (values <= most)).all():
-            problems.add(
-                f"{name!r} is not finite, or outside {least:g} to {most:g}", code="value-out-of-range"
-            )
+        if not (np.isfinite(values) & (values >= low) & (values <= high)).all():
+            problems.add(f"{name!r} is not finite, or outside {low:g} to {high:g}", code="value-out-of-range")
 
 
 @dataclass(frozen=True, eq=False)
 class SceneModel:
     """Segments of a flight line, their spectra in full light, and their neighbours.
 
-    Made by `hyperpaint.surroundings.survey`; `to_dataset` returns a form that can be stored. Spectra are
-    spectra of *channels*, means over some neighbouring bands.
+    `hyperpaint.surroundings.survey` returns it; `to_dataset` returns a form that can be stored. Spectra are
+    in *channels*, means over some neighbouring bands.
 
     Attributes
     ----------
     wavelength : (band,)
-        Of the surveyed line [nm].
+        Wavelengths of the surveyed line [nm].
     channel : (band,)
         Channel of every band; -1 for bands that are not used.
     channel_wavelength : (channel,)
@@ -183,8 +180,8 @@ class SceneModel:
     neighbour : (cell_along, cell_cross, rank)
         Coloured segments nearest to a cell of 4 x 4 pixels, nearest first; -1 for none.
     size, state, body : (segment_number,)
-        Pixels of a segment; `LIT`, `SHADED` or `GLINTED`; and the segment, mostly itself, that shows the
-        same surface in full light.
+        Number of pixels of a segment; `LIT`, `SHADED` or `GLINTED`; and the segment that shows the same
+        surface in full light, for lit segments the segment itself.
     ground : (segment_number,), int8
         1 where the body is level ground, 0 where it is an object that may lean; 1 in models stored without
         it.
@@ -262,7 +259,7 @@ class SceneModel:
         Raises `SchemaError`: variables are missing or have other dims, types or sizes, numbers refer to
         unknown segments or channels, or values are out of range; all are listed.
         """
-        problems = Problems("this is no scene model", SchemaError)
+        problems = Problems("the dataset is not a scene model", SchemaError)
         fields: dict[str, Any] = {}
         for name, (dims, dtype, _, meaning) in _LAYOUT.items():
             stored = "band_channel" if name == "channel" else name

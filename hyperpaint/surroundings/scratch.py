@@ -22,16 +22,16 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 if TYPE_CHECKING:
     import dask.array as da
 
-#: Memory of a survey for every pixel, beside the channels in their file, measured on 12,000 lines [byte].
-SURVEYED_BYTES = 30
-#: Maximum size of an array in memory [byte]: a layer of some 3,000 lines.
-MOST_IN_MEMORY_BYTES = 8 * 2**20
+#: Memory of a survey per pixel, without the channels in their file, measured on 12,000 lines [byte].
+SURVEY_BYTES_PER_PIXEL = 30
+#: Size of an array above which it is mapped to a file [byte]: a layer of some 3,000 lines.
+MAX_ARRAY_BYTES_IN_MEMORY = 8 * 2**20
 
-#: Chunks computed at a time: enough for the threads of a laptop, few enough for its memory.
+#: Number of chunks computed together: enough for the threads of a laptop, few enough for its memory.
 CHUNKS_AT_ONCE = 8
-#: Rows of an array gathered at a time.
+#: Number of rows gathered together.
 _ROWS = 64
-#: Lines processed together.
+#: Number of lines processed together.
 _LINES = 128
 
 
@@ -40,8 +40,8 @@ def survey_planned(line: xr.Dataset, subject: str) -> AbstractContextManager[Non
     from hyperpaint.io.store import budget
 
     pixels = math.prod(line.sizes.get(dim, 1) for dim in (ALONG_TRACK, CROSS_TRACK))
-    least = budget.LOADED + SURVEYED_BYTES * pixels
-    return budget.planned(subject, a_thread=budget.Load.of(line).a_thread, least=least)
+    survey_bytes = budget.LOADED + SURVEY_BYTES_PER_PIXEL * pixels
+    return budget.planned(subject, a_thread=budget.Load.of(line).a_thread, least=survey_bytes)
 
 
 def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:
@@ -50,11 +50,11 @@ def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:
     Raises `StoreError`: the disk is full.
     """
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    if size <= MOST_IN_MEMORY_BYTES:
+    if size <= MAX_ARRAY_BYTES_IN_MEMORY:
         return np.zeros(shape, dtype)
     try:
         with tempfile.TemporaryFile(prefix="hyperpaint-") as file:
-            # space is reserved now: a disk full at a later write would kill the process
+            # reserve the space now: a full disk at a later write to mapped memory would kill the process
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(file.fileno(), 0, size)
             else:  # pragma: no cover - not Linux
@@ -62,8 +62,8 @@ def scratch_array(shape: tuple[int, ...], dtype: Any) -> Array:
             mapped = mmap.mmap(file.fileno(), size)
     except OSError as error:
         raise StoreError(
-            f"no room for {size / 2**20:.0f} MiB of a flight line in {tempfile.gettempdir()}: {error}",
-            mend="make room there, set TMPDIR to another disk, or take fewer lines at a time",
+            f"no space for {size / 2**20:.0f} MiB of a flight line in {tempfile.gettempdir()}: {error}",
+            mend="free space there, set TMPDIR to another disk, or process fewer lines at a time",
             code="disk-full",
         ) from error
     return np.ndarray(shape, dtype, buffer=mapped)
@@ -78,43 +78,42 @@ def release(array: Array) -> None:
         base.madvise(mmap.MADV_DONTNEED)
 
 
-def gather(array: Array, places: Array) -> Array:
-    """Return rows of an array; the pages mapped around each row are released in between."""
-    pieces = [places[first : first + _ROWS] for first in range(0, places.size, _ROWS)]
-    out = np.empty((places.size, *array.shape[1:]), array.dtype)
-    for first, piece in enumerate(pieces):
-        out[first * _ROWS : first * _ROWS + piece.size] = array[piece]
+def gather(array: Array, indices: Array) -> Array:
+    """Return rows of a mapped array; its pages are released after every `_ROWS` rows."""
+    rows = np.empty((indices.size, *array.shape[1:]), array.dtype)
+    for start in range(0, indices.size, _ROWS):
+        rows[start : start + _ROWS] = array[indices[start : start + _ROWS]]
         release(array)
-    return out
+    return rows
 
 
 def trim_memory() -> None:
-    """Return freed memory of the allocator to the system, where it supports this."""
+    """Return freed memory of the allocator to the system, where the C library supports this."""
     with contextlib.suppress(OSError, AttributeError, TypeError):  # another C library than glibc
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def line_parts(array: Array, more: int = 0) -> Iterator[tuple[slice, Array]]:
-    """Yield some lines of an array at a time, with ``more`` lines that follow; memory is released."""
-    for first in range(0, len(array), _LINES):
-        part = slice(first, min(first + _LINES, len(array)))
-        yield part, array[first : part.stop + more]
+def line_blocks(array: Array, overlap: int = 0) -> Iterator[tuple[slice, Array]]:
+    """Yield blocks of lines of a mapped array, each with ``overlap`` lines of the next block.
+
+    The pages of the array are released after every block.
+    """
+    for start in range(0, len(array), _LINES):
+        lines = slice(start, min(start + _LINES, len(array)))
+        yield lines, array[start : lines.stop + overlap]
         release(array)
 
 
 def compute_into(lazy: Sequence[da.Array], outs: Sequence[Array], progress: Progress | None = None) -> None:
-    """Compute arrays of equal chunks along their lines into other arrays, some chunks at a time."""
+    """Compute lazy arrays with equal chunks along their lines into ``outs``, some chunks at a time."""
     import dask
 
-    from hyperpaint.io.store.budget import share_one_heap
-
-    share_one_heap()
     edges = [0, *np.cumsum(lazy[0].chunks[0]).tolist()]
-    for first in range(0, len(edges) - 1, CHUNKS_AT_ONCE):
-        part = slice(edges[first], edges[min(first + CHUNKS_AT_ONCE, len(edges) - 1)])
-        for out, values in zip(outs, dask.compute(*(array[part] for array in lazy)), strict=True):
-            out[part] = values
+    for chunk in range(0, len(edges) - 1, CHUNKS_AT_ONCE):
+        lines = slice(edges[chunk], edges[min(chunk + CHUNKS_AT_ONCE, len(edges) - 1)])
+        for out, values in zip(outs, dask.compute(*(array[lines] for array in lazy)), strict=True):
+            out[lines] = values
             release(out)
         if progress is not None:
-            progress(part.stop, edges[-1])
+            progress(lines.stop, edges[-1])
     trim_memory()

@@ -84,10 +84,10 @@ def _mean_angle(degrees: Any) -> float | None:
 
 
 def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Floats:
-    """Return the diffuse fraction (band,) [1] of a clear sky, by the core's model or by pvlib's.
+    """Return the diffuse fraction (band,) [1] of a clear sky, by `hyperpaint.light.sun` or by pvlib.
 
-    pvlib's SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) is run for sea level, 1.5 cm of
-    water vapour, 0.31 atm-cm of ozone and a turbidity of 0.1 at 500 nm.
+    ``source`` "pvlib" runs SPECTRL2 (Bird & Riordan, J. Climate Appl. Meteor. 25, 87, 1986) for sea level,
+    1.5 cm of water vapour, 0.31 atm-cm of ozone and a turbidity of 0.1 at 500 nm.
     """
     if source != "pvlib":
         return diffuse_fraction(wavelength, zenith)
@@ -111,10 +111,11 @@ def diffuse_from_clear_sky(source: str, wavelength: Floats, zenith: float) -> Fl
 
 
 def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
-    """Return a measured diffuse fraction at the bands' wavelengths; `SchemaError` where it does not fit them.
+    """Return a measured diffuse fraction at the wavelengths of the bands.
 
-    Takes ``fraction`` (band,) or DataArray with a coordinate ``wavelength``: reading in the shade of a small
-    disc over the reading in full light [1]; ``wavelength`` (band,): [nm].
+    Takes ``fraction``, an array (band,) or a DataArray with a coordinate ``wavelength``: reading in the shade
+    of a small disc over the reading in full light [1]; ``wavelength`` (band,) [nm]. Raises `SchemaError`: it
+    does not cover the bands, or values are missing or outside 0 to 1.
     """
     if hasattr(fraction, "coords") and "wavelength" in fraction.coords:
         nm = np.asarray(fraction["wavelength"].values, np.float64)
@@ -141,49 +142,50 @@ def measured_fraction(fraction: Any, wavelength: Floats) -> Floats:
 
 
 def fraction_in_shadow(
-    channels: Floats32, places: list[Ints], spectrum: Floats, size: Ints, matches: Matches
+    channels: Floats32, samples: list[Ints], spectrum: Floats, size: Ints, matches: Matches
 ) -> Floats:
-    r"""Return the diffuse fraction (channel,) from a shadow on the largest body with a large enough one.
+    r"""Return the diffuse fraction (channel,) from the cast shadows on the largest body that has one.
 
-    :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, from the pixels of the shadow that see most of the sky: the
-    60th to 90th percentile of brightness in the bluest quarter. Sky hidden by objects around, and light from
-    them, are unknown, and remain in it. Raises `SchemaError`: there is no such shadow.
+    :math:`f_{dif} = \rho_{shadow} / \rho_{sun}`, from the pixels of the shadows that see most of the sky: the
+    60th to 90th percentile of brightness in the bluest quarter of the channels. It is not corrected for the
+    unknown sky that objects hide, and the unknown light that they send. Takes ``samples``: flat indices of
+    pixels of every segment. Raises `SchemaError`: no cast shadow is large enough.
     """
     shaded = np.flatnonzero((matches.state == SHADED) & (size >= DIFFUSE.min_shadow_px))
     if not shaded.size:
         raise SchemaError(
-            f"diffuse='shadow': no cast shadow of {DIFFUSE.min_shadow_px} pixels beside its ground in full "
-            "sun",
+            f"diffuse='shadow': no cast shadow of at least {DIFFUSE.min_shadow_px} pixels on ground that is "
+            "also seen in full sun",
             mend="pass diffuse='model', or a measured spectrum",
             code="shadow-missing",
         )
-    ground = matches.body[shaded]
-    best = ground[np.argmax(size[ground])]
+    bodies = matches.body[shaded]
+    largest = bodies[np.argmax(size[bodies])]
     flat = channels.reshape(-1, channels.shape[2])
-    here = np.concatenate([places[segment] for segment in shaded[ground == best]])
-    values = gather(flat, here).astype(np.float64)
+    indices = np.concatenate([samples[segment] for segment in shaded[bodies == largest]])
+    values = gather(flat, indices).astype(np.float64)
     values = values[np.isfinite(values).all(axis=1)]
     blue = values[:, : max(1, values.shape[1] // 4)].mean(axis=1)
     low, high = np.quantile(blue, DIFFUSE.open_sky_quantiles)
-    open_ = values[(blue >= low) & (blue <= high)]
-    return np.asarray(np.clip(open_.mean(axis=0) / spectrum[best], 0.0, 1.0))
+    under_open_sky = values[(blue >= low) & (blue <= high)]
+    return np.asarray(np.clip(under_open_sky.mean(axis=0) / spectrum[largest], 0.0, 1.0))
 
 
-#: Distributions of sky radiance: `hyperpaint.light.sky_functions`, even, or CIE's overcast sky.
+#: Distributions of sky radiance: clear (`hyperpaint.light.sky_functions`), uniform, and CIE's overcast sky.
 SKIES = ("clear", "uniform", "overcast")
 
-#: Radiance of the zenith of a CIE overcast sky over that of a uniform one [1].
+#: Zenith radiance of a CIE overcast sky over the radiance of a uniform sky with the same irradiance [1].
 OVERCAST_ZENITH = 9.0 / 7.0
 
-#: Largest zenith angle of the sun in sky functions; lower suns are computed as this one [degree].
+#: Maximum zenith angle of the sun in sky functions; a lower sun is set to this angle [degree].
 MAX_SUN_ZENITH_DEG = 89.0
 
 
 def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple[Floats, Floats]:
     """Return the radiance of the zenith, and the excess of the sky around the sun over it (band,) [1].
 
-    Relative to the mean of the sky, one of `SKIES`; only a clear one has a brighter side. Takes
-    ``wavelength`` (band,) [nm] and the sun's zenith angle [degree].
+    Both are relative to the mean of the sky. Only a clear sky is brighter around the sun. Takes ``sky``, one
+    of `SKIES`, ``wavelength`` (band,) [nm] and the sun's zenith angle [degree].
     """
     zero = np.zeros(wavelength.shape)
     if sky != "clear":
@@ -193,5 +195,5 @@ def mirrored_radiances(sky: str, wavelength: Floats, sun_zenith: float) -> tuple
     cosine = np.cos(np.radians(max(zenith - MIRROR.from_sun_deg, 0.0)))
     from_sun = scattering_cosine(cosine, np.array(0.0), zenith)
     shapes = function_shapes(zenith)
-    parts = np.array([1.0, *(relative_radiance(shape, cosine, from_sun) for shape in shapes)])
-    return above, np.maximum(parts @ clear_sky_shares(wavelength, zenith) - above, 0.0)
+    radiances = np.array([1.0, *(relative_radiance(shape, cosine, from_sun) for shape in shapes)])
+    return above, np.maximum(radiances @ clear_sky_shares(wavelength, zenith) - above, 0.0)

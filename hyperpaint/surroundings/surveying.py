@@ -39,9 +39,9 @@ from .full_light import (
     without_sun,
 )
 from .light_split import LightSplit, split_of
-from .lobes import Picture, Shown, mirror_lobes, padded
+from .lobes import Picture, PixelBodies, mirror_lobes, padded
 from .model import CELL, LIT, SHADED, SceneModel, nearest_at
-from .scratch import compute_into, gather, line_parts, release, scratch_array, trim_memory
+from .scratch import compute_into, gather, line_blocks, release, scratch_array, trim_memory
 from .segments import (
     Segments,
     Touching,
@@ -56,27 +56,30 @@ from .segments import (
 )
 from .sun_and_sky import fraction_in_shadow, shadow_side_of
 
-# -- Leaves by their spectrum: lawns are ground and hold shadows; crowns of trees are no cars.
+# --- leaves by their spectrum: lawns are ground with shadows, crowns of trees are not cars -----------------
 
 
 @dataclass(frozen=True)
 class VegetationRules:
-    """The red edge: leaves rise within 50 nm, no further; blue paints do, too, and are brighter in blue."""
+    """The red edge of leaves: a rise within 50 nm, then a plateau.
 
-    blue_nm: tuple[float, float] = (430.0, 490.0)  #: In which leaves are darker than in the green [nm].
-    green_nm: tuple[float, float] = (535.0, 565.0)  #: In which they are brighter [nm].
-    red_nm: tuple[float, float] = (660.0, 690.0)  #: Below the red edge [nm].
+    Blue paints have such a rise, too; leaves are brighter in the green than in the blue.
+    """
+
+    blue_nm: tuple[float, float] = (430.0, 490.0)  #: Range of the blue [nm].
+    green_nm: tuple[float, float] = (535.0, 565.0)  #: Range of the green [nm].
+    red_nm: tuple[float, float] = (660.0, 690.0)  #: Range before the red edge [nm].
     edge_nm: tuple[float, float] = (735.0, 765.0)  #: End of the red edge [nm].
-    infrared_nm: tuple[float, float] = (790.0, 900.0)  #: Beyond it [nm].
-    min_edge: float = 3.0  #: Reflectance there over that in the red, at least [1].
-    max_rise: float = 1.4  #: Reflectance beyond over that, at most [1].
+    infrared_nm: tuple[float, float] = (790.0, 900.0)  #: Plateau beyond the red edge [nm].
+    min_edge: float = 3.0  #: Minimum reflectance at the end of the red edge over that in the red [1].
+    max_rise: float = 1.4  #: Maximum reflectance of the plateau over that at the end of the red edge [1].
 
 
 VEGETATION = VegetationRules()
 
 
 def is_vegetation(spectrum: Floats, wavelength: Floats) -> Bools:
-    """Return whether spectra (n, channel) [1] are those of leaves (n,); ``wavelength`` (channel,) [nm]."""
+    """Return whether spectra (n, channel) [1] are of leaves (n,); ``wavelength`` (channel,) [nm]."""
     rules = VEGETATION
     spans = (rules.blue_nm, rules.green_nm, rules.red_nm, rules.edge_nm, rules.infrared_nm)
     blue, green, red, edge, infrared = (
@@ -88,26 +91,26 @@ def is_vegetation(spectrum: Floats, wavelength: Floats) -> Bools:
 
 
 def _mean_over(spectrum: Floats, wavelength: Floats, span: tuple[float, float]) -> Floats:
-    chosen = (wavelength >= span[0]) & (wavelength <= span[1])
-    if not chosen.any():
-        chosen[np.argmin(np.abs(wavelength - 0.5 * sum(span)))] = True
-    return np.asarray(spectrum[:, chosen].mean(axis=1))
+    # Mean over a range of wavelengths; over the nearest channel where it contains none
+    inside = (wavelength >= span[0]) & (wavelength <= span[1])
+    if not inside.any():
+        inside[np.argmin(np.abs(wavelength - 0.5 * sum(span)))] = True
+    return np.asarray(spectrum[:, inside].mean(axis=1))
 
 
-# -- Cast shadows: segments that are another segment's surface, lit by the sky and by objects around only.
+# --- cast shadows: surfaces of other segments that only sky and objects around light -----------------------
 
 #: Directions (along, across) of the sides of `Touching`.
 _STEPS = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 
 
 class Scene(NamedTuple):
-    """Segments before shadows are known."""
+    """Segments as input to the search for shadows."""
 
     spectrum: Floats  #: (segment, channel): Reflectance [1].
-    size: Ints  #: (segment,): Pixels.
-    pairs: Touching  #: Which segments touch.
-    #: (segment,): Sides of pixels around a segment, those at the edge of the picture among them.
-    border: Floats
+    size: Ints  #: (segment,): Number of pixels.
+    pairs: Touching  #: Pairs of segments that touch.
+    border: Floats  #: (segment,): Number of pixel sides around it, including sides at the picture's edge.
 
 
 def match_shade(
@@ -118,29 +121,29 @@ def match_shade(
     light: Light,
     side: Array | None,
 ) -> tuple[Matches, Bools]:
-    r"""Return the segments that lie in a cast shadow, and the segments that are ground (segment,).
+    r"""Return the segments that lie in a cast shadow, and whether segments are ground (segment,).
 
-    A segment can be in the shadow of a body where
-    :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)`, the light of the sky and of one neighbour, fits it with
-    little c. Dark glass and black paint fit as well, so that the surroundings decide:
+    A segment may be a shadow on a body B where :math:`\rho_B (c f_{dir} + V f_{dif} + b \rho_n)`, the light
+    of the sky and of one neighbour n, fits its spectrum with a small c. Dark glass and black paint fit, too;
+    four steps of evidence distinguish them:
 
-    1. Certain are segments that see much of the sky, and touch their lit body on the side away from the sun,
-       or all around.
-    2. The ground is the body below most of these. On it, shadows may be darker and more coloured.
-    3. From there shadows extend to touching segments that are not part of an object in the sun.
-    4. Independent of the surroundings: segments with the sky's part of a body's light to 2 % in all channels,
-       beside that body, and with more of it than glass or black paint could mirror.
+    1. Certain shadows: they see much of the sky, and touch their lit body on the side away from the sun, or
+       all around.
+    2. Shadows on the ground, which is the body of most certain shadows. They may be darker and more coloured.
+    3. Segments that touch these shadows and are not part of an object in the sun.
+    4. By spectrum alone: segments beside a body with the sky's part of its light to 2 % in all channels, and
+       with more light than glass or black paint could mirror.
 
-    Segments with the spectrum of a dark body in the sun under a coat that mirrors the sky are excluded from 2
-    to 4.
+    Steps 2 to 4 exclude segments with the spectrum of a dark body in the sun under a coat that mirrors the
+    sky.
 
     Where clear shadows fall to another side than predicted, a `PaintWarning` is given, and the observed side
     is used.
 
     Takes ``number`` (line, column): segment of every pixel, -1 without data; ``spectrum`` (segment, channel):
-    reflectance [1]; ``size`` (segment,): pixels; ``pairs``: touching segments; ``light``: parts of the
-    irradiance; ``side`` (2,): direction (along, across) in which shadows fall; if None, from the clearest
-    shadows.
+    reflectance [1]; ``size`` (segment,): number of pixels; ``pairs``: touching segments; ``light``: parts of
+    the irradiance; ``side`` (2,): direction (along, across) in which shadows fall; if None, the clearest
+    shadows determine it.
     """
     count = len(spectrum)
     state, body = np.full(count, LIT, np.int8), np.arange(count, dtype=np.int32)
@@ -153,8 +156,8 @@ def match_shade(
     if not mixtures.segment.size:
         return Matches(state, body), ground
     sides = _lit_sides(mixtures, scene)
-    seen_side, coherence = _side_of_shadows(mixtures, sides, scene) or (None, 0.0)
-    agree = side is None or seen_side is None or seen_side @ side >= SHADOWS.min_agreement
+    observed_side, coherence = _side_of_shadows(mixtures, sides, scene) or (None, 0.0)
+    agree = side is None or observed_side is None or observed_side @ side >= SHADOWS.min_agreement
     if not agree and coherence >= SHADOWS.min_coherence:
         warnings.warn(
             PaintWarning(
@@ -164,52 +167,64 @@ def match_shade(
             ),
             stacklevel=2,
         )
-        side = seen_side
-    side = seen_side if side is None else side
+        side = observed_side
+    side = observed_side if side is None else side
     if side is None:
         _assign(mixtures, _by_spectrum(mixtures, scene, number), state, body)
         return Matches(state, body), ground
-    length, way = sides.sum(axis=1), sides @ (_STEPS @ side)
-    _assign(mixtures, _beyond_doubt(mixtures, length, way, border), state, body)
+    # step 1: certain shadows. Contact with the lit body: pixel sides, and their sum along `side`
+    length, away = sides.sum(axis=1), sides @ (_STEPS @ side)
+    _assign(mixtures, _are_certain(mixtures, length, away, border), state, body)
     ground = _ground(scene, state, body)
     possible = ~_coats_in_the_sun(mixtures, spectrum, light)
-    mixtures, length, way = mixtures.subset(possible), length[possible], way[possible]
+    mixtures, length, away = mixtures.subset(possible), length[possible], away[possible]
+    # step 2: shadows on the ground
     on_ground = ground[mixtures.body]
-    around = border[mixtures.segment]
-    touches = (length >= SHADOWS.on_ground.border * around) & (way >= SHADOWS.on_ground.way * length)
+    segment_border = border[mixtures.segment]
+    contact = SHADOWS.on_ground
+    touches = (length >= contact.border * segment_border) & (away >= contact.direction * length)
     touches &= length >= SHADOWS.min_contact_sides
-    loose = (mixtures.misfit < SHADOWS.max_misfit) & without_sun(mixtures)
+    fits = (mixtures.misfit < SHADOWS.max_misfit) & without_sun(mixtures)
+    # more direct light is allowed with more contact
     sided = (
-        (length >= SHADOWS.sided.border * around)
-        & (way >= SHADOWS.sided.way * length)
+        (length >= SHADOWS.sided.border * segment_border)
+        & (away >= SHADOWS.sided.direction * length)
         & (mixtures.misfit < SHADOWS.max_misfit)
     )
-    loose |= sided & (
+    fits |= sided & (
         mixtures.direct
         < SHADOWS.sided_direct.open + SHADOWS.sided_direct.hidden * (SHADOWS.open_sky - mixtures.sky)
     )
-    beside = (length >= SHADOWS.min_contact_sides) & (way >= SHADOWS.beside_way * length) & _clear(mixtures)
-    # candidates that fit about as well as the best on the ground
-    least = np.full(count, np.inf)
-    np.minimum.at(least, mixtures.segment[on_ground], mixtures.misfit[on_ground])
-    best = np.asarray(mixtures.misfit < SHADOWS.worse_factor * least[mixtures.segment] + SHADOWS.worse_by)
+    beside = (
+        (length >= SHADOWS.min_contact_sides)
+        & (away >= SHADOWS.beside_direction * length)
+        & _are_clear(mixtures)
+    )
+    # candidates whose misfit is close to that of the best candidate on the ground
+    min_misfit = np.full(count, np.inf)
+    np.minimum.at(min_misfit, mixtures.segment[on_ground], mixtures.misfit[on_ground])
+    max_misfit = SHADOWS.worse_factor * min_misfit[mixtures.segment] + SHADOWS.worse_by
+    best = np.asarray(mixtures.misfit < max_misfit)
     best &= ~ground[mixtures.segment]
-    _assign(mixtures, on_ground & best & ((touches & loose) | beside), state, body)
-    _assign(mixtures, _turned_away(mixtures, length, way, scene) & ~on_ground, state, body)
-    _grow(mixtures, ground, best, length, way, scene, state, body)
+    _assign(mixtures, on_ground & best & ((touches & fits) | beside), state, body)
+    # step 3: sides turned away from the sun, and segments that touch shadows
+    _assign(mixtures, _are_turned_away(mixtures, length, away, scene) & ~on_ground, state, body)
+    _extend(mixtures, ground, best, length, away, scene, state, body)
+    # step 4: by spectrum alone
     _assign(mixtures, _by_spectrum(mixtures, scene, number), state, body)
     return Matches(state, body), ground
 
 
 def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
+    # Pairs of a segment and a brighter body nearby, or one of the largest, with their amounts of light
     spectrum, size, pairs = scene.spectrum, scene.size, scene.pairs
     count = size.size
     is_finite = np.asarray(np.isfinite(spectrum).all(axis=1))
     level = np.where(is_finite, np.nan_to_num(spectrum).mean(axis=1), 0.0)
     largest = np.argsort(-size, kind="stable")[: SHADOWS.large_segments]
-    near, bridged = beyond(pairs, size)
-    segment = np.concatenate([near, np.repeat(np.arange(count), largest.size)])
-    body = np.concatenate([bridged, np.tile(largest, count)])
+    near_segment, near_body = beyond(pairs, size)
+    segment = np.concatenate([near_segment, np.repeat(np.arange(count), largest.size)])
+    body = np.concatenate([near_body, np.tile(largest, count)])
     fits = (
         is_finite[segment]
         & is_finite[body]
@@ -221,20 +236,22 @@ def _candidates(scene: Scene, senders: Ints, light: Light) -> Mixtures:
 
 
 def _lit_sides(mixtures: Mixtures, scene: Scene) -> Floats:
-    # Sides (n, 4) on which candidates touch segments that look like their body
+    # Number of sides (n, 4), by direction, on which candidates touch segments with the surface of their body
     pairs, spectrum = scene.pairs, scene.spectrum
-    first, last = np.searchsorted(pairs.one, [mixtures.segment, mixtures.segment + 1])
-    times = last - first
-    row = np.repeat(np.arange(times.size), times)
-    place = np.arange(row.size) - np.repeat(np.cumsum(times) - times, times) + np.repeat(first, times)
-    alike = _alike(spectrum, pairs.other[place], mixtures.body[row])
-    lit = np.zeros((times.size, 4))
-    for way in range(4):
-        lit[:, way] = np.bincount(row[alike], pairs.sides[place[alike], way], times.size)
+    # all touching pairs of every candidate's segment, one after another
+    start, stop = np.searchsorted(pairs.one, [mixtures.segment, mixtures.segment + 1])
+    counts = stop - start
+    row = np.repeat(np.arange(counts.size), counts)
+    pair = np.arange(row.size) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(start, counts)
+    same = _same_surface(spectrum, pairs.other[pair], mixtures.body[row])
+    lit = np.zeros((counts.size, 4))
+    for direction in range(4):
+        lit[:, direction] = np.bincount(row[same], pairs.sides[pair[same], direction], counts.size)
     return lit
 
 
-def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
+def _same_surface(spectrum: Floats, one: Ints, other: Ints) -> Bools:
+    # Whether two segments have spectra of similar brightness and shape (pair,)
     level = spectrum.mean(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         shape = spectrum / level[:, None]
@@ -243,70 +260,71 @@ def _alike(spectrum: Floats, one: Ints, other: Ints) -> Bools:
 
 
 def _side_of_shadows(mixtures: Mixtures, sides: Floats, scene: Scene) -> tuple[Floats, float] | None:
-    # Side (along, across) to which shadows fall, and their agreement; None without any
-    sure = _clear(mixtures) & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
-    # shadows on the ground take precedence: beside a dark car, its shadow looks like one on its paint
+    # Direction (along, across) in which shadows fall, and the agreement of shadows [1]; None without shadows
+    clear = _are_clear(mixtures) & (scene.size[mixtures.segment] >= SHADOWS.min_telling_px)
+    # shadows on the ground take precedence: the shadow beside a dark car may seem to lie on its paint
     largest = np.argmax(scene.size)
     body = np.unique(mixtures.body)
-    alike = np.isin(mixtures.body, body[_alike(scene.spectrum, body, np.full(body.size, largest))])
-    on_ground = sure & alike & (mixtures.sky > SHADOWS.min_telling_sky) & sides.any(axis=1)
-    sure = on_ground if on_ground.any() else sure & (mixtures.sky > SHADOWS.min_clear_sky)
-    towards = sides[sure] @ _STEPS * scene.size[mixtures.segment[sure], None]
-    total = towards.sum(axis=0)
-    length, whole = float(np.hypot(*total)), float(np.hypot(*towards.T).sum())
-    return (np.asarray(total / length), length / whole) if length > 0 else None
+    ground_bodies = body[_same_surface(scene.spectrum, body, np.full(body.size, largest))]
+    on_ground = clear & np.isin(mixtures.body, ground_bodies)
+    on_ground &= (mixtures.sky > SHADOWS.min_telling_sky) & sides.any(axis=1)
+    clear = on_ground if on_ground.any() else clear & (mixtures.sky > SHADOWS.min_clear_sky)
+    directions = sides[clear] @ _STEPS * scene.size[mixtures.segment[clear], None]
+    total = directions.sum(axis=0)
+    length, sum_of_lengths = float(np.hypot(*total)), float(np.hypot(*directions.T).sum())
+    return (np.asarray(total / length), length / sum_of_lengths) if length > 0 else None
 
 
-def _clear(mixtures: Mixtures, most_sent: float = SHADOWS.max_sent) -> Bools:
-    # Whether candidates see much sky and, unlike glass and black paint, almost no other light
+def _are_clear(mixtures: Mixtures, max_sent: float = SHADOWS.max_sent) -> Bools:
+    # Whether candidates fit well and, unlike glass and black paint, get little light other than the sky's
     hidden = np.clip(SHADOWS.open_sky - mixtures.sky, 0.0, 1.0)
-    little = mixtures.direct < SHADOWS.clear_direct.open + SHADOWS.clear_direct.hidden * hidden
-    little &= mixtures.sent < most_sent * (1.0 - mixtures.sky)
-    return np.asarray(little & (mixtures.misfit < SHADOWS.max_clear_misfit))
+    clear = mixtures.direct < SHADOWS.clear_direct.open + SHADOWS.clear_direct.hidden * hidden
+    clear &= mixtures.sent < max_sent * (1.0 - mixtures.sky)
+    return np.asarray(clear & (mixtures.misfit < SHADOWS.max_clear_misfit))
 
 
-def _beyond_doubt(mixtures: Mixtures, length: Floats, way: Floats, border: Floats) -> Bools:
-    # Whether candidates are clear, and touch their lit body away from the sun, or all around
-    around = border[mixtures.segment]
-    touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure.border * around)
-    away = way >= SHADOWS.sure.way * length
-    island = (length > SHADOWS.island_border * around) & (way >= -SHADOWS.sideways * length)
-    return np.asarray(_clear(mixtures) & (mixtures.sky > SHADOWS.min_clear_sky) & touches & (away | island))
+def _are_certain(mixtures: Mixtures, length: Floats, away: Floats, border: Floats) -> Bools:
+    # Whether candidates are clear, and lie away from the sun beside their lit body, or are enclosed by it
+    segment_border = border[mixtures.segment]
+    touches = (length >= SHADOWS.min_contact_sides) & (length > SHADOWS.sure.border * segment_border)
+    is_away = away >= SHADOWS.sure.direction * length
+    enclosed = (length > SHADOWS.island_border * segment_border) & (away >= -SHADOWS.sideways * length)
+    sees_sky = mixtures.sky > SHADOWS.min_clear_sky
+    return np.asarray(_are_clear(mixtures) & sees_sky & touches & (is_away | enclosed))
 
 
-def _turned_away(mixtures: Mixtures, length: Floats, way: Floats, scene: Scene) -> Bools:
-    # Whether candidates are a bright object's side without sun: its lit body is towards the sun
+def _are_turned_away(mixtures: Mixtures, length: Floats, away: Floats, scene: Scene) -> Bools:
+    # Whether candidates are the side of a bright object that faces away from the sun; its lit side adjoins
+    # on the sunward side
     level = np.nan_to_num(scene.spectrum).mean(axis=1)[mixtures.body]
     touches = length >= SHADOWS.min_contact_sides
     touches &= length > SHADOWS.sure.border * scene.border[mixtures.segment]
     fits = (mixtures.misfit < SHADOWS.max_spectral_misfit) & (mixtures.direct < SHADOWS.max_turned_direct)
     fits &= (mixtures.sky > SHADOWS.min_turned_ratio * mixtures.direct) & (level < SHADOWS.max_lit_level)
-    return np.asarray(
-        fits & touches & (way < -SHADOWS.sideways * length) & (mixtures.sky * level > DARK_COATS.max_mirrored)
-    )
+    fits &= mixtures.sky * level > DARK_COATS.max_mirrored
+    return np.asarray(fits & touches & (away < -SHADOWS.sideways * length))
 
 
 def _coats_in_the_sun(mixtures: Mixtures, spectrum: Floats, light: Light) -> Bools:
     # Whether candidates are more likely a dark body in the sun whose coat mirrors the sky.
     # `\rho (f_{dir} + f_{dif}) + m f_{dif} l_z`, with `\rho` linear in wavelength and m the reflectance of a
-    # clear coat: for the zenith, or for the whole sky.
-    segments, place = np.unique(mixtures.segment, return_inverse=True)
-    seen = np.nan_to_num(spectrum[segments])
-    ramp = DARK_COATS.slope * np.linspace(-1.0, 1.0, seen.shape[1])
+    # clear coat, fitted with the zenith and with the mean sky as mirrored light.
+    segments, row = np.unique(mixtures.segment, return_inverse=True)
+    spectra = np.nan_to_num(spectrum[segments])
+    ramp = DARK_COATS.slope * np.linspace(-1.0, 1.0, spectra.shape[1])
     parts = [
-        np.broadcast_to(part, seen.shape) for part in (1.0 + ramp, 1.0 - ramp, light.above, light.diffuse)
+        np.broadcast_to(part, spectra.shape) for part in (1.0 + ramp, 1.0 - ramp, light.above, light.diffuse)
     ]
-    amount, misfit = least_amounts(seen, parts)
+    amount, misfit = least_amounts(spectra, parts)
     body, mirrored = amount[:, :2].sum(axis=1), amount[:, 2:].sum(axis=1)
-    dark = (body > DARK_COATS.min_body) & (seen.mean(axis=1) < DARK_COATS.max_level)
+    dark = (body > DARK_COATS.min_body) & (spectra.mean(axis=1) < DARK_COATS.max_level)
     dark &= (mirrored > DARK_COATS.min_mirrored) & (mirrored < DARK_COATS.max_mirrored)
-    dark &= misfit < DARK_COATS.max_misfit
-    return np.asarray(
-        (dark & (seen > 0).all(axis=1))[place] & (DARK_COATS.worse_factor * misfit[place] < mixtures.misfit)
-    )
+    dark &= (misfit < DARK_COATS.max_misfit) & (spectra > 0).all(axis=1)
+    return np.asarray(dark[row] & (DARK_COATS.worse_factor * misfit[row] < mixtures.misfit))
 
 
 def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]) -> Bools:
+    # Whether candidates are shadows by their spectrum, beside their lit body on any side
     from scipy.ndimage import binary_dilation, find_objects
 
     level = np.nan_to_num(scene.spectrum).mean(axis=1)
@@ -315,117 +333,121 @@ def _by_spectrum(mixtures: Mixtures, scene: Scene, number: npt.NDArray[np.int32]
     fits &= level[mixtures.segment] < SHADOWS.max_brightness * level[mixtures.body]
     fits &= mixtures.sky * level[mixtures.body] > SHADOWS.min_spectral_level
     fits &= scene.size[mixtures.segment] >= SHADOWS.min_telling_px
-    places = find_objects(number + 1) if fits.any() else []
+    boxes = find_objects(number + 1) if fits.any() else []
     for row in np.flatnonzero(fits):
-        window = padded(places[mixtures.segment[row]], SHADOWS.beside_px)
-        here = number[window]
-        near = binary_dilation(here == mixtures.segment[row], iterations=SHADOWS.beside_px)
-        fits[row] = (here[near] == mixtures.body[row]).sum() >= SHADOWS.beside_px
+        window = padded(boxes[mixtures.segment[row]], SHADOWS.beside_px)
+        numbers = number[window]
+        near = binary_dilation(numbers == mixtures.segment[row], iterations=SHADOWS.beside_px)
+        fits[row] = (numbers[near] == mixtures.body[row]).sum() >= SHADOWS.beside_px
     return np.asarray(fits)
 
 
 def penumbrae(
     channels: Floats32, number: npt.NDArray[np.int32], matches: Matches, ground: Bools, light: Light
 ) -> npt.NDArray[np.int32]:
-    """Return the segments of pixels (line, column), with the wide edges of shadows on objects included.
+    """Return the segment of every pixel (line, column), with penumbrae on objects added to their shadows.
 
-    Light fades there, so that pixels belong to neither side, and were assigned to any neighbour.
-    Takes ``matches``, ``ground``: from `match_shade`; shadows on the ground are unchanged.
+    Light fades over some pixels at the edge of a shadow; the division into segments gave these pixels to any
+    neighbour. Takes ``matches``, ``ground``: from `match_shade`; shadows on the ground are unchanged.
     """
     from scipy.ndimage import binary_dilation, find_objects
 
-    numbers = number
-    chosen = np.flatnonzero((matches.state == SHADED) & ~ground[matches.body])
-    places = find_objects(number + 1) if chosen.size else []
-    for segment in chosen:
-        window = padded(places[segment], SHADOWS.penumbra_px)
-        here, lit = number[window], matches.body[segment]
-        near = binary_dilation(here == segment, iterations=SHADOWS.penumbra_px)
-        near &= (here >= 0) & (here != segment) & (here != lit)
-        beside = channels[window][here == lit].astype(np.float64)
-        beside = beside[np.isfinite(beside).all(axis=1)]
-        if not near.any() or not beside.size:
+    result = number
+    shadows = np.flatnonzero((matches.state == SHADED) & ~ground[matches.body])
+    boxes = find_objects(number + 1) if shadows.size else []
+    for segment in shadows:
+        window = padded(boxes[segment], SHADOWS.penumbra_px)
+        numbers, body = number[window], matches.body[segment]
+        near = binary_dilation(numbers == segment, iterations=SHADOWS.penumbra_px)
+        near &= (numbers >= 0) & (numbers != segment) & (numbers != body)
+        lit_spectra = channels[window][numbers == body].astype(np.float64)
+        lit_spectra = lit_spectra[np.isfinite(lit_spectra).all(axis=1)]
+        if not near.any() or not lit_spectra.size:
             continue
-        bright = np.median(beside, axis=0)
-        seen = channels[window][near].astype(np.float64)
-        amount, misfit = solve(np.nan_to_num(seen), np.broadcast_to(bright, seen.shape), None, light)
+        # near pixels that are the lit body with less direct light
+        lit = np.median(lit_spectra, axis=0)
+        spectra = channels[window][near].astype(np.float64)
+        amount, misfit = solve(np.nan_to_num(spectra), np.broadcast_to(lit, spectra.shape), None, light)
         bluer = amount[:, 1] > amount[:, 0] + SHADOWS.min_pixel_sky_excess
         fades = (amount[:, 0] < SHADOWS.max_pixel_direct) & (misfit < SHADOWS.max_misfit) & bluer
         fades &= amount[:, 1] < SHADOWS.max_penumbra_sky
-        if numbers is number:
-            numbers = number.copy()
-        part = numbers[window]
-        part[near] = np.where(fades, segment, part[near])
+        if result is number:
+            result = number.copy()
+        view = result[window]
+        view[near] = np.where(fades, segment, view[near])
         release(channels)
-    return numbers
+    return result
 
 
 def _ground(scene: Scene, state: Array, body: Array) -> Bools:
-    # Whether segments are ground (segment,): the largest, and the body of most shadows.
-    # Except for too bright or too small bodies: white cars with shadows of others on them.
+    # Whether segments are ground (segment,): the largest segment, and bodies with many shadows on them.
+    # Too bright or too small bodies are white cars with shadows of other cars on them.
     count = scene.size.size
-    area = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
+    shaded_px = np.bincount(body, np.where(state == SHADED, scene.size, 0), count)
     is_ground = np.zeros(count, bool)
     largest = scene.size == scene.size.max()
     bright = np.nan_to_num(scene.spectrum).mean(axis=1) > SHADOWS.max_ground_level
-    for candidate in np.flatnonzero(largest | ((area > SHADOWS.min_ground_share * area.sum()) & ~bright)):
-        alike = _alike(scene.spectrum, np.arange(count), np.full(count, candidate))
-        if largest[candidate] or scene.size[alike].sum() > SHADOWS.min_ground_size * scene.size.sum():
-            is_ground |= alike
+    has_shadows = shaded_px > SHADOWS.min_ground_share * shaded_px.sum()
+    for candidate in np.flatnonzero(largest | (has_shadows & ~bright)):
+        same = _same_surface(scene.spectrum, np.arange(count), np.full(count, candidate))
+        if largest[candidate] or scene.size[same].sum() > SHADOWS.min_ground_size * scene.size.sum():
+            is_ground |= same
     return is_ground
 
 
-def _grow(
+def _extend(
     mixtures: Mixtures,
     ground: Bools,
     best: Bools,
     length: Floats,
-    way: Floats,
+    away: Floats,
     scene: Scene,
     state: Array,
     body: Array,
 ) -> None:
-    around, on_ground = scene.border[mixtures.segment], ground[mixtures.body]
-    sunny = (way < -SHADOWS.sideways * length) & (length > SHADOWS.sure.border * around)
-    fits = best & ~sunny & without_sun(mixtures)
-    on = fits & on_ground & (mixtures.misfit < SHADOWS.max_misfit) & (mixtures.sky < SHADOWS.open_sky)
+    # Assign candidates that touch shadows, and are not in the sun, until none is added
+    segment_border, on_ground = scene.border[mixtures.segment], ground[mixtures.body]
+    faces_sun = (away < -SHADOWS.sideways * length) & (length > SHADOWS.sure.border * segment_border)
+    fits = best & ~faces_sun & without_sun(mixtures)
+    ground_shadows = fits & on_ground & (mixtures.misfit < SHADOWS.max_misfit)
+    ground_shadows &= mixtures.sky < SHADOWS.open_sky
     bright = mixtures.sky > SHADOWS.min_clear_sky
-    other = (
+    object_shadows = (
         fits
         & ~on_ground
         & (mixtures.misfit < np.where(bright, SHADOWS.max_dim_misfit, SHADOWS.max_dark_misfit))
     )
-    dim = other & bright
-    # dark glass against bay lines and kerbs has less of the sky
-    markings = (
-        other & (mixtures.sky > SHADOWS.min_marking_sky) & (mixtures.direct < SHADOWS.max_marking_direct)
-    )
-    clear = _clear(mixtures, most_sent=SHADOWS.max_sent_beside)
+    # shadows on bay lines and kerbs: dark glass compared with these gets less light of the sky
+    markings = object_shadows & (mixtures.sky > SHADOWS.min_marking_sky)
+    markings &= mixtures.direct < SHADOWS.max_marking_direct
+    clear = _are_clear(mixtures, max_sent=SHADOWS.max_sent_beside)
     for _ in range(SHADOWS.rounds):
-        dark = state == SHADED
-        shaded, below = (
-            _touched(which, scene)[mixtures.segment] / around for which in (dark, dark & ground[body])
+        # share of the border that touches any shadow, and shadows on the ground
+        shaded = state == SHADED
+        beside_shadow, beside_ground_shadow = (
+            _touched(mask, scene)[mixtures.segment] / segment_border
+            for mask in (shaded, shaded & ground[body])
         )
-        enough = on & (shaded > np.where(clear, SHADOWS.next_clear, SHADOWS.next))
-        enough |= (dim & (shaded > SHADOWS.next)) | (markings & (below > SHADOWS.next_marking))
-        enough |= (
-            best & ~sunny & (mixtures.direct < SHADOWS.max_enclosed_direct) & (shaded > SHADOWS.enclosed)
-        )
+        enough = ground_shadows & (beside_shadow > np.where(clear, SHADOWS.next_clear, SHADOWS.next))
+        enough |= object_shadows & bright & (beside_shadow > SHADOWS.next)
+        enough |= markings & (beside_ground_shadow > SHADOWS.next_marking)
+        enclosed = beside_shadow > SHADOWS.enclosed
+        enough |= best & ~faces_sun & (mixtures.direct < SHADOWS.max_enclosed_direct) & enclosed
         if not _assign(mixtures, enough, state, body):
             break
 
 
-def _touched(which: Bools, scene: Scene) -> Floats:
-    # Number of sides of every segment that touch chosen segments (segment,)
-    weight = scene.pairs.length * which[scene.pairs.other]
+def _touched(mask: Bools, scene: Scene) -> Floats:
+    # Number of sides of every segment that touch segments of a mask (segment,)
+    weight = scene.pairs.length * mask[scene.pairs.other]
     return np.bincount(scene.pairs.one, weight, scene.size.size).astype(np.float64)
 
 
-def _assign(mixtures: Mixtures, chosen: Bools, state: Array, body: Array) -> bool:
-    # Assign the best fitting lit body to segments; return whether any changed
+def _assign(mixtures: Mixtures, accepted: Bools, state: Array, body: Array) -> bool:
+    # Assign to every segment the best fitting body of its accepted candidates; return whether any changed
     any_assigned = False
-    for place in np.flatnonzero(chosen)[np.argsort(mixtures.misfit[chosen], kind="stable")]:
-        segment, parent = mixtures.segment[place], body[mixtures.body[place]]
+    for row in np.flatnonzero(accepted)[np.argsort(mixtures.misfit[accepted], kind="stable")]:
+        segment, parent = mixtures.segment[row], body[mixtures.body[row]]
         if state[segment] == LIT and state[parent] == LIT and parent != segment:
             state[segment] = SHADED
             body[body == segment] = parent
@@ -438,55 +460,60 @@ def shaded_pixels(
 ) -> Bools:
     """Return the pixels (line, column) of level ground that lack direct light: shadows of thin objects.
 
-    Surfaces that lean away from the sun lack it as well, so that only ground can be tested.
+    Other surfaces are not tested: they also lack direct light where they lean away from the sun.
 
     Takes ``channels`` (line, column, channel): reflectance [1]; ``number`` (line, column): segment of every
     pixel, -1 without data; ``level`` (segment,): true for ground in the sun; ``reference`` (segment,
     channel): reflectance of bodies in full light [1]; ``light``: parts of the irradiance.
     """
     shaded = np.zeros(number.shape, bool)
-    bright = reference.mean(axis=1)
-    asked = np.append(level, False)[number]
-    for part, seen in line_parts(channels):
-        segment = number[part]
-        here = asked[part] & (seen.mean(axis=2) < SHADOWS.max_pixel_level * np.append(bright, 0.0)[segment])
-        amount, misfit = solve(seen[here].astype(np.float64), reference[segment[here]], None, light)
+    lit_brightness = np.append(reference.mean(axis=1), 0.0)
+    on_ground = np.append(level, False)[number]
+    for lines, block in line_blocks(channels):
+        segment = number[lines]
+        is_dark = block.mean(axis=2) < SHADOWS.max_pixel_level * lit_brightness[segment]
+        tested = on_ground[lines] & is_dark
+        amount, misfit = solve(block[tested].astype(np.float64), reference[segment[tested]], None, light)
         bluer = amount[:, 1] > amount[:, 0] + SHADOWS.min_pixel_sky_excess
         missing = (amount[:, 0] < SHADOWS.max_pixel_direct) & bluer & (misfit < SHADOWS.max_pixel_misfit)
-        shaded[part][here] = missing
+        shaded[lines][tested] = missing
     return shaded
 
 
 def of_shadows(shaded: Bools, dark: Bools) -> Bools:
-    """Return the single pixels in shadow (line, column) that belong to a shadow, not to ground texture.
+    """Return the pixels without direct light (line, column) that belong to a shadow, not to ground texture.
 
-    Pixels that touch a segment in shadow, and long thin pieces, such as the shadows of posts. Takes
-    ``shaded``, ``dark`` (line, column): single pixels, and segments in shadow.
+    They are connected sets that touch a segment in shadow, and long thin sets, such as the shadows of posts.
+    Takes ``shaded`` (line, column): pixels without direct light; ``dark`` (line, column): pixels of segments
+    in shadow.
     """
     from scipy.ndimage import binary_dilation, find_objects, label
 
     pieces, count = label(shaded, np.ones((3, 3)))
     belongs = np.zeros(count + 1, bool)
     belongs[np.unique(pieces[binary_dilation(dark, np.ones((3, 3))) & shaded])] = True
-    # in parts, since integers are counted in 64 bits
-    size = np.sum([np.bincount(part.ravel(), minlength=count + 1) for _, part in line_parts(pieces)], axis=0)
+    # block by block: bincount converts its input to 64 bits
+    size = np.sum(
+        [np.bincount(block.ravel(), minlength=count + 1) for _, block in line_blocks(pieces)], axis=0
+    )
     for number, window in enumerate(find_objects(pieces), 1):
         if belongs[number] or size[number] < SHADOWS.min_thin_px:
             continue
-        places = np.stack(np.nonzero(pieces[window] == number)).astype(np.float64)
-        narrow, wide = np.linalg.eigvalsh(np.cov(places))
-        belongs[number] = wide > SHADOWS.min_thinness**2 * max(narrow, 1.0 / 12.0)
+        positions = np.stack(np.nonzero(pieces[window] == number)).astype(np.float64)
+        # variances across and along the set; 1/12 is the variance within a pixel
+        across, along = np.linalg.eigvalsh(np.cov(positions))
+        belongs[number] = along > SHADOWS.min_thinness**2 * max(across, 1.0 / 12.0)
     belongs[0] = False
     return np.asarray(belongs[pieces])
 
 
-# -- Bodies in full light: coloured bodies that light others, and reference spectra without glint.
+# --- bodies in full light: coloured bodies that light others, and reference spectra without glint ----------
 
 
 def coloured(spectrum: Floats, light: Light) -> Floats:
-    """Return the colour of spectra (segment,): rms residual of a fit of direct light and grey [1].
+    """Return the colour of spectra (segment,): rms residual of a fit of a constant and diffuse light [1].
 
-    Over the channels with values; 0 where these are too few.
+    Channels without values are excluded; the colour is 0 where too few remain.
     """
     basis = np.stack([np.ones_like(light.direct), light.diffuse], axis=1)
     is_finite = np.isfinite(spectrum)
@@ -494,10 +521,10 @@ def coloured(spectrum: Floats, light: Light) -> Floats:
     for pattern in np.unique(is_finite, axis=0):
         if pattern.sum() <= basis.shape[1]:
             continue
-        same = (is_finite == pattern).all(axis=1)
-        seen = spectrum[same][:, pattern]
-        amounts, *_ = np.linalg.lstsq(basis[pattern], seen.T, rcond=None)
-        colour[same] = np.sqrt(np.mean((seen - (basis[pattern] @ amounts).T) ** 2, axis=1))
+        rows = (is_finite == pattern).all(axis=1)
+        spectra = spectrum[rows][:, pattern]
+        amounts, *_ = np.linalg.lstsq(basis[pattern], spectra.T, rcond=None)
+        colour[rows] = np.sqrt(np.mean((spectra - (basis[pattern] @ amounts).T) ** 2, axis=1))
     return colour
 
 
@@ -509,7 +536,7 @@ def coloured_bodies(spectrum: Floats, light: Light) -> Bools:
 def nearest_coloured(
     number: npt.NDArray[np.int32], size: Ints, spectrum: Floats, matches: Matches, light: Light, reach: int
 ) -> npt.NDArray[np.int32]:
-    """Return the nearest coloured segments (cell_along, cell_cross, rank) in full light.
+    """Return the nearest coloured segments in full light of every cell (cell_along, cell_cross, rank).
 
     Takes ``number`` (line, column): segment of every pixel; ``size``, ``spectrum``, ``matches``: of the
     segments; ``light``: parts of the irradiance; ``reach``: maximum distance of their light [pixel].
@@ -534,20 +561,19 @@ def nearest_coloured(
     return labels
 
 
-_BESIDE = 2 * [(0.0, 0.1), (0.0, 0.05)]
+_NEIGHBOURS = 2 * [(0.0, 0.1), (0.0, 0.05)]
 #: Prior of the amounts in a pixel: expected values and standard deviations (2, part).
 _AS_PIXEL = np.transpose(
-    [(1.0, 0.2), (1.0, 0.3), (BODIES.offset, 0.1), (BODIES.offset, 0.02), (0.0, 0.03), *_BESIDE]
+    [(1.0, 0.2), (1.0, 0.3), (BODIES.offset, 0.1), (BODIES.offset, 0.02), (0.0, 0.03), *_NEIGHBOURS]
 )
 
 
 class Paints(NamedTuple):
-    """Bodies of one paint."""
+    """Bodies that show the same paint."""
 
-    first: npt.NDArray[np.int32]  #: (segment,): First of the bodies with the same paint as a segment.
-    #: (pair,): Bodies of the same paint near one another, in both orders.
-    one: Ints
-    other: Ints
+    first: npt.NDArray[np.int32]  #: (segment,): First of the bodies with the paint of the segment.
+    one: Ints  #: (pair,): First of two near bodies with the same paint; every pair occurs in both orders.
+    other: Ints  #: (pair,): Second of two near bodies with the same paint.
 
 
 def _relative_colour(spectrum: Floats, light: Light) -> Floats:
@@ -556,23 +582,24 @@ def _relative_colour(spectrum: Floats, light: Light) -> Floats:
 
 
 def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches, light: Light) -> Paints:
-    r"""Return the bodies that are parts of one car: of the same colour, except for tilt and glint.
+    r"""Return the bodies with the same paint, such as the parts of one car.
 
-    For bodies that touch, or have a small segment between them, one is the other's paint where :math:`\rho (c
-    f_{dir} + V f_{dif}) + g f_{dir}` fits it to 2 %. Grey bodies cannot be distinguished, and are not joined.
+    Two bodies that touch, or have a small segment between them, have the same paint where :math:`\rho (c
+    f_{dir} + V f_{dif}) + g f_{dir}`, the spectrum of the first in other light, fits the second to 2 %. Grey
+    bodies are not joined: their paints cannot be distinguished.
     """
     near = beyond(pairs, size)
     one, other = matches.body[near[0]].astype(np.int64), matches.body[near[1]].astype(np.int64)
-    paint = np.isfinite(spectrum).all(axis=1) & (_relative_colour(spectrum, light) > BODIES.min_paint_colour)
-    open_ = (one != other) & paint[one] & paint[other]
-    one, other = distinct_pairs(one[open_], other[open_], size.size)
+    is_coloured = np.isfinite(spectrum).all(axis=1) & coloured_bodies(spectrum, light)
+    is_candidate = (one != other) & is_coloured[one] & is_coloured[other]
+    one, other = distinct_pairs(one[is_candidate], other[is_candidate], size.size)
     finite_spectrum = np.nan_to_num(spectrum)
     _, misfit, _ = unmix_spectra(
         finite_spectrum[one], other, finite_spectrum, light, GLINT.tolerance, AS_GLINT
     )
     one, other = one[misfit < 1.0], other[misfit < 1.0]
-    joined = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(size.size, size.size))
-    _, label = scipy.sparse.csgraph.connected_components(joined, directed=False)
+    graph = scipy.sparse.csr_array((np.ones(one.size), (one, other)), shape=(size.size, size.size))
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
     _, first = np.unique(label, return_index=True)
     both_orders = np.concatenate([one, other]), np.concatenate([other, one])
     return Paints(first[label][matches.body].astype(np.int32), *distinct_pairs(*both_orders, size.size))
@@ -580,7 +607,7 @@ def same_paints(spectrum: Floats, size: Ints, pairs: Touching, matches: Matches,
 
 def clean_references(
     channels: Floats32,
-    places: list[Ints],
+    samples: list[Ints],
     spectrum: Floats,
     matches: Matches,
     paints: Paints,
@@ -590,89 +617,94 @@ def clean_references(
 ) -> tuple[Floats, Floats]:
     """Return the spectra of bodies (segment, channel) without glint, and the lean of their parts (segment,).
 
-    Where the light added by glint and neighbours differs from pixel to pixel by over 0.003, the pixels with
-    least of it are averaged. On grey bodies its amount cannot be seen; where brightness differs by more than
-    tilt towards the sun allows, the darkest pixels that see as much of the sky are used, and the rest is
-    glint. For bodies wholly in glint another part of the car shows the paint.
+    Glint and light of neighbours are added light. Where it differs from pixel to pixel by over 0.003, the
+    pixels with the least of it are averaged. On grey bodies glint cannot be separated; where brightness
+    differs by more than tilt towards the sun allows, the darkest pixels that see as much of the sky are
+    averaged. Glint that covers a whole body is estimated from another part with the same paint.
 
-    Takes ``channels`` (line, column, channel): reflectance [1]; ``places``: pixels of every segment;
-    ``spectrum``, ``matches``, ``paints``, ``light``: of the segments, and the irradiance; ``neighbours``:
-    returns the coloured segments beside pixels (pixel, 2); ``zenith``: of the sun [degree]; NaN where
-    unknown.
+    Takes ``channels`` (line, column, channel): reflectance [1]; ``samples``: flat indices of pixels of every
+    segment; ``spectrum`` (segment, channel): median reflectance [1]; ``neighbours``: function that returns
+    the coloured segments beside pixels (pixel, 2); ``zenith``: angle of the sun [degree]; NaN where unknown.
     """
     finite_spectrum = np.nan_to_num(spectrum)
     reference, tilt = finite_spectrum.copy(), np.full(len(spectrum), BODIES.tilt)
     colour = _relative_colour(spectrum, light)
-    most = BODIES.min_glint_brightness / max(np.cos(np.radians(np.nan_to_num(zenith, nan=60.0))), 0.2)
+    # minimum brightness of glint relative to a body that leans away from the sun
+    min_glint_ratio = BODIES.min_glint_brightness / max(
+        np.cos(np.radians(np.nan_to_num(zenith, nan=60.0))), 0.2
+    )
     flat = channels.reshape(-1, channels.shape[2])
-    for segment, here in enumerate(places):
+    for segment, indices in enumerate(samples):
         if matches.body[segment] != segment or not np.isfinite(spectrum[segment]).all():
             continue
-        values = gather(flat, here).astype(np.float64)
+        values = gather(flat, indices).astype(np.float64)
         is_finite = np.isfinite(values).all(axis=1)
-        here, values = here[is_finite], values[is_finite]
-        if here.size < BODIES.min_body_px:
+        indices, values = indices[is_finite], values[is_finite]
+        if indices.size < BODIES.min_body_px:
             continue
         grey = colour[segment] < BODIES.max_grey_colour
-        darkest = _darkest(values, light, most) if grey else None
+        darkest = _darkest(values, light, min_glint_ratio) if grey else None
         if darkest is not None:
             reference[segment] = darkest
-            middle = np.median(values.mean(axis=1)) / darkest.mean()
-            if darkest.mean() > BODIES.bright and middle > BODIES.min_mostly_glint:
+            median_ratio = np.median(values.mean(axis=1)) / darkest.mean()
+            if darkest.mean() > BODIES.bright and median_ratio > BODIES.min_mostly_glint:
                 tilt[segment] = BODIES.glint_tilt
             continue
-        extra, direct = _additions(values, segment, finite_spectrum, light, neighbours(here))
-        low, high = np.quantile(extra, [0.1, 0.5])
-        if high - low > BODIES.min_difference:
-            first, last = np.quantile(extra, BODIES.clean_grey_quantiles if grey else BODIES.clean_quantiles)
-            chosen = (extra >= first) & (extra <= last) & (direct > 0.7)
-            if chosen.sum() >= BODIES.min_clean_px:
-                # scaled to the usual lean of the body, which may differ from the lean of those pixels
-                usual = 1.0 if grey else np.median(direct) / np.median(direct[chosen])
-                reference[segment] = values[chosen].mean(axis=0) * usual
-    reference -= _common_glint(reference, places, paints, light) @ np.stack([light.direct, light.sunward])
+        added, direct = _added_light(values, segment, finite_spectrum, light, neighbours(indices))
+        low, median = np.quantile(added, [0.1, 0.5])
+        if median - low > BODIES.min_difference:
+            low, high = np.quantile(added, BODIES.clean_grey_quantiles if grey else BODIES.clean_quantiles)
+            clean = (added >= low) & (added <= high) & (direct > 0.7)
+            if clean.sum() >= BODIES.min_clean_px:
+                # scaled to the median direct light of the body: the clean pixels may lean differently
+                scale = 1.0 if grey else np.median(direct) / np.median(direct[clean])
+                reference[segment] = values[clean].mean(axis=0) * scale
+    reference -= _common_glint(reference, samples, paints, light) @ np.stack([light.direct, light.sunward])
     return np.ascontiguousarray(reference[matches.body]), tilt[matches.body]
 
 
-def _darkest(values: Floats, light: Light, most: float) -> Floats | None:
-    # Mean of a grey body's darkest pixels; None where these may not be free of glint.
-    # The brightest are brighter by `most` at least; half of the body is not much brighter, unlike beside a
-    # shadow; and the darkest see as much of the sky as other pixels.
+def _darkest(values: Floats, light: Light, min_glint_ratio: float) -> Floats | None:
+    # Mean spectrum of a grey body's darkest pixels; None where these may not be free of glint.
+    # Three conditions: the brightest pixels exceed the usual ones by `min_glint_ratio`; the median is not
+    # much brighter than the darkest pixels, as it is beside a shadow; the darkest pixels see as much of the
+    # sky as the median pixel.
     if not light.direct.any():
         return None
     level = values @ light.direct / (light.direct @ light.direct)
-    first, last, usual, middle, high = np.quantile(
+    low, high, usual, median, brightest = np.quantile(
         level, [*BODIES.darkest_quantiles, BODIES.usual_quantile, 0.5, BODIES.brightest_quantile]
     )
-    if first <= 0.0 or high <= most * usual or middle >= BODIES.max_even_ratio * first:
+    if low <= 0.0 or brightest <= min_glint_ratio * usual or median >= BODIES.max_even_ratio * low:
         return None
-    low, wide = np.quantile(level, BODIES.clean_grey_quantiles)
-    if wide - low < BODIES.max_plateau:  # mostly without glint: the darkest lean away
-        first, last = low, wide
-    darkest = values[(level >= first) & (level <= last)].mean(axis=0)
+    clean_low, clean_high = np.quantile(level, BODIES.clean_grey_quantiles)
+    if clean_high - clean_low < BODIES.max_plateau:  # mostly without glint: the darkest pixels lean away
+        low, high = clean_low, clean_high
+    darkest = values[(level >= low) & (level <= high)].mean(axis=0)
     split = np.stack([light.direct, light.diffuse], axis=1)
-    both = np.stack([darkest, np.median(values, axis=0)], axis=1)
-    (_, (here, there)), *_ = np.linalg.lstsq(split, both, rcond=None)
-    return np.asarray(darkest) if here > BODIES.min_sky * there else None
+    spectra = np.stack([darkest, np.median(values, axis=0)], axis=1)
+    (_, (darkest_sky, median_sky)), *_ = np.linalg.lstsq(split, spectra, rcond=None)
+    return np.asarray(darkest) if darkest_sky > BODIES.min_sky * median_sky else None
 
 
-def _additions(
+def _added_light(
     values: Floats, segment: int, finite_spectrum: Floats, light: Light, neighbours: npt.NDArray[np.int32]
 ) -> tuple[Floats, Floats]:
     # Light added to pixels by glint and neighbours, up to a constant, and their direct light.
-    # An amount of each is first added to all pixels, so that less than the mean shows as well.
-    first = neighbours[:, 0]
-    mirrored = np.where(first[:, None] >= 0, finite_spectrum[first], 0.0)
-    lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * mirrored
+    # Unmixing returns no negative amounts: a constant amount of glint and neighbour light is added to all
+    # pixels, so that deviations below the mean show, too.
+    nearest = neighbours[:, 0]
+    neighbour_spectra = np.where(nearest[:, None] >= 0, finite_spectrum[nearest], 0.0)
+    lifted = values + BODIES.offset * (light.direct + light.above) + BODIES.lift * neighbour_spectra
     body = np.full(len(values), segment)
     amount, _, added = unmix_spectra(lifted, body, finite_spectrum, light, 0.01, _AS_PIXEL, neighbours)
-    return amount[:, 2] + amount[:, 4] + added.sum(axis=1) - BODIES.lift * mirrored.max(axis=1), amount[:, 0]
+    glint = amount[:, 2] + amount[:, 4]
+    return glint + added.sum(axis=1) - BODIES.lift * neighbour_spectra.max(axis=1), amount[:, 0]
 
 
-def _common_glint(reference: Floats, places: list[Ints], paints: Paints, light: Light) -> Floats:
-    # Mirrored sun, and sky around it, that covers a whole body (segment, 2).
-    # From a comparison with other parts of the same paint.
-    size = np.array([here.size for here in places])
+def _common_glint(reference: Floats, samples: list[Ints], paints: Paints, light: Light) -> Floats:
+    # Amounts of mirrored sun, and of the sky around it, that cover a whole body (segment, 2), by comparison
+    # with other parts of the same paint
+    size = np.array([indices.size for indices in samples])
     large = size[paints.other] >= BODIES.min_part_share * size[paints.one]
     one, other = paints.one[large], paints.other[large]
     amount, misfit, _ = unmix_spectra(reference[one], other, reference, light, GLINT.tolerance, AS_GLINT)
@@ -682,10 +714,9 @@ def _common_glint(reference: Floats, places: list[Ints], paints: Paints, light: 
 
 
 def channel_numbers(wavelength: Array, good: Array) -> Ints:
-    """Return the channel of every band: runs of equally many good bands; -1 for bands that are not good.
+    """Return the channel of every band; -1 for bands that are not good.
 
-    The ends of the spectrum, where colours have their steepest edges, are treated like the rest: 24 channels
-    of a 400-1000 nm camera are 25 nm wide.
+    Channels are runs of equally many good bands: 24 channels of a 400-1000 nm camera are 25 nm wide.
     """
     order = np.flatnonzero(good)[np.argsort(wavelength[good], kind="stable")]
     numbers = np.full(wavelength.size, -1, np.int64)
@@ -697,23 +728,23 @@ def to_channels(block: Array, channel: Ints) -> Floats32:
     """Return the means (line, column, channel) of a block (line, band, column)."""
     from hyperpaint.kernels.unmixing import average_bands
 
-    out = np.empty((block.shape[0], block.shape[2], int(channel.max()) + 1), np.float32)
-    average_bands(np.ascontiguousarray(block, np.float32), channel, out)
-    return out
+    channels = np.empty((block.shape[0], block.shape[2], int(channel.max()) + 1), np.float32)
+    average_bands(np.ascontiguousarray(block, np.float32), channel, channels)
+    return channels
 
 
 def read_channels(
     cube: xr.DataArray, channel: Ints, progress: Progress | None, quality: xr.DataArray | None = None
 ) -> tuple[Floats32, Bools]:
-    """Return the whole line in channels (line, column, channel), in scratch, read in blocks.
+    """Return a complete line in channels (line, column, channel), and whether pixels are saturated.
 
-    Also returns whether pixels are saturated (line, column). A pixel's means depend on its own bands alone,
-    so that results have the same bits for any blocks.
+    The line is read in blocks into a scratch array. Results have the same bits for any blocks, as every mean
+    is over the bands of one pixel.
     """
     cube = line_chunked(cube)
     lines, columns = cube.sizes[ALONG_TRACK], cube.sizes[cube.dims[2]]
     count = int(channel.max()) + 1
-    out, saturated = scratch_array((lines, columns, count), np.float32), np.zeros((lines, columns), bool)
+    channels, saturated = scratch_array((lines, columns, count), np.float32), np.zeros((lines, columns), bool)
     blocks = da.map_blocks(
         to_channels,
         cube.data,
@@ -723,33 +754,34 @@ def read_channels(
         meta=np.empty((0, 0, 0), np.float32),
     )
     if quality is None:
-        compute_into([blocks], [out], progress)
+        compute_into([blocks], [channels], progress)
     else:
         bits = da.asarray(quality.data).rechunk((cube.data.chunks[0], -1))
-        compute_into([blocks, (bits & np.uint16(Quality.SATURATED)) > 0], [out, saturated], progress)
-    return out, saturated
+        compute_into([blocks, (bits & np.uint16(Quality.SATURATED)) > 0], [channels, saturated], progress)
+    return channels, saturated
 
 
 def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
     """Return a line in channels, and the channel of every band, without channels that most pixels lack.
 
-    Otherwise one channel that is dead for the whole line would leave no segment with all channels. If no
-    channel would remain, all are kept.
+    A channel that is dead in all pixels would leave no segment with a complete spectrum. If most pixels lack
+    every channel, all are retained.
     """
-    data, finite_count = 0, np.zeros(channels.shape[2], np.int64)
-    for _, part in line_parts(channels):
-        is_finite = np.isfinite(part)
-        data += int(is_finite.any(axis=2).sum())
-        finite_count += is_finite.sum(axis=(0, 1))
-    retained = 2 * finite_count >= data
+    with_data, with_value = 0, np.zeros(channels.shape[2], np.int64)
+    for _, block in line_blocks(channels):
+        is_finite = np.isfinite(block)
+        with_data += int(is_finite.any(axis=2).sum())
+        with_value += is_finite.sum(axis=(0, 1))
+    retained = 2 * with_value >= with_data
     if retained.all() or not retained.any():
         return channels, channel
-    numbers = np.append(np.where(retained, np.cumsum(retained) - 1, -1), -1)  # the last one is that of -1
-    some = scratch_array((*channels.shape[:2], int(retained.sum())), np.float32)
-    for lines, part in line_parts(channels):
-        some[lines] = part[..., retained]
-        release(some)
-    return some, numbers[channel]
+    # new number of every channel; the last entry keeps -1
+    numbers = np.append(np.where(retained, np.cumsum(retained) - 1, -1), -1)
+    reduced = scratch_array((*channels.shape[:2], int(retained.sum())), np.float32)
+    for lines, block in line_blocks(channels):
+        reduced[lines] = block[..., retained]
+        release(reduced)
+    return reduced, numbers[channel]
 
 
 def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
@@ -769,14 +801,15 @@ def shift_of_channels(line: xr.Dataset, channel: Ints, columns: int) -> Floats:
 
 
 def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> None:
-    """Remove the smile from channels (line, column, channel), in place: slope times shift.
+    """Remove the smile from channels (line, column, channel) in place.
 
-    The slope is that between the channels on both sides, which are much wider than any smile.
+    Subtracts the spectral slope, from the channels on both sides, times the wavelength shift, which is much
+    smaller than a channel's width. Takes ``centre`` (channel,) [nm]; ``shift`` (channel, column) [nm].
     """
     if len(centre) < 2 or not shift.any():
         return
-    for _, part in line_parts(channels):
-        for block in np.split(part, range(CHUNK_LINES, len(part), CHUNK_LINES)):
+    for _, lines in line_blocks(channels):
+        for block in np.split(lines, range(CHUNK_LINES, len(lines), CHUNK_LINES)):
             slope = np.gradient(block.astype(np.float64), centre, axis=2)
             block -= np.nan_to_num(slope * shift.T).astype(np.float32)
 
@@ -784,34 +817,36 @@ def to_nominal_channels(channels: Floats32, centre: Floats, shift: Floats) -> No
 def channel_noise(channels: Floats32, number: npt.NDArray[np.int32], inside: Bools) -> Floats:
     """Return the noise of channels (channel,), relative to the reflectance [1].
 
-    From second differences over the channels of the differences of neighbouring pixels of one segment: light
-    and surface change little from pixel to pixel, and smoothly over the channels. 0 where it cannot be
+    The noise follows from differences between neighbouring pixels of a segment, and their second differences
+    over the channels: true differences are small and smooth over the channels. 0 where it cannot be
     estimated.
 
-    Takes ``channels`` (line, column, channel): reflectance [1]; ``number``, ``inside`` (line, column):
-    segment of every pixel, and whether it lies inside.
+    Takes ``channels`` (line, column, channel): reflectance [1]; ``number`` (line, column): segment of every
+    pixel; ``inside`` (line, column): whether a pixel lies away from the segment's border.
     """
     count = channels.shape[2]
-    same = (number[:, 1:] == number[:, :-1]) & (number[:, 1:] >= 0) & inside[:, 1:] & inside[:, :-1]
-    total, first = int(np.count_nonzero(same)), 0
+    is_pair = (number[:, 1:] == number[:, :-1]) & (number[:, 1:] >= 0) & inside[:, 1:] & inside[:, :-1]
+    total, passed = int(np.count_nonzero(is_pair)), 0
     if count < 3 or not total:
         return np.zeros(count)
+    # every step-th pair of the line, counted across blocks
     step = max(1, total // SURVEY.max_noise_pairs)
     pairs: list[list[Array]] = []
-    for lines, part in line_parts(channels):
-        line, x = np.nonzero(same[lines])
-        some = slice(-first % step, None, step)  # every so many of all
-        first += line.size
-        pairs.append([part[line[some], x[some] + right] for right in (0, 1)])
-    one, other = (np.concatenate(side).T for side in zip(*pairs, strict=True))
+    for lines, block in line_blocks(channels):
+        y, x = np.nonzero(is_pair[lines])
+        sample = slice(-passed % step, None, step)
+        passed += y.size
+        pairs.append([block[y[sample], x[sample] + dx] for dx in (0, 1)])
+    left, right = (np.concatenate(side).T for side in zip(*pairs, strict=True))
     noise = np.zeros(count - 2)
     for k in range(1, count - 1):
-        # of three channels at a time, for memory
-        here, beside = one[k - 1 : k + 2].astype(np.float64), other[k - 1 : k + 2].astype(np.float64)
-        apart, level = here - beside, (here[1] + beside[1]) / 2
-        bent = (apart[1] - (apart[2] + apart[0]) / 2) / np.maximum(level, SURVEY.min_noise_level)
-        deviations = np.abs(bent[np.isfinite(bent)])
-        # three variances of a channel: one and two halves, squared, of two pixels
+        # three channels at a time, to save memory
+        left3, right3 = left[k - 1 : k + 2].astype(np.float64), right[k - 1 : k + 2].astype(np.float64)
+        difference, level = left3 - right3, (left3[1] + right3[1]) / 2
+        curvature = difference[1] - (difference[2] + difference[0]) / 2
+        relative = curvature / np.maximum(level, SURVEY.min_noise_level)
+        deviations = np.abs(relative[np.isfinite(relative)])
+        # its variance is three times that of a channel: (1 + 1/4 + 1/4) for each of two pixels
         noise[k - 1] = 1.4826 * np.median(deviations) / np.sqrt(3.0) if deviations.size else 0.0
     return np.pad(noise, 1, mode="edge")
 
@@ -830,9 +865,9 @@ def survey(
 ) -> SceneModel:
     r"""Survey a whole line, and return the scene model that flags use.
 
-    Eager. The line is read once, some blocks at a time, and held as means over 24 channels (96 bytes a pixel,
-    in a temporary file for more than some 500 lines) during the survey, beside some 30 bytes a pixel in
-    memory. Results have the same bits for any chunks and scheduler.
+    Eager. The line is read once, in blocks. During the survey its means over 24 channels take 96 bytes a
+    pixel, in a temporary file for more than some 500 lines, and other arrays some 30 bytes a pixel of memory.
+    Results have the same bits for any chunks and scheduler.
 
     Parameters
     ----------
@@ -840,11 +875,12 @@ def survey(
         A flight line with ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``. Time,
         latitude, longitude and heading, where present, determine the direction of the sun in the image.
     diffuse
-        Source of the diffuse part of the irradiance: None, the line's ``diffuse_fraction`` or else its record
-        of ``irradiance``, mean over lines; "model", the clear sky of `hyperpaint.light.sun`, also assumed,
-        with a warning, where the line has no record; "pvlib", SPECTRL2 (extra ``sim``); "shadow", a cast
-        shadow on the ground in the image; or a measured spectrum (band,) or with a coordinate
-        ``wavelength``, such as a reading in the shade of a small disc over the reading in full light.
+        Source of the diffuse part of the irradiance. None: mean over lines of the line's
+        ``diffuse_fraction``, or else of the split from its ``irradiance`` record; without either, as "model",
+        with a warning. "model": the clear sky of `hyperpaint.light.sun`. "pvlib": SPECTRL2 (extra ``sim``).
+        "shadow": a cast shadow on the ground in the image. Or a measured spectrum, an array (band,) or a
+        DataArray with a coordinate ``wavelength``, such as a reading in the shade of a small disc over the
+        reading in full light.
     sun_zenith
     sun_azimuth, heading
         Clockwise from north [degree]; by default from the line. Without them, the side of shadows is
@@ -916,13 +952,13 @@ def survey(
     wavelength = variables["wavelength"].values.astype(np.float64)
     good = _good_bands(line, cube, wavelength)
     try:
-        divided = split_of(line, diffuse, sun_zenith).mean()
+        line_split = split_of(line, diffuse, sun_zenith).mean()
     except SchemaError as error:
         if not (isinstance(diffuse, str) and diffuse == "shadow"):
             raise
-        found = "diffuse='shadow' starts from the light of a clear sky"
-        raise SchemaError(found, problems=[error.problem]) from error
-    fraction, zenith = divided.fraction.values, divided.zenith
+        subject = "diffuse='shadow' starts from the light of a clear sky"
+        raise SchemaError(subject, problems=[error.problem]) from error
+    fraction, zenith = line_split.fraction.values, line_split.zenith
     channel = channel_numbers(wavelength, good)
     bits = None
     if "quality" in line.variables:
@@ -931,8 +967,8 @@ def survey(
         )
     channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), bits)
     channels, channel = without_unknown(channels, channel)
-    bands = (wavelength, fraction, divided.u.values, *divided.mirrored())
-    centre, split, split_u, *sky = (_mean_of(values, channel) for values in bands)
+    spectra = (wavelength, fraction, line_split.u.values, *line_split.mirrored())
+    centre, split, split_u, *sky = (_channel_means(values, channel) for values in spectra)
     shift = shift_of_channels(line, channel, channels.shape[1])
     to_nominal_channels(channels, centre, shift)
     light = Light.under(split, *sky)
@@ -942,14 +978,15 @@ def survey(
     boundary_px = np.empty(segments.number.shape, np.uint8)
     boundary_distance(segments.number, segments.sure, 255, boundary_px)
     is_inside = boundary_px >= SURVEY.min_edge_distance_px
-    places = sample_pixels(segments.number, is_inside, count)
+    samples = sample_pixels(segments.number, is_inside, count)
     del boundary_px
-    spectrum = median_spectra(channels, places)
+    spectrum = median_spectra(channels, samples)
     side = shadow_side_of(line, sun_azimuth, heading)
     pairs = touching(segments.number, count)
     steps = border_steps(channels, segments.number, pairs)
 
     def matched(light: Light) -> tuple[Matches, Bools]:
+        # states and bodies of the segments, and whether segments are ground
         if light.direct.mean() < SURVEY.min_direct:
             lit = Matches(np.full(count, LIT, np.int8), np.arange(count, dtype=np.int32))
             return lit, np.zeros(count, bool)
@@ -959,7 +996,7 @@ def survey(
 
     matches, ground = matched(light)
     if isinstance(diffuse, str) and diffuse == "shadow":
-        split = fraction_in_shadow(channels, places, spectrum, segments.size, matches)
+        split = fraction_in_shadow(channels, samples, spectrum, segments.size, matches)
         light = Light.under(split, *sky)
         matches, ground = matched(light)
     trim_memory()
@@ -969,17 +1006,27 @@ def survey(
         segments = Segments(number, segments.sure, sizes)
     neighbour = nearest_coloured(segments.number, segments.size, spectrum, matches, light, reach)
     paints = same_paints(spectrum, segments.size, pairs, matches, light)
-    beside = partial(nearest_at, neighbour, matches.body, paints.first, segments.number)
-    reference, tilt = clean_references(channels, places, spectrum, matches, paints, light, beside, zenith)
-    del places
-    coated = coloured_bodies(reference, light)
+    neighbours = partial(nearest_at, neighbour, matches.body, paints.first, segments.number)
+    reference, tilt = clean_references(
+        channels, samples, spectrum, matches, paints, light, neighbours, zenith
+    )
+    del samples
+    is_coloured = coloured_bodies(reference, light)
     # ground without any cast shadow may be a bonnet that fills the picture
-    bare = ground & ground[matches.body[matches.state == SHADED]].any()
+    uncoated = ground & ground[matches.body[matches.state == SHADED]].any()
     lobe = (
         np.zeros(saturated.shape, np.uint8)
         if light.direct.mean() < SURVEY.min_direct
         else mirror_lobes(
-            Picture(channels, saturated, Shown(segments.number, matches.body), bare, reference, coated, light)
+            Picture(
+                channels,
+                saturated,
+                PixelBodies(segments.number, matches.body),
+                uncoated,
+                reference,
+                is_coloured,
+                light,
+            )
         )
     )
     noise = channel_noise(channels, segments.number, is_inside)
@@ -1010,9 +1057,9 @@ def survey(
         spectrum=spectrum,
         reference=reference,
         attrs={
-            "diffuse_fraction_from": _source_text(diffuse, divided),
+            "diffuse_fraction_from": _source_text(diffuse, line_split),
             "diffuse_fraction_u": split_u.tolist(),
-            "sky_states": " ".join(divided.states),
+            "sky_states": " ".join(line_split.states),
             "reach": reach,
             "sun_zenith": zenith,
         },
@@ -1027,13 +1074,13 @@ def _shade_distance(
     reference: Floats,
     light: Light,
 ) -> npt.NDArray[np.uint8]:
-    # Distance of every pixel from any shadow (line, column) [pixel]
+    # Distance of every pixel from the nearest shadow (line, column) [pixel]
     distance = distance_to(np.append(matches.state == SHADED, False)[number])
     shaded = shaded_pixels(channels, number, ground & (matches.state == LIT), reference, light)
     level = np.append(np.nan_to_num(reference).mean(axis=1), 0.0)
     deep = np.empty_like(shaded)
-    for part, seen in line_parts(channels):
-        deep[part] = shaded[part] & (seen.mean(axis=2) < SHADOWS.max_deep_level * level[number[part]])
+    for lines, block in line_blocks(channels):
+        deep[lines] = shaded[lines] & (block.mean(axis=2) < SHADOWS.max_deep_level * level[number[lines]])
     distance[of_shadows(shaded, (distance == 0) | deep)] = 0
     return distance
 
@@ -1055,14 +1102,14 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
     if not good.any():
         problems.add(
             f"'good' is False in all {good.size} bands",
-            mend="correct 'good', or drop it to use all of them",
+            mend="correct 'good', or drop it to use all bands",
             code="good-bands-missing",
         )
-    without = np.flatnonzero(good & ~np.isfinite(wavelength))
-    if without.size:
+    missing = np.flatnonzero(good & ~np.isfinite(wavelength))
+    if missing.size:
         problems.add(
-            f"wavelength is missing in {without.size} good bands, the first of them {without[0]}",
-            mend="give it, or set 'good' to False there",
+            f"wavelength is missing in {missing.size} good bands, first in band {missing[0]}",
+            mend="add the wavelengths, or set 'good' to False in these bands",
             code="wavelength-missing",
         )
     problems.raise_if_any()
@@ -1070,18 +1117,18 @@ def _good_bands(line: xr.Dataset, cube: xr.DataArray, wavelength: Floats) -> Boo
 
 
 def _source_text(diffuse: Any, split: LightSplit) -> str:
-    place = f"sun at {split.zenith:.1f} degrees from the zenith"
+    sun = f"sun at {split.zenith:.1f} degrees from the zenith"
     if split.source == "measured":
         return "a measured spectrum"
     if split.states:
-        return f"the lines' own record, sky {', '.join(split.states)}, {place}"
+        return f"the lines' own record, sky {', '.join(split.states)}, {sun}"
     return {
-        "pvlib": f"SPECTRL2 of pvlib, {place}",
+        "pvlib": f"SPECTRL2 of pvlib, {sun}",
         "shadow": "cast shadow in the image",
-    }.get(str(diffuse), f"clear sky of hyperpaint.light.sun, {place}")
+    }.get(str(diffuse), f"clear sky of hyperpaint.light.sun, {sun}")
 
 
-def _mean_of(values: Floats, channel: Ints) -> Floats:
+def _channel_means(values: Floats, channel: Ints) -> Floats:
     # Means of values (band,) over the bands of every channel (channel,)
-    used = channel >= 0
-    return np.asarray(np.bincount(channel[used], values[used]) / np.bincount(channel[used]))
+    is_used = channel >= 0
+    return np.asarray(np.bincount(channel[is_used], values[is_used]) / np.bincount(channel[is_used]))

@@ -18,15 +18,16 @@ from hyperpaint.light.coat_transmission import (
 
 from .measured_spectra import Measured
 
-# zenith beyond which a degree of lean changes the direct light by more than 5 %, the usual tolerance
+#: Zenith angle of the sun above which a degree of lean changes the direct light by more than the usual
+#: tolerance, 5 % [degree].
 _LOW_SUN_DEG = 70.0
 
 
 def coat_of(attrs: Any) -> dict[str, Any]:
     """Return quantity, instrument geometry and index of the coat, by the attributes of a dataset.
 
-    ``quantity`` in the words of `hyperpaint.base.mirrored_light`; else it follows from
-    ``specular_component``.
+    ``quantity`` is one of the words of `hyperpaint.base.mirrored_light`; without it, ``specular_component``
+    determines the quantity.
     """
     quantity = attrs.get("quantity")
     if quantity not in (BODY, OUTSIDE, THROUGH_COAT):
@@ -58,10 +59,11 @@ def light_notes(sun_zenith: float, sky_is_contradictory: bool) -> list[str]:
 
 
 def as_body(reference: Measured, signature: Measured) -> Measured:
-    r"""Return a reading outside of a coat as one of the body under it, where the signature is of the body.
+    r"""Return a reading outside of a coat converted to the body under it, if the signature is of the body.
 
-    Needs the reference's ``measurement_geometry``: "0/0", "0/45", "45/0", or an integrating sphere, "d/8" and
-    the like. Without it, or for a reading of the body, the reference is returned unchanged.
+    The attribute ``measurement_geometry`` of the reference must be "0/0", "0/45", "45/0", or that of an
+    integrating sphere, such as "d/8". Without it, or for a reading of the body, the reference is returned
+    unchanged.
 
     Notes
     -----
@@ -75,25 +77,25 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
     # reflectance of the coat for the light of the instrument [1]
     index, angles = reference.coat_index, {"0/0": 0.0, "0/45": 45.0, "45/0": 45.0}
     if reference.geometry in angles:
-        into = float(interface_reflectance(angles[reference.geometry], index))
+        incident = float(interface_reflectance(angles[reference.geometry], index))
     elif reference.geometry in ("d/0", "0/d", "d/8", "8/d"):
-        into = float(sky_reflectance([550.0], None, index=index)[0])
+        incident = float(sky_reflectance([550.0], None, index=index)[0])
     else:
         return reference
     normal = float(interface_reflectance(0.0, index))
     mirrored = normal if reference.mirror == INCLUDED and reference.geometry not in ("0/45", "45/0") else 0.0
-    factor = (1.0 - normal) / (1.0 - into)
+    factor = (1.0 - normal) / (1.0 - incident)
 
     def times(spread: Floats | None) -> Floats | None:
         return None if spread is None else spread * factor
 
-    # uncertainty of the subtracted reflectance by the index; for black paint it is the largest part
+    # uncertainty of the subtracted reflectance from that of the index, the largest part for black paint
     normal_u = float(mirrored > 0.0) * 4.0 * (index - 1.0) / (index + 1.0) ** 3 * COAT_INDEX_U
     known_u = 0.0 if reference.u_systematic is None else reference.u_systematic
     systematic = factor * np.hypot(known_u, normal_u) * np.ones_like(reference.values)
 
     note = (
-        f"the reference, a reading of the coat's outside in {reference.geometry}, was brought to the body "
+        f"the reference, a reading of the coat's outside in {reference.geometry}, was converted to the body "
         f"under it: less {mirrored:.3f}, times {factor:.3f}"
     )
     return replace(
@@ -102,7 +104,7 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
         u_random=times(reference.u_random),
         u_systematic=systematic,
         sd=times(reference.sd),
-        covariance=None,  # without what the index adds
+        covariance=None,  # it lacks the uncertainty of the index
         mirror=EXCLUDED,
         quantity=BODY,
         notes=(*reference.notes, note),
@@ -110,14 +112,14 @@ def as_body(reference: Measured, signature: Measured) -> Measured:
 
 
 def difference(signature: Measured, reference: Measured) -> str:
-    """Return why signature and reference are different quantities, and the remedy; else ""."""
+    """Return the difference in quantity of signature and reference, and the mend; empty for none."""
     quantity, reference_quantity = signature.quantity, reference.quantity
     if not quantity or not reference_quantity or quantity == reference_quantity:
         return ""
     mend = {
-        BODY: "give the reference the attributes measurement_geometry and specular_component, or make "
+        BODY: "give the reference the attributes measurement_geometry and specular_component, or extract "
         "signatures with coat=False",
-        OUTSIDE: "make signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
-        THROUGH_COAT: "make signatures with coat=True, or call correct_coat",
+        OUTSIDE: "extract signatures without the mirrored sky (specular_sky=True, or --specular-sky)",
+        THROUGH_COAT: "extract signatures with coat=True, or call correct_coat",
     }[quantity]
     return f"the signature is a {quantity}, the reference a {reference_quantity}: {mend}"

@@ -26,11 +26,11 @@ _MAX_LISTED_NAMES = 12
 
 @dataclass(frozen=True)
 class Pair:
-    """A signature and its reference spectra of one instrument."""
+    """A signature and its reference spectra from one instrument."""
 
     signature: Measured
-    references: tuple[Measured, ...]  # Repeated readings, of which the mean is compared
-    between: bool = False  # Whether the signature is a reference too, of another instrument
+    references: tuple[Measured, ...]  #: Repeated readings; their mean is compared.
+    between: bool = False  #: Whether ``signature`` is a reference, from another instrument.
 
 
 @dataclass(frozen=True)
@@ -38,85 +38,92 @@ class Pairing:
     """All pairs, and the signatures and references without a counterpart."""
 
     pairs: tuple[Pair, ...]
-    # names without a counterpart, with the reason where there is one
-    signatures: tuple[str, ...]
-    references: tuple[str, ...]
-    missing: tuple[str, ...]  # names in ``signatures`` whose wanted reference is absent
+    signatures: tuple[str, ...]  #: Names of signatures without a reference.
+    references: tuple[str, ...]  #: Names of references without a signature, with their instrument.
+    missing: tuple[str, ...]  #: Entries of ``signatures`` whose property names an absent reference.
 
 
 def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None) -> Pairing:
     """Return the pairs of signatures and references.
 
-    ``signatures``, ``references``: spectra with their names; ``pairs``: names of references by names of
-    paints, one or several each. By default a signature's own property ``reference`` names them, and where it
-    has none, its name.
+    ``signatures``, ``references``: spectra with their names; ``pairs``: one or several names of references by
+    name of a paint. By default a signature's property ``reference`` names them, and without this property the
+    signature's name.
 
     Raises `SchemaError`: ``pairs`` has unknown names; several paints, or references of several folders or
     datasets, share a name; or nothing can be paired. All problems of a kind are listed.
     """
-    wanted = _named_pairs(signatures, references, pairs) if pairs is not None else None
+    names_of_paint = _named_pairs(signatures, references, pairs) if pairs is not None else None
     problems = Problems("paints and references cannot be paired by name", SchemaError)
-    counts = Counter(each.name for each in signatures)
+    counts = Counter(signature.name for signature in signatures)
     matched: list[Pair] = []
-    alone: list[str] = []
-    missed: list[str] = []
-    used: set[int] = set()
+    unpaired: list[str] = []
+    missing: list[str] = []
+    paired_references: set[int] = set()
     for signature in signatures:
-        named = (signature.wanted or signature.name,)
-        names = named if wanted is None else wanted.get(signature.name, ())
-        matching = sorted({k for name in names for k in _called(name, references, problems)})
+        requested = signature.reference_name
+        if names_of_paint is None:
+            names: Sequence[str] = (requested or signature.name,)
+        else:
+            names = names_of_paint.get(signature.name, ())
+        matching = sorted({k for name in names for k in _references_of_name(name, references, problems)})
         if not matching:
-            asks = wanted is None and bool(signature.wanted)
-            alone.append(signature.name + (f" (wants {signature.wanted!r})" if asks else ""))
-            missed += alone[-1:] if asks else []
+            is_missing = names_of_paint is None and bool(requested)
+            unpaired.append(signature.name + (f" (no reference {requested!r})" if is_missing else ""))
+            missing += unpaired[-1:] if is_missing else []
             continue
-        if counts[signature.name] > 1 and (wanted is not None or not signature.wanted):
+        if counts[signature.name] > 1 and (names_of_paint is not None or not requested):
             problems.add(
-                f"there are {counts[signature.name]} paints {signature.name!r}",
-                mend="give each a unique name",
+                f"{counts[signature.name]} paints have the name {signature.name!r}",
+                mend="give each paint a unique name",
                 code="paint-duplicate",
             )
-        used.update(matching)
+        paired_references.update(matching)
         for instrument in dict.fromkeys(references[k].instrument for k in matching):
             group = tuple(references[k] for k in matching if references[k].instrument == instrument)
             matched.append(Pair(signature, group))
     problems.raise_if_any()
-    left = tuple(f"{each.name} ({each.instrument})" for k, each in enumerate(references) if k not in used)
+    unpaired_references = tuple(
+        f"{reference.name} ({reference.instrument})"
+        for k, reference in enumerate(references)
+        if k not in paired_references
+    )
     if not matched:
         mend = "name them with {}, or give regions a property reference"
         raise SchemaError(
             f"no paint has a reference of its name; paints are {_listed([s.name for s in signatures])}, "
-            f"references {_listed(left)}",
+            f"references {_listed(unpaired_references)}",
             mend=mend.format("pairs={paint: reference}"),
             option=mend.format("--pairs"),
             code="reference-unmatched",
         )
-    return Pairing(tuple(matched), tuple(alone), left, tuple(missed))
+    return Pairing(tuple(matched), tuple(unpaired), unpaired_references, tuple(missing))
 
 
-def _called(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
-    # of each instrument the references that own the name, else a longer one; files of one name in different
-    # folders are no repeated readings of one paint: a problem
+def _references_of_name(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
+    # Numbers of the references that a name matches, of every instrument those of the first rank that matches.
+    # Files of one name in different folders are not repeated readings of one paint: a problem.
     matches: dict[str, list[int]] = {}
     for rank in range(3):
-        hits: dict[str, list[int]] = {}
-        for k, each in enumerate(references):
-            if name in each.names.ranks[rank] and each.instrument not in matches:
-                hits.setdefault(each.instrument, []).append(k)
-        matches |= hits
+        matches_of_rank: dict[str, list[int]] = {}
+        for k, reference in enumerate(references):
+            if name in reference.names.ranks[rank] and reference.instrument not in matches:
+                matches_of_rank.setdefault(reference.instrument, []).append(k)
+        matches |= matches_of_rank
     for instrument, numbers in matches.items():
-        places = {references[k].names.place for k in numbers}
-        if len(places) > 1:
-            several = len({dataset for dataset, _ in places}) > 1
-            held = _listed(
+        origins = {references[k].names.origin for k in numbers}
+        if len(origins) > 1:
+            in_datasets = len({dataset for dataset, _ in origins}) > 1
+            candidates = _listed(
                 [
-                    references[k].name + (f" (dataset {references[k].names.place[0]})" if several else "")
+                    references[k].name
+                    + (f" (dataset {references[k].names.origin[0]})" if in_datasets else "")
                     for k in numbers
                 ]
             )
-            mend = "name one, or all that are repeated readings, with {}, or leave files out"
+            mend = "name one reference, or all repeated readings, with {}, or remove files"
             problems.add(
-                f"{name!r} may be any of {held} of {instrument}",
+                f"{name!r} may be any of {candidates} of {instrument}",
                 mend=mend.format("pairs={paint: reference}"),
                 option=mend.format("--pairs"),
                 code="reference-ambiguous",
@@ -133,57 +140,60 @@ def _named_pairs(
             expected="a mapping from names of paints to names of references",
             code="type-wrong",
         )
-    problems = Problems("pairs= cannot be followed", SchemaError)
-    paints = {each.name for each in signatures}
-    names_there = frozenset[str]().union(*(each.names.every for each in references))
-    wanted: dict[str, tuple[str, ...]] = {}
-    for paint, names in pairs.items():
-        several = (names,) if isinstance(names, str) else tuple(names)
+    problems = Problems("pairs= cannot be used", SchemaError)
+    paints = {signature.name for signature in signatures}
+    known_names = frozenset[str]().union(*(reference.names.every for reference in references))
+    names_of_paint: dict[str, tuple[str, ...]] = {}
+    for paint, value in pairs.items():
+        names = (value,) if isinstance(value, str) else tuple(value)
         if paint not in paints:
             problems.add(
                 f"there is no paint {paint!r}", expected=_listed(sorted(paints)), code="paint-unknown"
             )
-        for name in several:
-            if name not in names_there:
-                held = _listed([each.name for each in references])
+        for name in names:
+            if name not in known_names:
                 problems.add(
-                    f"there is no reference {name!r} for {paint!r}", expected=held, code="reference-unknown"
+                    f"there is no reference {name!r} for {paint!r}",
+                    expected=_listed([reference.name for reference in references]),
+                    code="reference-unknown",
                 )
-        wanted[str(paint)] = several
+        names_of_paint[str(paint)] = names
     problems.raise_if_any()
-    return wanted
+    return names_of_paint
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(map(repr, names[:_MAX_LISTED_NAMES])) or "none"
-    rest = len(names) - _MAX_LISTED_NAMES
-    return f"{shown} and {rest} more" if rest > 0 else shown
+    text = ", ".join(map(repr, names[:_MAX_LISTED_NAMES])) or "none"
+    more = len(names) - _MAX_LISTED_NAMES
+    return f"{text} and {more} more" if more > 0 else text
 
 
 def between_references(pairs: Sequence[Pair]) -> list[Pair]:
     """Return pairs of references of one paint, measured by two instruments."""
-    of_paint: dict[int, list[Pair]] = {}
+    pairs_of_paint: dict[int, list[Pair]] = {}
     for pair in pairs:
-        of_paint.setdefault(id(pair.signature), []).append(pair)
+        pairs_of_paint.setdefault(id(pair.signature), []).append(pair)
     return [
-        Pair(_mean_of(first), second.references, between=True)
-        for same_paint in of_paint.values()
+        Pair(_mean_reference(first), second.references, between=True)
+        for same_paint in pairs_of_paint.values()
         for first, second in itertools.combinations(same_paint, 2)
     ]
 
 
-def _mean_of(pair: Pair) -> Measured:
-    # on the channels of the first reading
+def _mean_reference(pair: Pair) -> Measured:
+    # Mean of the readings of a pair, on the channels of the first reading, under the name of the paint
     first = pair.references[0]
-    named = replace(first, names=replace(first.names, shown=pair.signature.name))
+    renamed = replace(first, names=replace(first.names, shown=pair.signature.name))
     if len(pair.references) == 1:
-        return named
-    onto = [operator_onto(first, each) for each in pair.references]
-    values = np.stack([use(each.values) for use, each in zip(onto, pair.references, strict=True)])
+        return renamed
+    operators = [operator_onto(first, reading) for reading in pair.references]
+    values = np.stack(
+        [resample(reading.values) for resample, reading in zip(operators, pair.references, strict=True)]
+    )
     sd = values.std(axis=0, ddof=1)
     systematic = np.zeros(sd.shape) if first.u_systematic is None else first.u_systematic
     return replace(
-        named,
+        renamed,
         values=values.mean(axis=0),
         sd=sd,
         count=len(values),
@@ -193,7 +203,8 @@ def _mean_of(pair: Pair) -> Measured:
     )
 
 
-DRAWS = 1000  # their standard deviation is known to 2 %
+#: Number of random draws of errors; it determines their standard deviation to 2 %.
+DRAWS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,24 +212,23 @@ class Compared:
     """A pair on common bands."""
 
     pair: Pair
-    bands: Measured  # The spectrum whose channels are the common bands
-    # signature, reference (band,): Reflectance [1]; NaN where not known
-    signature: Floats
-    reference: Floats
-    onto: tuple[Operator, ...]  # operators of the references, and last of the signature
-    # draws of the errors of both (draw, band); None where both are unknown
+    bands: Measured  #: The spectrum whose channels are the common bands.
+    signature: Floats  #: (band,): Reflectance [1]; NaN where unknown.
+    reference: Floats  #: (band,): Mean reflectance of the readings [1]; NaN where unknown.
+    operators: tuple[Operator, ...]  #: Resampling of the references, and last of the signature.
+    #: Draws of the errors of signature and reference (draw, band); None where both are unknown.
     errors: tuple[Floats, Floats] | None
 
     @property
     def names(self) -> str:
         """Names of the references."""
-        return ", ".join(each.name for each in self.pair.references)
+        return ", ".join(reference.name for reference in self.pair.references)
 
     @property
     def instrument(self) -> str:
         """Instrument of the references."""
-        make = self.pair.references[0].instrument
-        return f"{self.pair.signature.instrument} against {make}" if self.pair.between else make
+        instrument = self.pair.references[0].instrument
+        return f"{self.pair.signature.instrument} against {instrument}" if self.pair.between else instrument
 
     @property
     def used(self) -> npt.NDArray[np.bool_]:
@@ -228,14 +238,14 @@ class Compared:
     @property
     def coverage(self) -> Floats:
         """Part of each band's response covered by the channels of all spectra (band,)."""
-        return np.asarray(np.min([each.coverage for each in self.onto], axis=0))
+        return np.asarray(np.min([operator.coverage for operator in self.operators], axis=0))
 
     @property
     def ranges(self) -> str:
         """Wavelength ranges of all spectra, as text."""
         return ", ".join(
-            f"{each.name} {each.wavelength[0]:g} to {each.wavelength[-1]:g} nm"
-            for each in (self.pair.signature, *self.pair.references)
+            f"{spectrum.name} {spectrum.wavelength[0]:g} to {spectrum.wavelength[-1]:g} nm"
+            for spectrum in (self.pair.signature, *self.pair.references)
         )
 
     def part(self, edges: tuple[float, float]) -> npt.NDArray[np.bool_]:
@@ -245,24 +255,26 @@ class Compared:
     @property
     def overlap(self) -> str:
         """Treatment of overlapping detectors in the references."""
-        return _common([each.overlap for each in self.pair.references])
+        return _common([reference.overlap for reference in self.pair.references])
 
     @property
     def matched(self) -> bool:
         """Whether values of any reference were changed to join detectors."""
-        return any(each.matched for each in self.pair.references)
+        return any(reference.matched for reference in self.pair.references)
 
     @property
     def mirror(self) -> str:
         """Whether the references include the mirror image of the sky."""
-        return _common([each.mirror for each in self.pair.references])
+        return _common([reference.mirror for reference in self.pair.references])
 
     def warnings(self) -> list[tuple[str, str]]:
-        """Return code and text of each condition that the user can act on."""
+        """Return code and text of each condition that the user can mend."""
         name, mirror, reference_mirror = self.pair.signature.name, self.pair.signature.mirror, self.mirror
-        texts = dict.fromkeys(difference(self.pair.signature, each) for each in self.pair.references)
-        if apart := [("coats-differ", f"{name}: {text}") for text in texts if text]:
-            return apart
+        texts = dict.fromkeys(
+            difference(self.pair.signature, reference) for reference in self.pair.references
+        )
+        if coats_differ := [("coats-differ", f"{name}: {text}") for text in texts if text]:
+            return coats_differ
         if mirror == reference_mirror or not {mirror, reference_mirror} <= {"included", "excluded", "mixed"}:
             return []
         text = (
@@ -273,27 +285,28 @@ class Compared:
 
     def notes(self) -> tuple[str, ...]:
         """Return remarks for the reader of the result."""
-        notes = [note for each in self.pair.references for note in each.notes]
+        notes = [note for reference in self.pair.references for note in reference.notes]
         notes += [f"signature: {note}" for note in self.pair.signature.notes]
         if self.matched:
             notes.append(
-                "the reference was overlap-matched: below the join of detectors its values were scaled"
+                "the reference is overlap-matched: its values were scaled below the join of its detectors"
             )
         if self.bands is not self.pair.signature:
-            notes.append("the signature was brought onto the reference's bands")
-        # bands left out, with the reason
-        narrow = np.any([~each.seen & np.isfinite(each.noise_gain) for each in self.onto], axis=0)
+            notes.append("the signature was resampled to the reference's bands")
+        narrow = np.any(
+            [~operator.is_covered & np.isfinite(operator.noise_gain) for operator in self.operators], axis=0
+        )
         reasons = {
             "not covered completely, or without a value": ~self.used & ~narrow,
-            "narrower than the other side can resolve": ~self.used & narrow,
+            "narrower than the other spectrum resolves": ~self.used & narrow,
         }
         notes += [
-            f"left out of {self.used.size} bands: {int(which.sum())} {reason}"
-            for reason, which in reasons.items()
-            if which.any()
+            f"excluded of {self.used.size} bands: {int(excluded.sum())} {reason}"
+            for reason, excluded in reasons.items()
+            if excluded.any()
         ]
         is_absolute = self.pair.signature.absolute
-        if any(each.absolute != is_absolute for each in self.pair.references):
+        if any(reference.absolute != is_absolute for reference in self.pair.references):
             sides = ("reference", "signature") if is_absolute else ("signature", "reference")
             notes.append(
                 f"the {sides[0]} is relative to a white panel, the {sides[1]} is absolute: the panel's own "
@@ -307,12 +320,14 @@ class Compared:
             "signature": signature.has_uncertainty,
             "reference": len(references) > 1 or references[0].has_uncertainty,
         }
-        unknown = [side for side, has in has_uncertainty.items() if not has]
+        unknown = [side for side, is_known in has_uncertainty.items() if not is_known]
         notes = []
         if unknown:
             notes.append(f"the uncertainty of the {' and the '.join(unknown)} is unknown and not included")
         for side, spectra in (("signature", (signature,)), ("reference", references)):
-            notes += [f"uncertainty of the {side}: {text}" for each in spectra for text in each.gaps()]
+            notes += [
+                f"uncertainty of the {side}: {text}" for spectrum in spectra for text in spectrum.gaps()
+            ]
         return notes
 
     @property
@@ -353,56 +368,64 @@ class Compared:
         spreads = {}
         signature_sd, references = self.pair.signature.sd, self.pair.references
         if signature_sd is not None:
-            spreads["signature_sd"] = self.onto[-1](signature_sd)
+            spreads["signature_sd"] = self.operators[-1](signature_sd)
         if len(references) > 1:
-            readings = [use(each.values) for use, each in zip(self.onto[:-1], references, strict=True)]
+            readings = [
+                resample(reading.values)
+                for resample, reading in zip(self.operators[:-1], references, strict=True)
+            ]
             spreads["reference_sd"] = np.std(readings, axis=0, ddof=1)
         elif references[0].sd is not None:
-            spreads["reference_sd"] = self.onto[0](references[0].sd)
+            spreads["reference_sd"] = self.operators[0](references[0].sd)
         return spreads
 
 
 def compare(pair: Pair, seed: int) -> Compared:
-    """Bring a pair onto common bands, and draw its errors there.
+    """Resample a pair to common bands, and draw its errors there.
 
-    The draws are the same for every pair, in whatever order they come.
+    Every pair has its own generator of the same seed: the draws do not depend on the order of pairs.
     """
     if not pair.between:
-        pair = replace(pair, references=tuple(as_body(each, pair.signature) for each in pair.references))
+        converted = tuple(as_body(reference, pair.signature) for reference in pair.references)
+        pair = replace(pair, references=converted)
     bands = bands_of(pair.signature, list(pair.references))
-    onto = tuple(operator_onto(bands, each) for each in (*pair.references, pair.signature))
-    readings = np.stack([use(each.values) for use, each in zip(onto[:-1], pair.references, strict=True)])
+    operators = tuple(operator_onto(bands, spectrum) for spectrum in (*pair.references, pair.signature))
+    readings = np.stack(
+        [resample(reading.values) for resample, reading in zip(operators[:-1], pair.references, strict=True)]
+    )
     rng = np.random.default_rng(seed)
     has_uncertainty = (
         pair.signature.has_uncertainty or len(readings) > 1 or pair.references[0].has_uncertainty
     )
     errors = None
     if has_uncertainty:
-        signature_errors = onto[-1](pair.signature.errors(rng, DRAWS))
-        errors = signature_errors, _errors_of_mean(pair.references, onto[:-1], readings, rng)
-    return Compared(pair, bands, onto[-1](pair.signature.values), readings.mean(axis=0), onto, errors)
+        signature_errors = operators[-1](pair.signature.errors(rng, DRAWS))
+        errors = signature_errors, _errors_of_mean(pair.references, operators[:-1], readings, rng)
+    signature = operators[-1](pair.signature.values)
+    return Compared(pair, bands, signature, readings.mean(axis=0), operators, errors)
 
 
 def _errors_of_mean(
-    references: Sequence[Measured], onto: Sequence[Operator], readings: Floats, rng: np.random.Generator
+    references: Sequence[Measured], operators: Sequence[Operator], readings: Floats, rng: np.random.Generator
 ) -> Floats:
+    # Draws of the errors of the mean of readings (draw, band); the equation is in `validate`
     count = len(readings)
     if count == 1:
-        return onto[0](references[0].errors(rng, DRAWS))
-    away = readings - readings.mean(axis=0)
-    errors = np.asarray(rng.standard_normal((DRAWS, count)) @ away / np.sqrt(count * (count - 1.0)))
-    # readings of one instrument share its systematic error, which repetition does not show
-    common = [
-        use(each.u_systematic)
-        for use, each in zip(onto, references, strict=True)
-        if each.u_systematic is not None
+        return operators[0](references[0].errors(rng, DRAWS))
+    deviations = readings - readings.mean(axis=0)
+    errors = np.asarray(rng.standard_normal((DRAWS, count)) @ deviations / np.sqrt(count * (count - 1.0)))
+    # readings of one instrument share its systematic error, which their scatter does not show
+    systematic = [
+        resample(reading.u_systematic)
+        for resample, reading in zip(operators, references, strict=True)
+        if reading.u_systematic is not None
     ]
-    if common:
-        errors += np.mean(common, axis=0) * rng.standard_normal((DRAWS, 1))
-    # a few readings may agree by chance
-    for use, each in zip(onto, references, strict=True):
-        if each.u_random is not None:
-            errors += use(each.u_random * rng.standard_normal((DRAWS, each.u_random.size))) / count
+    if systematic:
+        errors += np.mean(systematic, axis=0) * rng.standard_normal((DRAWS, 1))
+    # a few readings may agree by chance: their random uncertainty is added
+    for resample, reading in zip(operators, references, strict=True):
+        if reading.u_random is not None:
+            errors += resample(reading.u_random * rng.standard_normal((DRAWS, reading.u_random.size))) / count
     return errors
 
 

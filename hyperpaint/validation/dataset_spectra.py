@@ -24,29 +24,29 @@ from .measured_spectra import Measured, names_of_paint, names_of_spectrum
 
 _MAX_DETECTORS = 8
 
-# widths of the channels of three detectors, by the makers of FieldSpec 3/4 and HR-1024i [nm]
-_WIDTHS: dict[str, tuple[float, ...]] = {"asd": (3.0, 10.0, 10.0), "svc": (3.5, 9.5, 6.5)}
+#: Channel widths of the three detectors of FieldSpec 3/4 and HR-1024i, as their makers state them [nm].
+_WIDTHS_NM: dict[str, tuple[float, ...]] = {"asd": (3.0, 10.0, 10.0), "svc": (3.5, 9.5, 6.5)}
 _NAMES = {"asd": ("asd", "fieldspec", "handheld"), "svc": ("svc", "spectra vista", "hr-1024", "hr-768")}
-_EDGES_NM = (1000.0, 1900.0)  # between detectors, for a file that does not separate them
+#: Wavelengths between detectors, for files without gaps or overlaps at these [nm].
+_DETECTOR_EDGES_NM = (1000.0, 1900.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
     """Channels in use, in the order of wavelength."""
 
-    order: npt.NDArray[np.intp]  # (channel,): Positions in the file
-    detector: npt.NDArray[np.intp]  # (channel,): Number of the detector that each is of
-    joins: tuple[float, ...]  # Where one detector takes over from the other [nm]
+    order: npt.NDArray[np.intp]  #: (channel,): Positions in the file.
+    detector: npt.NDArray[np.intp]  #: (channel,): Number of the channel's detector.
+    joins: tuple[float, ...]  #: Wavelengths at which the next detector begins [nm].
 
 
 def join_detectors(wavelength: Floats) -> Axis:
-    """Return the channels that make one increasing axis of wavelengths.
+    """Return the channels that form one increasing axis of wavelengths.
 
-    Where wavelengths fall, another detector begins. Of two overlapping detectors, each is used up to the
-    middle of the overlap: samples of different detectors are never averaged, since scale and resolution
-    differ.
+    Where wavelengths fall, another detector begins. Two overlapping detectors are joined in the middle of
+    their overlap: samples of different detectors are not averaged, since scale and resolution differ.
 
-    ``wavelength`` (channel,): in the order of the file [nm]; a file that descends as a whole is turned round.
+    ``wavelength`` (channel,): wavelengths in the order of the file [nm]; descending files are reversed.
 
     Raises `SchemaError`: Wavelengths are not finite, or in an order that no set of detectors has.
 
@@ -72,36 +72,36 @@ def join_detectors(wavelength: Floats) -> Axis:
         )
     channels, number, joins = detectors[0], np.zeros(detectors[0].size, np.intp), []
     for index, following in enumerate(detectors[1:], 1):
-        middle = float(0.5 * (wavelength[channels[-1]] + wavelength[following[0]]))
-        before = wavelength[channels] <= middle
-        after = following[wavelength[following] > middle]
-        if not (before.any() and after.size):
+        join = float(0.5 * (wavelength[channels[-1]] + wavelength[following[0]]))
+        below_join = wavelength[channels] <= join
+        above_join = following[wavelength[following] > join]
+        if not (below_join.any() and above_join.size):
             raise SchemaError(
-                f"one detector's wavelengths lie within another's near {middle:g} nm",
-                mend="open them apart",
+                f"one detector's wavelengths lie within another's near {join:g} nm",
+                mend="open the detectors as separate datasets",
                 code="detectors-overlap",
             )
-        channels = np.concatenate([channels[before], after])
-        number = np.concatenate([number[before], np.full(after.size, index)])
-        joins.append(middle)
+        channels = np.concatenate([channels[below_join], above_join])
+        number = np.concatenate([number[below_join], np.full(above_join.size, index)])
+        joins.append(join)
     return Axis(channels, number, tuple(joins))
 
 
 def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: str) -> tuple[Floats, str]:
     """Return usual widths of channels for data that do not state them, and the source of these widths.
 
-    ``wavelength``, ``detector`` (channel,): increasing wavelengths [nm], and the detector that each is of;
-    ``instrument``: its name, as the data give it.
+    ``wavelength`` (channel,): increasing wavelengths [nm]; ``detector`` (channel,): number of the detector;
+    ``instrument``: name of the instrument in the data.
 
     Returns full widths at half maximum (channel,) [nm], and their source, for the reader of the result.
     """
     lowered = instrument.lower()
-    for kind, names in _NAMES.items():
+    for make, names in _NAMES.items():
         if any(name in lowered for name in names):
-            has_detectors = detector.max() > 0 and wavelength[0] < _EDGES_NM[0]
-            part = detector if has_detectors else np.searchsorted(_EDGES_NM, wavelength, "right")
-            widths = np.array(_WIDTHS[kind])[np.minimum(part, len(_EDGES_NM))]
-            return widths, f"widths of channels as usual for {kind.upper()}"
+            has_detectors = detector.max() > 0 and wavelength[0] < _DETECTOR_EDGES_NM[0]
+            number = detector if has_detectors else np.searchsorted(_DETECTOR_EDGES_NM, wavelength, "right")
+            widths = np.array(_WIDTHS_NM[make])[np.minimum(number, len(_DETECTOR_EDGES_NM))]
+            return widths, f"widths of channels as usual for {make.upper()}"
     if wavelength.size < 2:
         return np.ones(wavelength.size), "widths of channels assumed, 1 nm"
     return 2.0 * np.gradient(wavelength), "widths of channels assumed, twice their distance"
@@ -110,14 +110,15 @@ def channel_widths(wavelength: Floats, detector: npt.NDArray[Any], instrument: s
 UNKNOWN = "unknown"
 _MIRRORS = ("included", "excluded")
 _SPREADS = ("reflectance_u_random", "reflectance_u_systematic", "reflectance_sd")
-_MIN_WIDTH_NM, _MAX_WIDTH_SPACINGS = 0.05, 100.0  # plausible widths of channels
+#: Range of plausible channel widths: minimum [nm], and maximum in distances of channels.
+_MIN_WIDTH_NM, _MAX_WIDTH_SPACINGS = 0.05, 100.0
 
 
 def signatures_from(signatures: xr.Dataset) -> list[Measured]:
     """Return the spectra of a paint library; bad bands are NaN.
 
-    Raises `SchemaError`: It is no paint library; all problems are listed. Raises `UnitsError`: Units cannot
-    be read.
+    Raises `SchemaError`: It is not a paint library; all problems are listed. Raises `UnitsError`: Units
+    cannot be read.
     """
     if not hasattr(signatures, "data_vars"):
         raise SchemaError(
@@ -125,7 +126,7 @@ def signatures_from(signatures: xr.Dataset) -> list[Measured]:
             expected="a paint library (xarray.Dataset)",
             code="type-wrong",
         )
-    return list(_of_library(signatures, 0, None, "band"))
+    return list(_library_spectra(signatures, 0, None, "band"))
 
 
 def references_from(references: Any, fwhm: float | None) -> list[Measured]:
@@ -149,44 +150,44 @@ def references_from(references: Any, fwhm: float | None) -> list[Measured]:
     spectra: list[Measured] = []
     for number, dataset in enumerate(datasets, 1):
         try:
-            spectra += _of_dataset(dataset, number, fwhm)
+            spectra += _dataset_spectra(dataset, number, fwhm)
         except (SchemaError, UnitsError) as error:
             problems.add_error(f"reference {number}", error)
     if not spectra and not problems:
         problems.add(
-            "there is no reference",
-            mend="open some with open_svc, open_asd or open_library",
+            "references= is empty",
+            mend="open references with open_svc, open_asd or open_library",
             code="empty-input",
         )
     problems.raise_if_any()
     # serial numbers distinguish several instruments of one make
     serials: dict[str, set[str]] = {}
-    for each in spectra:
-        serials.setdefault(each.instrument, set()).add(each.serial)
+    for spectrum in spectra:
+        serials.setdefault(spectrum.instrument, set()).add(spectrum.serial)
     return [
-        replace(each, instrument=f"{each.instrument} {each.serial}")
-        if each.serial and len(serials[each.instrument]) > 1
-        else each
-        for each in spectra
+        replace(spectrum, instrument=f"{spectrum.instrument} {spectrum.serial}")
+        if spectrum.serial and len(serials[spectrum.instrument]) > 1
+        else spectrum
+        for spectrum in spectra
     ]
 
 
-def _of_dataset(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
+def _dataset_spectra(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measured]:
     if not hasattr(dataset, "data_vars"):
         raise SchemaError(f"{type(dataset).__name__}", expected="a Dataset", code="type-wrong")
     if "reflectance" not in dataset.data_vars:
-        held = ", ".join(map(str, dataset.data_vars)) or "nothing"
+        variables = ", ".join(map(str, dataset.data_vars)) or "nothing"
         raise SchemaError(
-            f"holds {held}",
+            f"holds {variables}",
             expected="reflectance",
             mend="open it with quantity='reflectance'",
             code="variable-missing",
         )
     dims = set(dataset["reflectance"].dims)
     if BAND in dims:
-        return _of_library(dataset, number, fwhm, "library")
+        return _library_spectra(dataset, number, fwhm, "library")
     if "wavelength" in dims and dims <= {"spectrum", "wavelength"}:
-        return _of_spectrometer(dataset, number, fwhm)
+        return _spectrometer_spectra(dataset, number, fwhm)
     raise SchemaError(
         f"'reflectance' has dims ({', '.join(map(str, dataset['reflectance'].dims))})",
         expected="(spectrum, wavelength) of a spectrometer or (signature, band) of a library",
@@ -197,11 +198,11 @@ def _of_dataset(dataset: Any, number: int, fwhm: float | None) -> Iterator[Measu
 # --- paint libraries ---------------------------------------------------------------------------------------
 
 
-def _of_library(
-    dataset: xr.Dataset, dataset_number: int, fwhm: float | None, otherwise: str
+def _library_spectra(
+    dataset: xr.Dataset, dataset_number: int, fwhm: float | None, default_instrument: str
 ) -> Iterator[Measured]:
     if SIGNATURE not in dataset.dims and BAND in dataset.dims:
-        # one paint of a library, as isel gives it
+        # a single paint, as isel returns it
         if SIGNATURE not in dataset.coords:
             label = f"reference {dataset_number}" if dataset_number else "signatures"
             dataset = dataset.assign_coords({SIGNATURE: label})
@@ -218,61 +219,63 @@ def _of_library(
         arrays["wavelength"].values, arrays.get("fwhm"), fwhm, str(attrs.get("instrument", ""))
     )
     has_sources = {"reflectance_errors", *_SPREADS[:2]} <= set(dataset.variables)
-    between = covariance(dataset).transpose(SIGNATURE, ...).values if has_sources else None
+    covariances = covariance(dataset).transpose(SIGNATURE, ...).values if has_sources else None
     for number, name in enumerate(arrays[SIGNATURE].values):
         spreads = {key: arrays[key].values[number] for key in _SPREADS if key in arrays}
-        # independent pixels, if known: neighbours share errors
+        # the number of independent pixels if it is known: neighbours share errors
         counts = (float(arrays[key].values[number]) for key in ("n_eff", "n") if key in arrays)
         yield channels.spectrum(
             values[number],
             spreads,
             next((count for count in counts if np.isfinite(count)), None),
             names=names_of_paint(str(name), dataset_number),
-            wanted=_text_of(dataset, "reference", number, SIGNATURE),
-            instrument=str(attrs.get("instrument", "")) or otherwise,
+            reference_name=_text_of(dataset, "reference", number, SIGNATURE),
+            instrument=str(attrs.get("instrument", "")) or default_instrument,
             serial="",
             **_overlap_of(attrs.get("overlap"), attrs.get("overlap_matched", False)),
             mirror=mirror_reflection(dataset) or UNKNOWN,
             absolute=attrs.get("reflectance_scale", "absolute") == "absolute",
-            covariance=None if between is None else between[number][np.ix_(channels.order, channels.order)],
-            notes=(*channels.notes, *_light_of(dataset, number)),
-            **(coat_of(attrs) | _as_seen(dataset, number, attrs)),
+            covariance=None
+            if covariances is None
+            else covariances[number][np.ix_(channels.order, channels.order)],
+            notes=(*channels.notes, *_light_notes(dataset, number)),
+            **(coat_of(attrs) | _uncorrected_coat(dataset, number, attrs)),
         )
 
 
-def _as_seen(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict[str, str]:
-    # a paint with its coat, in a library whose other paints had it divided out
+def _uncorrected_coat(dataset: xr.Dataset, number: int, attrs: Mapping[str, Any]) -> dict[str, str]:
+    # The quantity of a paint without correction for its coat, in a library of corrected paints
     if attrs.get("quantity") != BODY or "coat_transmission" not in dataset.variables:
         return {}
     names = ("coat_transmission", "coat_transmission_u")
     shares = [dataset[name].values for name in names if name in dataset]
     if any(share.ndim != 2 for share in shares):
         return {}
-    is_whole = (shares[0][number] == 1.0).all() and all((u[number] == 0.0).all() for u in shares[1:])
-    return {"quantity": THROUGH_COAT} if is_whole else {}
+    is_uncorrected = (shares[0][number] == 1.0).all() and all((u[number] == 0.0).all() for u in shares[1:])
+    return {"quantity": THROUGH_COAT} if is_uncorrected else {}
 
 
-def _light_of(dataset: xr.Dataset, number: int) -> list[str]:
+def _light_notes(dataset: xr.Dataset, number: int) -> list[str]:
     values = {
         name: dataset[name].isel({SIGNATURE: number}).values[()]
         for name in ("sun_zenith", "sky_state")
         if name in dataset.variables and dataset[name].dims == (SIGNATURE,)
     }
-    known = "diffuse_fraction" in dataset.variables and SIGNATURE in dataset["diffuse_fraction"].dims
-    known = known and bool(np.isfinite(dataset["diffuse_fraction"].isel({SIGNATURE: number})).all())
-    contradictory = known and values.get("sky_state") == SKY_STATES.index("contradictory")
+    has_split = "diffuse_fraction" in dataset.variables and SIGNATURE in dataset["diffuse_fraction"].dims
+    has_split = has_split and bool(np.isfinite(dataset["diffuse_fraction"].isel({SIGNATURE: number})).all())
+    contradictory = has_split and values.get("sky_state") == SKY_STATES.index("contradictory")
     return light_notes(float(values.get("sun_zenith", np.nan)), contradictory)
 
 
 # --- spectrometers -----------------------------------------------------------------------------------------
 
 
-def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | None) -> Iterator[Measured]:
+def _spectrometer_spectra(dataset: xr.Dataset, dataset_number: int, fwhm: float | None) -> Iterator[Measured]:
     if "spectrum" not in dataset["reflectance"].dims:
         dataset = dataset.expand_dims("spectrum")
     if "wavelength" not in dataset.coords:
         raise SchemaError(
-            "'wavelength' is missing, the coordinate of reflectance [nm]", code="variable-missing"
+            "the coordinate 'wavelength' of reflectance is missing [nm]", code="variable-missing"
         )
     order = ("spectrum", "wavelength")
     values = convert(dataset["reflectance"], "1").transpose(*order).values.astype(np.float64)
@@ -286,7 +289,7 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
     if widths is not None and widths.dims != ("wavelength",):
         widths = None
     attrs = {**dataset.attrs, **dataset["reflectance"].attrs}
-    # number of every channel's detector, in the order of the file, if stated
+    # number of every channel's detector, in the order of the file; None where it is not stated
     detectors = None
     if "detector" in dataset.variables and dataset["detector"].dims == ("wavelength",):
         names = [str(name) for name in dataset["detector"].values]
@@ -295,22 +298,22 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
     channels = _Channels.of(wavelength, widths, fwhm, str(attrs.get("instrument", "")), detectors)
     for number, spectrum in enumerate(values):
         texts = [_text_of(dataset, key, number, "spectrum") for key in ("spectrum", "source", "name")]
-        texts_of = {
+        attributes = {
             key: _text_of(dataset, key, number, "spectrum") or attrs.get(key)
             for key in ("overlap", "mirror_reflection", "specular_component", "instrument")
         }
-        mirror = texts_of["mirror_reflection"] or texts_of["specular_component"]
+        mirror = attributes["mirror_reflection"] or attributes["specular_component"]
         count = dataset["n"].values[number] if "n" in dataset.variables and dataset["n"].dims else None
         yield channels.spectrum(
             spectrum,
             {name: array[number] for name, array in spreads.items()},
             None if count is None else float(count),
             names=names_of_spectrum(texts[0], texts[1], texts[2], number, dataset_number),
-            wanted="",
-            instrument=str(attrs.get("instrument") or texts_of["instrument"] or "spectrometer"),
+            reference_name="",
+            instrument=str(attrs.get("instrument") or attributes["instrument"] or "spectrometer"),
             serial=_text_of(dataset, "instrument", number, "spectrum"),
             notes=(*channels.notes, *_instrument_errors(dataset, number)),
-            **_overlap_of(texts_of["overlap"], _flag_of(dataset, "overlap_matched", number)),
+            **_overlap_of(attributes["overlap"], _flag_of(dataset, "overlap_matched", number)),
             mirror=mirror if mirror in _MIRRORS else UNKNOWN,
             absolute=attrs.get("reflectance_scale", "relative") == "absolute",
             **coat_of(attrs),
@@ -318,24 +321,25 @@ def _of_spectrometer(dataset: xr.Dataset, dataset_number: int, fwhm: float | Non
 
 
 def _text_of(dataset: xr.Dataset, key: str, number: int, dim: str) -> str:
+    # Text of a variable for one spectrum; empty without such a text
     if key not in dataset.variables:
         return ""
-    held = dataset[key]
-    if held.dims not in ((dim,), ()) or held.dtype.kind not in "OUST":
+    array = dataset[key]
+    if array.dims not in ((dim,), ()) or array.dtype.kind not in "OUST":
         return ""
-    value = held.values[number] if held.dims else held.values.item()
+    value = array.values[number] if array.dims else array.values.item()
     return value if isinstance(value, str) else ""
 
 
 def _flag_of(dataset: xr.Dataset, key: str, number: int) -> bool:
     if key not in dataset.variables:
         return bool(dataset.attrs.get(key, False))
-    held = dataset[key]
-    return bool(held.values[number] if held.dims == ("spectrum",) else held.values.any())
+    array = dataset[key]
+    return bool(array.values[number] if array.dims == ("spectrum",) else array.values.any())
 
 
 def _instrument_errors(dataset: xr.Dataset, number: int) -> list[str]:
-    # error bits that the instrument recorded for its scans
+    # Error bits of the scans, as the instrument recorded them
     errors = []
     for scan in ("target", "reference"):
         key = f"error_{scan}"
@@ -357,39 +361,39 @@ def _overlap_of(text: Any, matched: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class _Channels:
-    order: npt.NDArray[np.intp]
+    # Channels on one increasing axis of wavelengths
+    order: npt.NDArray[np.intp]  # (channel,): Positions in the data
     wavelength: Floats
     fwhm: Floats
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # Joins of detectors, and the source of the widths
 
     @classmethod
     def of(
-        cls, wavelength: Any, held: Any, given: float | None, instrument: str, detector: Any = None
+        cls, wavelength: Any, data_fwhm: Any, user_fwhm: float | None, instrument: str, detector: Any = None
     ) -> _Channels:
-        # one increasing axis; widths ``given`` by the user or ``held`` by the data
+        # `data_fwhm`: widths in the data; `user_fwhm`: width that the user states
         wavelength = np.asarray(wavelength, np.float64)
         axis = join_detectors(wavelength)
         nm_sorted = wavelength[axis.order]
         joins = ", ".join(f"{nm:.4g}" for nm in axis.joins)
         notes = [f"detectors joined at {joins} nm"] if joins else []
-        if given is not None:
-            _check_widths(np.array([given]), nm_sorted)
-            notes.append(f"widths of channels {given:g} nm, as given")
-            return cls(axis.order, nm_sorted, np.full(nm_sorted.size, given), tuple(notes))
-        if held is not None:
-            fwhm_of_data = convert(held, "nm").values.astype(np.float64)[axis.order]
-            if np.isfinite(fwhm_of_data).all() and (fwhm_of_data > 0).all():
-                _check_widths(fwhm_of_data, nm_sorted)
-                return cls(axis.order, nm_sorted, fwhm_of_data, tuple(notes))
-        own_detector = axis.detector if detector is None else detector[axis.order]
-        fwhm, source = channel_widths(nm_sorted, own_detector, instrument)
+        if user_fwhm is not None:
+            _check_widths(np.array([user_fwhm]), nm_sorted)
+            notes.append(f"widths of channels {user_fwhm:g} nm, as given")
+            return cls(axis.order, nm_sorted, np.full(nm_sorted.size, user_fwhm), tuple(notes))
+        if data_fwhm is not None:
+            fwhm = convert(data_fwhm, "nm").values.astype(np.float64)[axis.order]
+            if np.isfinite(fwhm).all() and (fwhm > 0).all():
+                _check_widths(fwhm, nm_sorted)
+                return cls(axis.order, nm_sorted, fwhm, tuple(notes))
+        channel_detector = axis.detector if detector is None else detector[axis.order]
+        fwhm, source = channel_widths(nm_sorted, channel_detector, instrument)
         return cls(axis.order, nm_sorted, fwhm, (*notes, source))
 
     def spectrum(
-        self, values: Floats, spreads: Mapping[str, Any], count: float | None, **about: Any
+        self, values: Floats, spreads: Mapping[str, Any], count: float | None, **description: Any
     ) -> Measured:
-        # a spread of missing values only becomes None
-        u_random, u_systematic, sd = (_known(spreads.get(name), self.order) for name in _SPREADS)
+        u_random, u_systematic, sd = (_in_order(spreads.get(name), self.order) for name in _SPREADS)
         return Measured(
             wavelength=self.wavelength,
             fwhm=self.fwhm,
@@ -398,16 +402,16 @@ class _Channels:
             u_systematic=u_systematic,
             sd=sd,
             count=max(count, 1.0) if count is not None and np.isfinite(count) else 1.0,
-            **{"notes": self.notes, **about},
+            **{"notes": self.notes, **description},
         )
 
 
 def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
-    # a single wrong width sets the step of all responses
+    # A single wrong width would determine the step of all responses
     spacing = float(np.median(np.diff(wavelength))) if wavelength.size > 1 else np.inf
     if not ((fwhm >= _MIN_WIDTH_NM) & (fwhm <= _MAX_WIDTH_SPACINGS * spacing)).all():
         raise SchemaError(
-            f"'fwhm' reaches from {np.min(fwhm):g} to {np.max(fwhm):g} nm",
+            f"'fwhm' is {np.min(fwhm):g} to {np.max(fwhm):g} nm",
             expected=f"{_MIN_WIDTH_NM:g} to {_MAX_WIDTH_SPACINGS * spacing:g} nm, {_MAX_WIDTH_SPACINGS:g} "
             "distances of channels",
             mend="correct it, or pass reference_fwhm=",
@@ -415,8 +419,9 @@ def _check_widths(fwhm: Floats, wavelength: Floats) -> None:
         )
 
 
-def _known(spread: Any, order: npt.NDArray[np.intp]) -> Floats | None:
+def _in_order(spread: Any, order: npt.NDArray[np.intp]) -> Floats | None:
+    # A spread in the order of wavelength; None without finite values
     if spread is None:
         return None
-    known_spread = np.asarray(spread, np.float64)[order]
-    return known_spread if np.isfinite(known_spread).any() else None
+    ordered = np.asarray(spread, np.float64)[order]
+    return ordered if np.isfinite(ordered).any() else None

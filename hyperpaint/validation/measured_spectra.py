@@ -20,12 +20,12 @@ _SUFFIXES = (".asd", ".sig", ".txt", ".tsv", ".csv")
 class Names:
     """Names of one spectrum."""
 
-    shown: str  # As results name it
-    # names it may be paired by: full names; names without suffix; names without folder, which spectra of
-    # other folders may share. A match of one rank excludes matches of later ranks.
+    shown: str  #: Name in results.
+    #: Names for pairing, by rank: full names; names without suffix; names without folder, which spectra of
+    #: other folders may share. A match of one rank excludes matches of later ranks.
     ranks: tuple[frozenset[str], frozenset[str], frozenset[str]]
-    # number of the dataset, and folder in it: only readings of one place are repeats of each other
-    place: tuple[int, str]
+    #: Number of the dataset, and folder in it: only readings of one origin are repeats of one another.
+    origin: tuple[int, str]
 
     @property
     def every(self) -> frozenset[str]:
@@ -38,32 +38,32 @@ def names_of_paint(name: str, dataset: int) -> Names:
     return Names(name, (frozenset({name}), frozenset(), frozenset()), (dataset, ""))
 
 
-def names_of_spectrum(spectrum: str, source: str, other: str, number: int, dataset: int) -> Names:
+def names_of_spectrum(spectrum: str, source: str, further: str, number: int, dataset: int) -> Names:
     """Return the names of a spectrum of a field spectrometer.
 
-    ``spectrum``: its name, preceded by the folder where names repeat; ``source``: its file; ``other``: one
-    more name; any of these may be empty. ``number``: of the spectrum in its dataset; ``dataset``: number of
-    the dataset.
+    ``spectrum``: its name, preceded by the folder where names repeat; ``source``: its file; ``further``: a
+    further name; any of these may be empty. ``number``: number of the spectrum in its dataset; ``dataset``:
+    number of the dataset.
 
     Examples
     --------
-    >>> one = names_of_spectrum("site1/red", "red.sig", "", 0, 1)
-    >>> [sorted(rank) for rank in one.ranks], one.place
+    >>> names = names_of_spectrum("site1/red", "red.sig", "", 0, 1)
+    >>> [sorted(rank) for rank in names.ranks], names.origin
     ([['site1/red', 'site1/red.sig'], [], ['red', 'red.sig']], (1, 'site1/'))
     """
     base = PurePath(spectrum).name
     folder = spectrum[: len(spectrum) - len(base)] if spectrum.endswith(base) else ""
-    full = frozenset(text for text in (spectrum, other, source and folder + source) if text)
-    bare = frozenset(name for text in full for name in _without_suffix(text)) - full
-    short = frozenset(alias for text in (spectrum, source, other) for alias in _aliases(text)) - full - bare
-    # readers number equal names in one folder: "red (1)" of red.sig; these are no repeats either
+    full = frozenset(text for text in (spectrum, further, source and folder + source) if text)
+    no_suffix = frozenset(name for text in full for name in _without_suffix(text)) - full
+    aliases = frozenset(alias for text in (spectrum, source, further) for alias in _aliases(text))
+    # readers number equal names in one folder, such as "red (1)" of red.sig: these are not repeats either
     numbered = base if source and base not in set(_aliases(source)) else ""
-    shown = spectrum or source or other or f"spectrum {number}"
-    return Names(shown, (full, bare, short), (dataset, folder + numbered))
+    shown = spectrum or source or further or f"spectrum {number}"
+    return Names(shown, (full, no_suffix, aliases - full - no_suffix), (dataset, folder + numbered))
 
 
 def _aliases(text: str) -> Iterator[str]:
-    """Yield the names that a file, or a column of one, may be called by.
+    """Yield the names of a file, or of a column in it: with and without folder and suffixes.
 
     Examples
     --------
@@ -73,8 +73,8 @@ def _aliases(text: str) -> Iterator[str]:
     if not text:
         return
     yield text
-    for part in (text, text.rpartition(":")[2]):
-        name = PurePath(part).name
+    for path in (text, text.rpartition(":")[2]):
+        name = PurePath(path).name
         yield name
         yield from _without_suffix(name)
 
@@ -89,32 +89,28 @@ def _without_suffix(name: str) -> Iterator[str]:
 class Measured:
     """One spectrum of reflectance with its origin and uncertainty."""
 
-    names: Names  # What it can be paired by, and where it is from
-    wanted: str  # Name of the reference that a signature asks for; empty where it does not
-    instrument: str  # Its make
-    serial: str  # Serial number of the instrument, or a similar text; may be empty
-    # wavelength, fwhm, values (channel,), float64: Increasing wavelengths [nm], widths of channels [nm],
-    # reflectance [1], NaN without a value
-    wavelength: Floats
-    fwhm: Floats
-    values: Floats
-    # u_random, u_systematic (channel,) or None: Standard uncertainties [1]: independent from channel to
-    # channel, and common to all
-    u_random: Floats | None
-    u_systematic: Floats | None
-    sd: Floats | None  # (channel,) or None: Standard deviation of the averaged readings or pixels [1]
-    count: float  # Number of averaged readings or independent pixels; 1 where unknown
-    # Treatment of overlapping detectors, as the reader states it: preserved, removed or unknown
-    overlap: str
-    matched: bool  # Whether values were changed there, to make detectors meet
-    mirror: str  # Whether the mirror image of sky and surroundings is included, excluded, or unknown
-    absolute: bool  # Whether reflectance is of a perfect diffuser, rather than of a panel
-    notes: tuple[str, ...]  # Remarks for the reader of results
-    quantity: str = ""  # Body under a coat or outside of the coat, see base.mirrored_light
-    geometry: str = ""  # Of the instrument, such as d/8
-    coat_index: float = 1.5  # Refractive index of the coat
-    # (channel, channel) or None: covariance of both uncertainties together [1], where it is known
-    covariance: Floats | None = None
+    names: Names  #: Names for pairing, and the origin.
+    reference_name: str  #: Name of the reference in the properties of a signature; empty without it.
+    instrument: str  #: Make of the instrument.
+    serial: str  #: Serial number of the instrument, or a similar text; may be empty.
+    wavelength: Floats  #: (channel,), float64: Increasing centre wavelengths [nm].
+    fwhm: Floats  #: (channel,), float64: Widths [nm].
+    values: Floats  #: (channel,), float64: Reflectance [1]; NaN without a value.
+    u_random: Floats | None  #: (channel,): Standard uncertainty independent from channel to channel [1].
+    u_systematic: Floats | None  #: (channel,): Standard uncertainty common to all channels [1].
+    sd: Floats | None  #: (channel,): Standard deviation of the averaged readings or pixels [1].
+    count: float  #: Number of averaged readings or independent pixels; 1 where unknown.
+    overlap: str  #: Treatment of overlapping detectors by the reader: preserved, removed or unknown.
+    matched: bool  #: Whether values were changed there to make detectors meet.
+    mirror: str  #: Whether the mirror image of sky and surroundings is included, excluded, or unknown.
+    absolute: bool  #: Whether reflectance is relative to a perfect diffuser, not to a panel.
+    notes: tuple[str, ...]  #: Remarks for the reader of results.
+    quantity: str = ""  #: Body under a coat or outside of the coat, see base.mirrored_light.
+    geometry: str = ""  #: Measurement geometry of the instrument, such as d/8.
+    coat_index: float = 1.5  #: Refractive index of the coat.
+    covariance: Floats | None = (
+        None  #: (channel, channel): Covariance of both uncertainties [1]; None if unknown.
+    )
 
     @property
     def name(self) -> str:
@@ -124,48 +120,50 @@ class Measured:
     @property
     def has_uncertainty(self) -> bool:
         """Whether any part of the uncertainty is known."""
-        return any(each is not None for each in (self.u_random, self.u_systematic, self.sd))
+        return any(component is not None for component in (self.u_random, self.u_systematic, self.sd))
 
     def gaps(self) -> list[str]:
         """Return the unknown parts of the uncertainty, for the reader of the result."""
         if self.u_random is None and self.u_systematic is None:
             return []
-        gaps, there = [], np.isfinite(self.values)
-        for name, spread, other in (
+        gaps, has_value = [], np.isfinite(self.values)
+        for name, u, counterpart in (
             ("random", self.u_random, "systematic"),
             ("systematic", self.u_systematic, "random"),
         ):
-            if spread is None:
-                gaps.append(f"{other} part only, the {name} part is unknown")
-            elif not np.isfinite(spread[there]).all():
-                count = int(np.isfinite(spread[there]).sum())
+            if u is None:
+                gaps.append(f"{counterpart} part only, the {name} part is unknown")
+            elif not np.isfinite(u[has_value]).all():
+                count = int(np.isfinite(u[has_value]).sum())
                 gaps.append(
-                    f"{name} part known in {count} of {int(there.sum())} channels; no uncertainty elsewhere"
+                    f"{name} part known in {count} of {int(has_value.sum())} channels; no uncertainty "
+                    "elsewhere"
                 )
         return gaps
 
     def errors(self, rng: np.random.Generator, draws: int) -> Floats:
         """Return random draws of the errors of the values (draw, channel).
 
-        By the covariance where it is known; else random errors are independent and systematic errors common
-        to all channels. Where neither is known, the standard deviation of the mean counts as systematic:
-        readings of a surface differ in level more than in shape. NaN in channels without an uncertainty that
-        other channels have.
+        They follow the covariance where it is known; else random errors are independent and systematic errors
+        common to all channels. Where neither is known, the standard deviation of the mean counts as
+        systematic: readings of a surface differ in level more than in shape. NaN in channels without an
+        uncertainty that other channels have.
         """
         if self.covariance is not None:
             missing = np.isnan(np.diagonal(self.covariance))
-            # correlations that were cut leave eigenvalues a little below zero
-            sizes, shapes = np.linalg.eigh(np.nan_to_num(self.covariance))
-            drawn = rng.standard_normal((draws, sizes.size)) @ (shapes * np.sqrt(np.maximum(sizes, 0.0))).T
-            return np.asarray(np.where(missing, np.nan, drawn))
+            # truncated correlations cause eigenvalues slightly below zero
+            variances, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
+            components = vectors * np.sqrt(np.maximum(variances, 0.0))
+            errors = rng.standard_normal((draws, variances.size)) @ components.T
+            return np.asarray(np.where(missing, np.nan, errors))
         errors = np.zeros((draws, self.values.size))
         if self.u_random is not None:
             errors += self.u_random * rng.standard_normal(errors.shape)
-        common = self.u_systematic
-        if common is None and self.u_random is None and self.sd is not None:
-            common = self.sd / np.sqrt(self.count)
-        if common is not None:
-            errors += common * rng.standard_normal((draws, 1))
+        systematic = self.u_systematic
+        if systematic is None and self.u_random is None and self.sd is not None:
+            systematic = self.sd / np.sqrt(self.count)
+        if systematic is not None:
+            errors += systematic * rng.standard_normal((draws, 1))
         return errors
 
 
@@ -173,10 +171,10 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
     """Return references multiplied by the reflectance of their white panel.
 
     ``spectra``: references relative to the panel; ``panel``: reflectance of the panel on ``wavelength``: a
-    DataArray, or a Dataset with ``reflectance``. Linear between its wavelengths; outside of them it is not
-    known, and neither is the reference.
+    DataArray, or a Dataset with ``reflectance``. It is interpolated linearly; beyond its wavelengths the
+    result is NaN.
 
-    Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is no certificate; all
+    Raises `SchemaError, UnitsError`: A reference is absolute already, or the panel is not a certificate; all
     problems are listed.
     """
     array = panel["reflectance"] if hasattr(panel, "data_vars") and "reflectance" in panel else panel
@@ -197,20 +195,20 @@ def scaled_by_panel(spectra: list[Measured], panel: Any) -> list[Measured]:
     elif not ((values > 0.0) & (values <= 1.2)).all():
         limits = f"{values.min():g} to {values.max():g}"
         problems.add(
-            f"panel= reaches from {limits}",
+            f"panel= has values from {limits}",
             expected="above 0, at most 1.2",
             mend="divide percent by 100",
             code="value-out-of-range",
         )
-    for each in spectra:
-        if each.absolute:
+    for spectrum in spectra:
+        if spectrum.absolute:
             problems.add(
-                f"reference {each.name!r} is absolute already, or of a library",
-                mend="leave out panel=",
+                f"reference {spectrum.name!r} is absolute already, or from a library",
+                mend="remove the argument panel=",
                 code="option-conflict",
             )
     problems.raise_if_any()
-    return [_scaled(each, wavelength, values) for each in spectra]
+    return [_scaled(spectrum, wavelength, values) for spectrum in spectra]
 
 
 def _scaled(spectrum: Measured, wavelength: Floats, values: Floats) -> Measured:

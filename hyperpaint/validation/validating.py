@@ -13,7 +13,7 @@ import xarray as xr
 from hyperpaint.alignment import oxygen_depth
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.units import takes_quantities
 
 from .agreement import statistics_of, uncertainty_of
@@ -22,19 +22,20 @@ from .dataset_spectra import references_from, signatures_from
 from .measured_spectra import scaled_by_panel
 from .validation_result import FLOOR, MAX_TOLERANCE_SHARE, MEANINGS, RELATIVE, STATISTICS, Validation
 
-#: Parts of the spectrum [nm]: the first wavelength belongs to it, the last does not.
+#: Parts of the spectrum [nm]: first wavelength, and end, exclusive.
 PARTS: Mapping[str, tuple[float, float]] = {
     "VIS": (400.0, 700.0),
     "NIR": (700.0, 1000.0),
     "all": (0.0, np.inf),
 }
 
-#: Largest RMSE between signature and reference: a share of the paint's level plus a floor [1]. It is the
-#: specification of surface reflectance of MODIS and Landsat, +-(0.005 + 0.05 rho): Vermote and Kotchenova,
-#: J. Geophys. Res. 113, D23S90 (2008).
+#: Maximum RMSE between signature and reference: a share of the paint's level plus a floor [1]. These are the
+#: values of the specification for surface reflectance of MODIS and Landsat, +-(0.005 + 0.05 rho): Vermote and
+#: Kotchenova, J. Geophys. Res. 113, D23S90 (2008).
 TOLERANCE: Mapping[str, float] = {RELATIVE: 0.05, FLOOR: 0.005}
 
-_MIN_BANDS, _MIN_SHARE = 3, 0.5  # bands compared in a part that is judged, and their share of its bands
+#: Minimum number of compared bands of a part that is judged, and their minimum share of its bands.
+_MIN_BANDS, _MIN_SHARE = 3, 0.5
 
 
 @takes_quantities(reference_fwhm="nm", parts="nm")
@@ -62,21 +63,20 @@ def validate(
         Datasets of reflectance, one or several: spectra of a field spectrometer (spectrum, wavelength), as of
         `hyperpaint.open_asd` and ``open_svc``, or a paint library (signature, band).
     pairs
-        Names of references by names of paints, one or several each. By default the region property
-        ``reference`` names the reference of a paint; without it, the paint's own name does. Names of files
-        match with and without folder and suffix; full names come before short ones. Nothing is paired by
-        similarity. Several readings of one instrument are averaged if they come from one folder and dataset,
-        or ``pairs`` names them all.
+        One or several names of references by name of a paint. By default the region property ``reference``
+        names the reference of a paint; without it, the paint's name does. Names of files match with and
+        without folder and suffix; full names take precedence. Similar names do not match. Several readings of
+        one instrument are averaged if they come from one folder and dataset, or if ``pairs`` names them all.
     tolerance
-        By default RMSE may be 0.005 + 5 % of the paint's level, the mean of the reference in a part: 0.0065
-        for a black of 0.03, 0.045 for a white of 0.8: the specification of surface reflectance of MODIS and
-        Landsat [1]_. A number is the largest RMSE at any level [1]. A mapping has limits by name:
-        ``relative`` (a share of the level) and ``floor`` (added to it, 0.005 by default), and statistics:
-        ``bias``, ``rmse``, ``mae``, ``spectral_angle`` [degree], ``scale`` (its distance from 1),
-        ``scale_free_error``. All limits hold in every part that has bands; uncertainty does not widen them. A
-        part with fewer than 3 bands, with less than half of its bands, or with a limit above half of its
-        level, is not judged: it can fail, but not pass. If ``parts`` names it, or no part of a pair is
-        judged, the pair fails.
+        By default the maximum RMSE is 0.005 + 5 % of the paint's level, the mean of the reference in a part:
+        0.0065 for a black of 0.03, 0.045 for a white of 0.8, as in the specification for surface reflectance
+        of MODIS and Landsat [1]_. A number is the maximum RMSE at any level [1]. A mapping has limits by
+        name: ``relative`` (a share of the level) and ``floor`` (added to it, 0.005 by default), and
+        statistics: ``bias``, ``rmse``, ``mae``, ``spectral_angle`` [degree], ``scale`` (its distance from 1),
+        ``scale_free_error``. All limits hold in every part with bands; uncertainty does not widen them. A
+        part with fewer than 3 compared bands, with less than half of its bands, or with a limit above half of
+        its level, is not judged: it can fail, but not pass. If ``parts`` names such a part, or no part of a
+        pair is judged, the pair fails.
     panel
         Certified reflectance of the white panel on ``wavelength`` [1], which multiplies references that are
         relative to it.
@@ -94,35 +94,33 @@ def validate(
     -------
     Validation
         Statistics of every pair and part with uncertainties, spectra on common bands, unpaired names, and
-        whether all is within tolerance. Where several instruments measured a paint, ``between`` holds the
-        same for their references against one another.
+        whether all pairs are within tolerance. Where several instruments measured a paint, ``between``
+        compares their references in the same way.
 
     Raises
     ------
     SchemaError, UnitsError
-        An input is no library, no reflectance or no certificate; a reference is absolute and a panel is
-        given; widths of channels are implausible; a pair has no band in common; ``pairs`` has unknown names;
-        several paints, or references of several folders or datasets, share a name; or nothing can be paired.
-        All problems of a kind are listed.
+        An input is not a library, has no reflectance or is not a certificate; a reference is absolute while
+        ``panel`` is given; widths of channels are implausible; a pair has no band in common; ``pairs`` has
+        unknown names; several paints, or references of several folders or datasets, share a name; or nothing
+        can be paired. All problems of a kind are listed.
 
     Warns
     -----
     PaintWarning
-        One of a pair includes the mirror image of the sky and the other does not, or one is of the body under
-        a coat and the other of its outside (``quantity``); repeated readings, or readings of two instruments,
-        differ by more than the tolerance; two paints agree with each other's references and not with their
-        own.
+        Only one of a pair includes the mirror image of the sky, or one is of the body under a coat and the
+        other of the coat's outside (``quantity``); repeated readings, or readings of two instruments, differ
+        by more than the tolerance; two paints agree with the references of one another, not with their own.
 
     Notes
     -----
-    The finer spectrum is brought onto the bands of the coarser one, mostly the signature's: weights on its
-    channels reproduce the response of each band, the channels' own width considered
-    (`hyperpaint.light.responses.matching_operator`; Gaussian line shapes). A band covered by less than 99.9 %
-    is left out and counted, so that nothing is renormalised over missing channels; so is a band too narrow
-    for them, whose noise they would multiply by more than 3. Where detectors overlap, and wavelengths fall,
-    each is used up to the middle of the overlap, 987 nm for an SVC; ``open_svc(..., overlap="trim", joins=)``
-    chooses otherwise. Reflectance is weighted by the response alone: variation of the light within a band
-    matters only where the paint varies too, and little even then.
+    The finer spectrum is resampled to the bands of the coarser one, mostly the signature's: weights on its
+    channels, with their widths, reproduce the response of each band
+    (`hyperpaint.light.responses.matching_operator`; Gaussian line shapes). Bands covered by less than 99.9 %
+    are excluded and counted, as are bands so narrow that resampling would multiply noise by more than 3. Two
+    overlapping detectors, where wavelengths fall, are joined in the middle of the overlap, 987 nm for an SVC;
+    ``open_svc(..., overlap="trim", joins=)`` joins them elsewhere. Reflectance is weighted by the response
+    only: variation of the light within a band matters little.
 
     Equal quantities are compared: where the signature is of the body under a clear coat, and the attributes
     of a reference declare a reading of the coat's outside (``quantity``, or ``specular_component``
@@ -130,16 +128,16 @@ def validate(
     converted to the body, see `hyperpaint.validation.coat_readings.as_body`; the result notes it.
 
     Statistics are plain means over bands, see `statistics_of`. Their uncertainty comes from propagated draws
-    (JCGM 101): random errors independent from channel to channel, systematic errors common to all. For one
-    reference its standard deviation counts as systematic; of n readings :math:`r_k` of one paint and one
-    instrument the mean is compared, and its errors are drawn as
+    (JCGM 101): random errors independent from channel to channel, systematic errors common to all. The
+    standard deviation of a single reference counts as systematic. Of n readings :math:`r_k` of one paint and
+    one instrument the mean is compared, with errors drawn as
 
     .. math:: \delta r = \sum_k g_k (r_k - \bar r) / \sqrt{n (n - 1)}, \qquad g_k \sim N(0, 1),
 
-    whose covariance over bands is the covariance of the mean; the readings' own systematic uncertainty,
-    common to all, and their random uncertainty over :math:`\sqrt n` are added, so that a few readings that
-    agree by chance do not seem too certain. Unknown components are not included, and the result notes it; a
-    component known only in other bands makes uncertainties NaN.
+    whose covariance over bands is the covariance of the mean. The systematic uncertainty of the readings,
+    common to all, and their random uncertainty over :math:`\sqrt n` are added, since a few readings may agree
+    by chance. Unknown components are not included, and the result notes it; uncertainties are NaN in bands
+    without a component that other bands have.
 
     References
     ----------
@@ -164,7 +162,7 @@ def validate(
     (True, 0.01)
     """
     limits = _limits(tolerance)
-    named = parts is not None
+    user_parts = parts is not None
     parts = PARTS if parts is None else parts
     problems = Problems("parts= cannot be used", SchemaError)
     if not isinstance(parts, Mapping) or not parts:
@@ -178,119 +176,124 @@ def validate(
                 f"{name!r}: {edges!r:.60}", expected="first and last wavelength [nm]", code="type-wrong"
             )
     problems.raise_if_any()
-    measured = references_from(references, reference_fwhm)
+    reference_spectra = references_from(references, reference_fwhm)
     if panel is not None:
-        measured = scaled_by_panel(measured, panel)
-    pairing = paired(signatures_from(signatures), measured, pairs)
+        reference_spectra = scaled_by_panel(reference_spectra, panel)
+    pairing = paired(signatures_from(signatures), reference_spectra, pairs)
     compared = [compare(pair, seed) for pair in pairing.pairs]
     between = [compare(pair, seed) for pair in between_references(pairing.pairs)]
-    between = [each for each in between if each.used.any()]
-    problems = Problems("there are pairs without a band in common", SchemaError)
-    for each in compared:
-        if not each.used.any():
+    between = [comparison for comparison in between if comparison.used.any()]
+    problems = Problems("pairs have no band in common", SchemaError)
+    for comparison in compared:
+        if not comparison.used.any():
             problems.add(
-                f"{each.pair.signature.name!r}: paint and reference share no complete band ({each.ranges})",
+                f"{comparison.pair.signature.name!r}: paint and reference share no complete band "
+                f"({comparison.ranges})",
                 code="range-disjoint",
             )
     problems.raise_if_any()
-    scatters = [_scatter(each, limits) for each in compared]
-    noticed = [pair for each in compared for pair in each.warnings()]
-    noticed += [
-        ("reference-scatter", f"{each.pair.signature.name}: {text}")
-        for each, texts in zip(compared, scatters, strict=True)
+    scatters = [_scatter(comparison, limits) for comparison in compared]
+    messages = [message for comparison in compared for message in comparison.warnings()]
+    messages += [
+        ("reference-scatter", f"{comparison.pair.signature.name}: {text}")
+        for comparison, texts in zip(compared, scatters, strict=True)
         for text in texts
     ]
-    noticed += [("references-exchanged", text) for text in _exchanged(compared)]
-    references_apart = None
+    messages += [("references-exchanged", text) for text in _exchanged(compared)]
+    between_instruments = None
     if between:
-        references_apart = Validation(
-            statistics=_statistics(between, parts, limits, named=named),
-            spectra=tuple(each.dataset() for each in between),
+        between_instruments = Validation(
+            statistics=_statistics(between, parts, limits, user_parts=user_parts),
+            spectra=tuple(comparison.dataset() for comparison in between),
             notes=((),) * len(between),
             unpaired_signatures=(),
             unpaired_references=(),
             missing=(),
             tolerance=limits,
         )
-        noticed += [("references-disagree", text) for text in _disagreements(references_apart.statistics)]
-    for code, text in dict.fromkeys(noticed):
+        texts = _disagreements(between_instruments.statistics)
+        messages += [("references-disagree", text) for text in texts]
+    for code, text in dict.fromkeys(messages):
         warnings.warn(PaintWarning(text, code=code), stacklevel=2)
     return Validation(
-        statistics=_statistics(compared, parts, limits, named=named),
-        spectra=tuple(each.dataset() for each in compared),
-        notes=tuple((*each.notes(), *texts) for each, texts in zip(compared, scatters, strict=True)),
+        statistics=_statistics(compared, parts, limits, user_parts=user_parts),
+        spectra=tuple(comparison.dataset() for comparison in compared),
+        notes=tuple(
+            (*comparison.notes(), *texts) for comparison, texts in zip(compared, scatters, strict=True)
+        ),
         unpaired_signatures=pairing.signatures,
         unpaired_references=pairing.references,
         missing=pairing.signatures if require_all else pairing.missing,
         tolerance=limits,
-        between=references_apart,
+        between=between_instruments,
     )
 
 
 def _disagreements(between: xr.Dataset) -> list[str]:
     outside = (between["judged"] & ~between["passes"]).values
     return [
-        f"{one['signature'].item()}: {one['instrument'].item()} is beyond the tolerance in "
-        f"{', '.join(between['part'].values[outside[row]])}; which of them is right?"
+        f"{between['signature'].values[row]}: {between['instrument'].values[row]} is beyond the tolerance in "
+        f"{', '.join(between['part'].values[outside[row]])}; check both references"
         for row in np.flatnonzero(outside.any(axis=1))
-        for one in [between.isel(pair=row)]
     ]
 
 
-# RMSE with each other's references over RMSE with their own, below which two paints seem exchanged, and the
-# smallest RMSE of each [1]: samples that real laboratories exchanged have 0.15 to 0.45
-_EXCHANGED_SHARE, _EXCHANGED_MIN_RMSE = 0.6, 0.01
-_EXCHANGED_MAX_PAINTS = 200  # searched, those furthest from their references
+#: Two paints seem exchanged where their RMSE with the references of one another over the RMSE with their own
+#: references is below this share [1]: samples that laboratories exchanged have 0.15 to 0.45.
+_EXCHANGED_SHARE = 0.6
+#: Minimum RMSE of a paint with its own reference that may be exchanged [1].
+_EXCHANGED_MIN_RMSE = 0.01
+#: Maximum number of paints in this search: those farthest from their references.
+_EXCHANGED_MAX_PAINTS = 200
 
 
 def _exchanged(compared: Sequence[Compared]) -> list[str]:
-    # paints that agree with each other's references better than with their own
-    def rmse(seen: Compared, known: Compared) -> float:
-        used = seen.used & known.used
-        return (
-            float(np.sqrt(((seen.signature - known.reference)[used] ** 2).mean())) if used.any() else np.nan
-        )
+    # Texts about pairs of paints that agree with the references of one another better than with their own
+    def rmse(signature_side: Compared, reference_side: Compared) -> float:
+        used = signature_side.used & reference_side.used
+        difference = (signature_side.signature - reference_side.reference)[used]
+        return float(np.sqrt((difference**2).mean())) if used.any() else np.nan
 
-    own_rmse = np.array([rmse(each, each) for each in compared])
-    places = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
+    own_rmse = np.array([rmse(comparison, comparison) for comparison in compared])
+    candidates = np.flatnonzero(own_rmse > _EXCHANGED_MIN_RMSE)
+    farthest = np.sort(candidates[np.argsort(-own_rmse[candidates])][:_EXCHANGED_MAX_PAINTS]).tolist()
     texts = []
-    for i, j in itertools.combinations(
-        sorted(places[np.argsort(-own_rmse[places])][:_EXCHANGED_MAX_PAINTS]), 2
-    ):
-        one, other = compared[i], compared[j]
-        names = one.pair.signature.name, other.pair.signature.name
-        same = one.instrument == other.instrument and names[0] != names[1]
-        if not (same and np.array_equal(one.bands.wavelength, other.bands.wavelength)):
+    for i, j in itertools.combinations(farthest, 2):
+        first, second = compared[i], compared[j]
+        names = first.pair.signature.name, second.pair.signature.name
+        comparable = first.instrument == second.instrument and names[0] != names[1]
+        if not (comparable and np.array_equal(first.bands.wavelength, second.bands.wavelength)):
             continue
-        across = rmse(one, other), rmse(other, one)
-        whole = _EXCHANGED_SHARE * (own_rmse[i] + own_rmse[j])
-        # both must agree: of three paints exchanged in turn, only one of two would
-        if sum(across) < whole and (np.array(across) < own_rmse[[i, j]]).all() and max(across) < 0.5 * whole:
+        crossed = rmse(first, second), rmse(second, first)
+        limit = _EXCHANGED_SHARE * (own_rmse[i] + own_rmse[j])
+        # both must agree: of three paints exchanged in turn, only one of two does
+        both_agree = (np.array(crossed) < own_rmse[[i, j]]).all() and max(crossed) < 0.5 * limit
+        if sum(crossed) < limit and both_agree:
             texts.append(
                 f"{names[0]} and {names[1]}: each agrees with the reference of the other (RMSE "
-                f"{across[0]:.3f} and {across[1]:.3f}, with its own {own_rmse[i]:.3f} and "
-                f"{own_rmse[j]:.3f}); were the samples, or their names, exchanged?"
+                f"{crossed[0]:.3f} and {crossed[1]:.3f}, with its own {own_rmse[i]:.3f} and "
+                f"{own_rmse[j]:.3f}); check whether the samples, or their names, were exchanged"
             )
     return texts
 
 
 def _rmse_limit(limits: Mapping[str, float], level: Floats) -> Floats:
-    # NaN without a limit
-    most = np.full(np.shape(level), limits.get("rmse", np.inf))
+    # Maximum RMSE at levels of paints; NaN without a limit
+    limit = np.full(np.shape(level), limits.get("rmse", np.inf))
     if RELATIVE in limits:
-        most = np.fmin(most, limits[FLOOR] + limits[RELATIVE] * np.abs(level))
-    return np.where(np.isfinite(most), most, np.nan)
+        limit = np.fmin(limit, limits[FLOOR] + limits[RELATIVE] * np.abs(level))
+    return np.where(np.isfinite(limit), limit, np.nan)
 
 
 def _scatter(compared: Compared, limits: Mapping[str, float]) -> list[str]:
-    # repeated readings that scatter more than the tolerance of their mean
+    # A text if repeated readings scatter by more than the tolerance of their mean
     level = np.asarray(compared.reference[compared.used].mean())
     limit = float(np.fmin(_rmse_limit(limits, level), limits.get("mae", np.nan)))
     if not compared.scatter > limit:
         return []
     return [
         f"readings of the reference scatter by {compared.scatter:.2g}, more than the tolerance of "
-        f"{limit:.2g}; are they of one paint?"
+        f"{limit:.2g}; check whether they show one paint"
     ]
 
 
@@ -299,20 +302,15 @@ def _limits(tolerance: Any) -> dict[str, float]:
     limits = dict(tolerance) if isinstance(tolerance, Mapping) else dict(limits)
     problems = Problems("tolerance= cannot be used", SchemaError)
     for name, limit in limits.items():
-        if name not in (RELATIVE, FLOOR, *STATISTICS):
-            problems.add(
-                f"there is no statistic {name!r}",
-                expected=", ".join((RELATIVE, FLOOR, *STATISTICS)),
-                code="choice-unknown",
-            )
+        one_of(name, (RELATIVE, FLOOR, *STATISTICS), "limit", problems=problems)
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0:
             problems.add(f"{name}: {limit!r}", expected="a number from 0 on", code="value-out-of-range")
     if not limits:
-        problems.add("no limit", mend="name one, such as 0.02 of RMSE", code="argument-missing")
+        problems.add("no limit", mend="pass at least one limit, such as rmse 0.02", code="argument-missing")
     if FLOOR in limits and RELATIVE not in limits:
         problems.add(
             "floor is added to a share of the paint's level",
-            mend="name relative as well, such as 0.05",
+            mend="pass relative as well, such as 0.05",
             code="option-conflict",
         )
     if RELATIVE in limits:
@@ -326,51 +324,55 @@ def _statistics(
     parts: Mapping[str, tuple[float, float]],
     limits: Mapping[str, float],
     *,
-    named: bool,
+    user_parts: bool,
 ) -> xr.Dataset:
+    # Statistics of every pair and part; `user_parts`: whether the user named the parts
     shape = len(compared), len(parts)
     statistics = {name: np.full(shape, np.nan) for name in STATISTICS}
     statistics |= {f"{name}_u": np.full(shape, np.nan) for name in STATISTICS}
     statistics |= {"coverage": np.full(shape, np.nan), "level": np.full(shape, np.nan)}
-    bands, left_out = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-    for row, each in enumerate(compared):
+    bands, excluded_bands = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    for row, comparison in enumerate(compared):
         for column, edges in enumerate(parts.values()):
-            inside = each.part(edges)
-            here = inside & each.used
-            bands[row, column], left_out[row, column] = here.sum(), (inside & ~here).sum()
-            if not here.any():
+            in_part = comparison.part(edges)
+            used = in_part & comparison.used
+            bands[row, column], excluded_bands[row, column] = used.sum(), (in_part & ~used).sum()
+            if not used.any():
                 continue
-            sides = each.signature[here], each.reference[here]
-            statistics["coverage"][row, column] = each.coverage[here].min()
-            statistics["level"][row, column] = each.reference[here].mean()
-            for name, value in statistics_of(*sides).items():
+            spectra = comparison.signature[used], comparison.reference[used]
+            statistics["coverage"][row, column] = comparison.coverage[used].min()
+            statistics["level"][row, column] = comparison.reference[used].mean()
+            for name, value in statistics_of(*spectra).items():
                 statistics[name][row, column] = value
-            if each.errors is not None:
-                drawn = uncertainty_of(*sides, *(errors[:, here] for errors in each.errors))
-                for name, value in drawn.items():
+            if comparison.errors is not None:
+                uncertainties = uncertainty_of(*spectra, *(errors[:, used] for errors in comparison.errors))
+                for name, value in uncertainties.items():
                     statistics[f"{name}_u"][row, column] = value
     statistics["rmse_limit"] = _rmse_limit(limits, statistics["level"])
     dims = ("pair", "part")
     variables: dict[str, Any] = {name: (dims, values, _attrs(name)) for name, values in statistics.items()}
     variables["bands"] = (dims, bands, _attrs("bands"))
-    variables["bands_left_out"] = (dims, left_out, _attrs("bands_left_out"))
+    variables["bands_left_out"] = (dims, excluded_bands, _attrs("bands_left_out"))
     too_dark = (
         statistics["rmse_limit"] > MAX_TOLERANCE_SHARE * statistics["level"] if RELATIVE in limits else False
     )
-    judged = (bands >= _MIN_BANDS) & (bands >= _MIN_SHARE * (bands + left_out)) & ~np.asarray(too_dark)
-    for name, flags in (("judged", judged), ("passes", _passes(statistics, judged, limits, named=named))):
+    judged = (bands >= _MIN_BANDS) & (bands >= _MIN_SHARE * (bands + excluded_bands)) & ~np.asarray(too_dark)
+    passes = _passes(statistics, judged, limits, user_parts=user_parts)
+    for name, flags in (("judged", judged), ("passes", passes)):
         variables[name] = (dims, flags, {"long_name": MEANINGS[name]})
     for name, side in (("oxygen_residual", "signature"), ("reference_oxygen_residual", "reference")):
-        depth = [oxygen_depth(each.bands.wavelength, getattr(each, side)) for each in compared]
+        depth = [
+            oxygen_depth(comparison.bands.wavelength, getattr(comparison, side)) for comparison in compared
+        ]
         variables[name] = ("pair", np.array(depth, np.float64), _attrs(name))
     texts = {
-        "signature": [each.pair.signature.name for each in compared],
-        "reference": [each.names for each in compared],
-        "instrument": [each.instrument for each in compared],
-        "overlap": [each.overlap for each in compared],
-        "mirror_reflection": [each.mirror for each in compared],
+        "signature": [comparison.pair.signature.name for comparison in compared],
+        "reference": [comparison.names for comparison in compared],
+        "instrument": [comparison.instrument for comparison in compared],
+        "overlap": [comparison.overlap for comparison in compared],
+        "mirror_reflection": [comparison.mirror for comparison in compared],
     }
-    matched = np.array([each.matched for each in compared], bool)
+    matched = np.array([comparison.matched for comparison in compared], bool)
     coords: dict[str, Any] = {
         name: ("pair", np.array(column, object), {"long_name": MEANINGS[name]})
         for name, column in texts.items()
@@ -389,20 +391,21 @@ def _attrs(name: str) -> dict[str, str]:
 
 
 def _passes(
-    statistics: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, named: bool
+    statistics: Mapping[str, Floats], judged: Bools, limits: Mapping[str, float], *, user_parts: bool
 ) -> Bools:
-    # a part that is not judged fails outside of a limit, if the user named it, or if no part of the pair is
-    # judged
+    # Whether pairs pass in parts (pair, part).
+    # A part that is not judged fails outside of a limit, if the user named it, or if no part of the pair is
+    # judged.
     within, outside = np.ones(judged.shape, bool), np.zeros(judged.shape, bool)
-    of_statistics: dict[str, Any] = {
+    statistic_limits: dict[str, Any] = {
         name: limit for name, limit in limits.items() if name in STATISTICS and name != "rmse"
     }
     if "rmse" in limits or RELATIVE in limits:
-        of_statistics["rmse"] = statistics["rmse_limit"]
-    for name, limit in of_statistics.items():
-        away = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
+        statistic_limits["rmse"] = statistics["rmse_limit"]
+    for name, limit in statistic_limits.items():
+        deviation = np.abs(statistics[name] - 1.0 if name == "scale" else statistics[name])
         # NaN is neither within nor outside
-        within &= away <= limit
-        outside |= away > limit
-    enough = judged | ~np.logical_or(named, ~judged.any(axis=1, keepdims=True))
-    return np.asarray(~outside & enough & (within | ~judged))
+        within &= deviation <= limit
+        outside |= deviation > limit
+    may_pass = judged | ~np.logical_or(user_parts, ~judged.any(axis=1, keepdims=True))
+    return np.asarray(~outside & may_pass & (within | ~judged))

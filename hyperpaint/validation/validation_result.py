@@ -1,4 +1,4 @@
-"""The result of a validation: statistics, spectra, and a table to read."""
+"""The result of a validation: statistics, spectra, and a text table."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-RELATIVE, FLOOR = "relative", "floor"  # parts of a tolerance of RMSE that grows with the paint's level
+#: Names of the two terms of a maximum RMSE that grows with the paint's level.
+RELATIVE, FLOOR = "relative", "floor"
 
-# statistics and tolerances by name, in the order of a validation's table
+#: Names of statistics, in the order of a validation's table.
 STATISTICS = ("bias", "rmse", "mae", "spectral_angle", "scale", "scale_free_error")
 
 MEANINGS: Mapping[str, str] = {
@@ -65,7 +66,8 @@ _LEGEND = (
     "limit: largest RMSE that passes; angle in degrees; scale-free: RMSE after division by scale;",
     "oxygen: residual of signature / reference.",
 )
-# tolerance of RMSE over level of the paint, beyond which a part is not judged: a paint twice as bright passes
+#: Maximum tolerance of RMSE over the level of the paint for a part that is judged [1]: beyond, a paint with
+#: half the reflectance would pass.
 MAX_TOLERANCE_SHARE = 0.5
 
 _MAX_NAMES = 6
@@ -133,50 +135,51 @@ class Validation:
         failures = []
         paints = self._texts("signature")
         for row, within in enumerate(self.statistics["passes"].values):
-            bad = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
-            if bad:
-                failures.append(f"{paints[row]} against {self._texts('reference')[row]}: {', '.join(bad)}")
-        return (*failures, *(f"{name}: its reference is not there" for name in self.missing))
+            texts = [self._failure(row, int(column)) for column in np.flatnonzero(~within)]
+            if texts:
+                failures.append(f"{paints[row]} against {self._texts('reference')[row]}: {', '.join(texts)}")
+        return (*failures, *(f"{name}: its reference is missing" for name in self.missing))
 
     def _failure(self, row: int, column: int) -> str:
-        # with the reason where the part cannot be judged
-        one = self.statistics.isel(pair=row, part=column)
-        count, left = int(one["bands"]), int(one["bands_left_out"])
-        if one["judged"]:
-            return str(one["part"].item())
-        reason = f"{count} of {count + left} bands, too few to judge"
-        if float(one["rmse_limit"]) > MAX_TOLERANCE_SHARE * float(one["level"]):
-            level, limit = float(one["level"]), float(one["rmse_limit"])
+        # Name of a part, with the reason where it cannot be judged
+        cell = self.statistics.isel(pair=row, part=column)
+        count, excluded = int(cell["bands"]), int(cell["bands_left_out"])
+        if cell["judged"]:
+            return str(cell["part"].item())
+        reason = f"{count} of {count + excluded} bands, too few to judge"
+        if float(cell["rmse_limit"]) > MAX_TOLERANCE_SHARE * float(cell["level"]):
+            level, limit = float(cell["level"]), float(cell["rmse_limit"])
             reason = f"level {level:.4f}, too dark for a tolerance of {limit:.4f}"
-        return f"{one['part'].item()} ({reason})"
+        return f"{cell['part'].item()} ({reason})"
 
     @property
     def verdict(self) -> str:
-        """One line: number of pairs within the tolerance, and of paints that have a reference."""
-        named = dict(self.tolerance)
+        """One line: number of pairs within the tolerance, and of paints with a reference."""
+        tolerance = dict(self.tolerance)
         texts = []
-        if RELATIVE in named:
-            texts = [f"RMSE {named.pop(FLOOR):g} + {100.0 * named.pop(RELATIVE):g} % of the paint's level"]
-        limits = ", ".join([*texts, *(f"{name} {limit:g}" for name, limit in named.items())])
-        count = self.statistics.sizes["pair"]
-        good = int(self.statistics["passes"].all("part").sum())
-        paints = len(set(self._texts("signature")))
-        whole = paints + len(self.unpaired_signatures)
+        if RELATIVE in tolerance:
+            floor, share = tolerance.pop(FLOOR), tolerance.pop(RELATIVE)
+            texts = [f"RMSE {floor:g} + {100.0 * share:g} % of the paint's level"]
+        limits = ", ".join([*texts, *(f"{name} {limit:g}" for name, limit in tolerance.items())])
+        pairs = self.statistics.sizes["pair"]
+        passed = int(self.statistics["passes"].all("part").sum())
+        compared = len(set(self._texts("signature")))
+        paints = compared + len(self.unpaired_signatures)
         return (
-            f"{good} of {count} pair{'' if count == 1 else 's'} within tolerance ({limits}), "
-            f"{paints} of {whole} paint{'' if whole == 1 else 's'} compared"
+            f"{passed} of {pairs} pair{'' if pairs == 1 else 's'} within tolerance ({limits}), "
+            f"{compared} of {paints} paint{'' if paints == 1 else 's'} compared"
         )
 
     def table(self) -> str:
         """Return all statistics as a text table, with remarks on each pair."""
         rows = self._rows()
         lines = aligned([_HEAD, *rows, *(self.between._rows() if self.between else [])], names=3)
-        parts = [lines[0], "-" * len(lines[0]), *lines[1 : len(rows) + 1]]
+        text = [lines[0], "-" * len(lines[0]), *lines[1 : len(rows) + 1]]
         if self.between:
-            parts += ["", "references against one another, the first minus the second:"]
-            parts += lines[len(rows) + 1 :]
-        parts += ["", *_LEGEND, *self._remarks(), self.verdict]
-        return "\n".join("".join(sign if sign.isprintable() else "\ufffd" for sign in line) for line in parts)
+            text += ["", "references against one another, the first minus the second:"]
+            text += lines[len(rows) + 1 :]
+        text += ["", *_LEGEND, *self._remarks(), self.verdict]
+        return "\n".join("".join(sign if sign.isprintable() else "\ufffd" for sign in line) for line in text)
 
     def __repr__(self) -> str:
         return f"<Validation>\n{self.table()}"
@@ -209,27 +212,28 @@ class Validation:
                 for name in ("oxygen_residual", "reference_oxygen_residual")
             )
             for column in range(statistics.sizes["part"]):
-                one = statistics.isel(pair=row, part=column)
-                count, left = int(one["bands"]), int(one["bands_left_out"])
+                part = statistics.isel(pair=row, part=column)
+                count, excluded = int(part["bands"]), int(part["bands_left_out"])
                 if not count:
                     continue
                 cells = []
                 for name in STATISTICS:
-                    cells.append(_with_uncertainty(float(one[name]), float(one[f"{name}_u"])))
+                    cells.append(_with_uncertainty(float(part[name]), float(part[f"{name}_u"])))
                     if name == "rmse":
-                        cells.append(_plain(float(one["rmse_limit"]), 4))
-                verdict = "FAIL" if not one["passes"] else "pass" if one["judged"] else "not judged"
-                names = paint, f"{reference} ({instrument})", str(one["part"].values)
-                rows.append((*names, f"{count}/{count + left}", *cells, oxygen, verdict))
-                oxygen = ""  # once a pair
+                        cells.append(_plain(float(part["rmse_limit"]), 4))
+                verdict = "FAIL" if not part["passes"] else "pass" if part["judged"] else "not judged"
+                names = paint, f"{reference} ({instrument})", str(part["part"].values)
+                rows.append((*names, f"{count}/{count + excluded}", *cells, oxygen, verdict))
+                oxygen = ""  # only in the first row of a pair
         return rows
 
     def _remarks(self) -> list[str]:
-        rows: dict[str, list[int]] = {}
+        # notes of the pairs, each once with the pairs it is about, and unpaired names
+        rows_of_text: dict[str, list[int]] = {}
         for row, texts in enumerate(self.notes):
             for text in (f"overlap of detectors: {self._texts('overlap')[row]}", *texts):
-                rows.setdefault(text, []).append(row)
-        remarks = [f"{self._whom(which)}: {text}" for text, which in rows.items()]
+                rows_of_text.setdefault(text, []).append(row)
+        remarks = [f"{self._pair_names(rows)}: {text}" for text, rows in rows_of_text.items()]
         for text, names in (
             ("without a reference", self.unpaired_signatures),
             ("references without a paint", self.unpaired_references),
@@ -238,20 +242,23 @@ class Validation:
                 remarks.append(f"{text}: {', '.join(names)}")
         return remarks
 
-    def _whom(self, rows: Sequence[int]) -> str:
+    def _pair_names(self, rows: Sequence[int]) -> str:
+        # "all", the instrument that all these pairs and no others share, or the paints
         instruments = self._texts("instrument")
-        named = {instruments[row] for row in rows}
+        instruments_of_rows = {instruments[row] for row in rows}
         if len(rows) == len(instruments):
             return "all"
-        if len(named) == 1 and len(rows) == sum(name in named for name in instruments):
-            return named.pop()
+        if len(instruments_of_rows) == 1 and len(rows) == sum(
+            name in instruments_of_rows for name in instruments
+        ):
+            return instruments_of_rows.pop()
         paints = [_short(self._texts("signature")[row]) for row in rows]
-        rest = len(paints) - _MAX_NAMES
-        return ", ".join(paints[:_MAX_NAMES]) + (f" and {rest} more" if rest > 0 else "")
+        more = len(paints) - _MAX_NAMES
+        return ", ".join(paints[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _with_uncertainty(value: float, u: float) -> str:
-    """Return a number rounded to the digits that its uncertainty leaves.
+    """Return a number rounded to two digits of its uncertainty, which follow in brackets.
 
     Examples
     --------
@@ -265,7 +272,7 @@ def _with_uncertainty(value: float, u: float) -> str:
 
 
 def _plain(value: float, digits: int) -> str:
-    # no sign of a zero; a dash for NaN
+    # Number without the sign of a zero; a dash for NaN
     text = f"{value:.{digits}f}"
     return "-" if not np.isfinite(value) else text.lstrip("-") if float(text) == 0.0 else text
 
@@ -275,7 +282,7 @@ def _short(name: str) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]], names: int = 1) -> list[str]:
-    """Return rows of cells as lines: the first columns, of names, left-aligned, numbers right-aligned.
+    """Return rows of cells as lines of text: the first ``names`` columns left-aligned, others right-aligned.
 
     Examples
     --------

@@ -407,7 +407,7 @@ class _Day:
         return f"{table}: {verdict}"
 
     def _map(self) -> str:
-        from hyperpaint.geometry.orthorectification.plausibility import describe_swath
+        from hyperpaint.geometry.orthorectification.mapping import describe_swath
 
         lines, texts = self._mapped(), []
         for number, line in enumerate(lines):

@@ -204,7 +204,7 @@ def _column_angles(path: Path, columns: int) -> Floats:
 
 def _pinhole_angles(line: xr.Dataset, fov_deg: float) -> Floats:
     # the field of view lies between outer edges of the columns [degree]
-    from hyperpaint.geometry.georeference import PinholeCamera
+    from hyperpaint.geometry.georeference.cameras import PinholeCamera
 
     declared = Convention.from_attrs(line.attrs)
     if declared is None or declared.column_order is None:

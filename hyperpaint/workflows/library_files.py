@@ -25,7 +25,7 @@ from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
 from hyperpaint.io.files.publishing import check_place, publish_file
-from hyperpaint.io.files.text_cells import safe_cell
+from hyperpaint.io.files.reading import safe_cell
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 from hyperpaint.regions import Regions, regions_from
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
@@ -92,7 +92,7 @@ def write_signatures(
         holds something else, and ``overwrite`` is False.
     """
     from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
-    from hyperpaint.paints.signatures.extraction import GATHERED_BYTES
+    from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
 
     inside, around = Path(out).resolve(), Path(store).resolve()
     if inside == around or around in inside.parents:
@@ -140,7 +140,7 @@ def write_signatures(
     with contextlib.ExitStack() as stack:
         for name, line in lines.items():
             if name not in maps:
-                load, besides = budget.Load.of(line), budget.LOADED + GATHERED_BYTES
+                load, besides = budget.Load.of(line), budget.LOADED + MAX_GATHERED_BYTES
                 subject = f"extracting from {name or store}"
                 stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
         library = extract_signatures(lines, targets, progress=share, **options)
@@ -233,7 +233,7 @@ def _proposed(
     for name, line in lines.items():
         paint = "paint" if len(lines) == 1 else f"{name}_paint"
         done = flagged.get(name)
-        seen, model = (line, None) if done is None else (done.seen, done.model)
+        seen, model = (line, None) if done is None else (done.surveyed, done.model)
         # beside a model, the survey's other options were used already
         taken = _SHARED if done else set(options) - {"edge"}
         shared = {key: options[key] for key in taken if key in options}

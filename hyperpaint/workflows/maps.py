@@ -14,9 +14,9 @@ import xarray as xr
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.geometry.georeference import PinholeCamera
-from hyperpaint.geometry.mosaicking import mosaic, seamlines
-from hyperpaint.geometry.orthorectification import orthorectify
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 
 

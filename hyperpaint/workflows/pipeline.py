@@ -313,7 +313,7 @@ def run(
     layout: Layout = "cube",
 ) -> Outcome:
     """Process a collect, as `process` does with the same arguments, and return the groups written."""
-    from hyperpaint.io.store.budget import limited_threads, parse_size, share_one_heap
+    from hyperpaint.io.store.budget import limited_threads, parse_size
 
     problems = Problems("cannot process", SchemaError)
     for word, value, allowed in (
@@ -329,7 +329,6 @@ def run(
     check_codec(codec)
     out = local_folder(out, "process")
     limit = None if memory_limit is None else parse_size(memory_limit)
-    share_one_heap()  # before files are opened on threads
     parameters = {"to": to, "reflectance": reflectance, "alignment": alignment}
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))

@@ -44,7 +44,7 @@ import xarray as xr
 
 from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import arguments_of, as_argument, documented
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.keyword_names import renamed
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
@@ -53,12 +53,12 @@ from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 from hyperpaint.io.store.writer import check_room, run_contents, whole_run
-from hyperpaint.simulation.settings import MOST_SAMPLES
+from hyperpaint.simulation.settings import SimulationSettings
 
 from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
 from .render_libraries import read_paints, spectra_digest
 from .render_products import Render, pose_of
-from .scene_files import SceneFile, read_scene_file
+from .scene_files import SCHEMA, SceneFile, read_scene_file
 from .scene_parts import Parts, build_parts, chosen_atmospheres
 from .store_inputs import finishing_command, refuse_to_write_over
 
@@ -196,7 +196,8 @@ def run(
     # before the scene is built; `check_room` is exact later
     folder = next(parent for parent in out.absolute().parents if parent.exists())
     pixels = file.platform["lines"] * file.platform["columns"]
-    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * file.camera.get("bands", 272))
+    bands = file.camera.get("bands", SimulationSettings.bands)
+    least = pixels * (MIN_BYTES_PER_PIXEL + MIN_BYTES_PER_SAMPLE * bands)
     free = shutil.disk_usage(folder).free
     if least > free:
         raise StoreError(
@@ -245,7 +246,7 @@ def run(
             if progress:
                 size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
                 product = f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
-                tracing = f"tracing {size}, {file.sampling.samples} rays a pixel\n"
+                tracing = f"tracing {size}, {file.sampling['samples']} rays a pixel\n"
                 sys.stderr.write(tracing if name == TRANSPORT else product)
             turn.write(name, dataset.assign_attrs(settings), progress=progress)
     return Outcome(out, tuple(pending), tuple(complete))
@@ -253,30 +254,23 @@ def run(
 
 def _changed(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
     problems = Problems("cannot render", SchemaError)
-    if samples is not None and not (
-        isinstance(samples, int) and not isinstance(samples, bool) and 1 <= samples <= MOST_SAMPLES
-    ):
-        problems.add(
-            f"samples={samples!r}",
-            expected=f"a whole number from 1 to {MOST_SAMPLES}",
-            code="value-out-of-range",
-        )
-    if to not in (None, "radiance", "counts"):
-        problems.add(f"to={to!r}", expected="'radiance' or 'counts'", code="choice-unknown")
-    problems.raise_if_any()
     if samples is not None:
-        file = dataclasses.replace(file, sampling=dataclasses.replace(file.sampling, samples=samples))
+        SCHEMA["sampling"]["samples"].note(problems, as_argument("samples", samples), samples)
+        file = dataclasses.replace(file, sampling={**file.sampling, "samples": samples})
+    if to is not None:
+        SCHEMA["output"]["product"].note(problems, as_argument("to", to), to)
+    problems.raise_if_any()
     return file if to is None else dataclasses.replace(file, product=to)
 
 
 def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Parts]:
     # paints of the file take precedence over the library
     from hyperpaint.simulation.rendering.given_spectra import by_name
-    from hyperpaint.simulation.rendering.painting import dealt_paints
+    from hyperpaint.simulation.rendering.painting import assigned_paints
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     library = by_name(read_paints(paints))
-    dealt = dealt_paints(SceneRecord.of(parts.scene), list(library))
+    dealt = assigned_paints(SceneRecord.of(parts.scene), list(library))
     file = dataclasses.replace(file, paints={**dealt, **file.paints})
     return file, dataclasses.replace(parts, spectra={**library, **parts.spectra})
 
@@ -287,17 +281,12 @@ def _painted(file: SceneFile, parts: Parts, paints: Path) -> tuple[SceneFile, Pa
 def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
     from hyperpaint.simulation.rendering.tracing import trace
 
-    sampling = file.sampling
     traced = trace(
         parts.scene,
         parts.platform,
         parts.suns,
-        samples=sampling.samples,
-        depth=sampling.depth,
-        seed=sampling.seed,
-        slots=sampling.slots,
+        **arguments_of(SCHEMA["sampling"], file.sampling),
         overcast=parts.overcast,
-        sun_radius=sampling.sun_radius_deg,
         chunk_lines=lines,
     )
     inputs = {
@@ -305,7 +294,7 @@ def _traced(file: SceneFile, parts: Parts, lines: int) -> xr.Dataset:
         "scene": {**file.scene, "name": file.name},
         "meshes": [[_content(mesh.path), mesh.name, dict(mesh.options)] for mesh in file.meshes],
         "platform": dict(file.platform),
-        "sampling": dataclasses.asdict(sampling),
+        "sampling": dict(file.sampling),
         "suns": parts.suns,
         "overcast": parts.overcast,
     }
@@ -326,7 +315,7 @@ def _renders(
                 "spectra": spectra_digest(parts.spectra),
                 "hold_edges": file.hold_edges,
                 "paints": dict(file.paints),
-                "product": [file.product, file.true_reflectance, file.sampling.seed],
+                "product": [file.product, file.true_reflectance, file.sampling["seed"]],
             }
             render = Render(
                 atmosphere, parts.camera, parts.platform, parts.spectra, file.paints, file.hold_edges
@@ -335,7 +324,7 @@ def _renders(
                 traced,
                 product=file.product,
                 true_reflectance=file.true_reflectance,
-                seed=file.sampling.seed,
+                seed=file.sampling["seed"],
                 noise=parts.noise,
             ).assign_attrs({INPUTS: _digest(inputs)})
     return renders

@@ -11,15 +11,28 @@ from pathlib import Path
 from typing import Any
 
 from hyperpaint.base.errors import FormatError, Problems
-from hyperpaint.base.facts import Fact, Facts, Spelling, as_argument, by_key, fact, facts_of, shown
+from hyperpaint.base.facts import (
+    Fact,
+    Facts,
+    Spelling,
+    arguments_of,
+    as_argument,
+    by_key,
+    fact,
+    facts_of,
+    filled,
+    shown,
+)
 from hyperpaint.io.files.toml_tables import TableReader, load_tables, values
-from hyperpaint.simulation.rendering.car_bodies import CAR_TYPES
-from hyperpaint.simulation.rendering.car_parks import NEIGHBOURS
+from hyperpaint.simulation.rendering.car_parks import BAY, CAR_PARK, note_car_park_faults
 from hyperpaint.simulation.rendering.four_curves import PRESETS
-from hyperpaint.simulation.rendering.materials import KINDS
+from hyperpaint.simulation.rendering.materials import KINDS, Coat, Flakes
 from hyperpaint.simulation.rendering.platforms import PUSHBROOM, note_pushbroom_faults
 from hyperpaint.simulation.rendering.scene import INSTANCE_KINDS
-from hyperpaint.simulation.settings import CAMERA_FIELDS, FLEETS, MAX_SEED, MOST_SAMPLES, SimulationSettings
+from hyperpaint.simulation.rendering.scene_record import TraceSettings
+from hyperpaint.simulation.rendering.sky_models import SKY
+from hyperpaint.simulation.settings import CAMERA_FIELDS, SimulationSettings
+from hyperpaint.simulation.transport.path_codes import MAX_SUNS
 
 #: Kinds of generated scenes; any of them may hold meshes as well.
 SCENE_KINDS = ("car_park", "plane", "empty")
@@ -48,22 +61,7 @@ class AtmosphereEntry:
     preset: str | None = None
     table: Path | None = None
     irradiance: tuple[Path, ...] = ()
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Sampling:
-    """``[sampling]``: rays of a pixel, scatterings of a ray, stored paths of a pixel, and the seed."""
-
-    samples: int = fact(
-        64, "rays of a pixel: noise falls with the root of their number", least=1, most=MOST_SAMPLES
-    )
-    depth: int = fact(4, "scatterings of a ray", least=1, most=16)
-    slots: int | None = fact(
-        None, "stored paths of a pixel; by default enough for the lights", kind="whole", least=1, most=1024
-    )
-    seed: int = fact(0, "chooses the rays", least=0, most=MAX_SEED)
-    sun_radius_deg: float = fact(0.267, "angular radius of the sun", unit="degree", least=0.0, most=5.0)
+    options: Mapping[str, Any] = field(default_factory=dict)  #: ``time`` and numbers of `SKY`, by argument.
 
 
 @dataclass(frozen=True)
@@ -77,38 +75,43 @@ class SceneFile:
     platform: Mapping[str, Any]  #: Arguments of `hyperpaint.simulation.rendering.platforms.pushbroom`.
     camera: Mapping[str, Any]  #: Fields of `hyperpaint.simulation.SimulationSettings`.
     atmospheres: tuple[AtmosphereEntry, ...]  #: At least one.
-    sampling: Sampling
+    sampling: Mapping[str, Any]  #: Every key of ``[sampling]``.
     spectra: Mapping[str, Path]
     paints: Mapping[str, str]  #: Name of a spectrum, material or instance: name of its new spectrum.
-    product: str = fact("radiance", "quantity of the cube", choices=PRODUCTS)
+    product: str = fact("radiance", "physical quantity of the cube", choices=PRODUCTS)
     #: Whether the reflectance without noise is stored as well.
-    true_reflectance: bool = fact(True, "store the reflectance without noise beside the cube")
+    true_reflectance: bool = fact(True, "whether to store the true reflectance, without noise, with the cube")
     #: Whether spectra are held beyond their ends, and over bands without values.
     hold_edges: bool = fact(
-        False, "hold spectra beyond their last band with values, and bridge bands without"
+        False,
+        "whether to continue spectra with constant values beyond their first and last band, and to "
+        "interpolate bands without values",
     )
 
 
-def _number(name: str, doc: str, least: float | None, most: float | None, **options: Any) -> Fact:
-    return Fact(name=name, kind="number", doc=doc, least=least, most=most, **options)
+#: Keys of a car park but for its coat.
+PARK = by_key((CAR_PARK | {"fleet": dataclasses.replace(CAR_PARK["fleet"], default="real")}).values())
 
-
-def _whole(name: str, doc: str, least: int, most: int, **options: Any) -> Fact:
-    return Fact(name=name, kind="whole", doc=doc, least=least, most=most, **options)
-
-
-#: Keys of a material of a mesh.
-MATERIAL = by_key([
-    Fact(name="spectrum", doc="name of the reflectance spectrum", example="red"),
-    Fact(name="class", kind="choice", choices=KINDS, doc="class of the surface"),
-    _number("coat_index", "refractive index of the clear coat", 1.0, 3.0),
-    _number("coat_roughness", "roughness of the clear coat, in place of its gloss", 0.0, 1.0),
-    _number("coat_gloss", "gloss of the clear coat at 20 degrees, in gloss units", 1.0, 100.0),
-    _number("coat_waviness_deg", "waviness of the clear coat", 0.0, 5.0, unit="degree"),
-    _number("flakes", "share of the surface below the coat that metal flakes cover", 0.0, 1.0),
+#: Keys of a clear coat; without any of them, a paint keeps its coat.
+COAT = by_key([
+    *(dataclasses.replace(declared, default=None) for declared in facts_of(Coat).values()),
+    Fact(
+        name="gloss", key="coat_gloss", kind="number", scale=1.0, least=1.0, most=100.0,
+        doc="gloss of the clear coat at 20 degrees [gloss units]; an alternative to coat_roughness",
+    ),
 ])  # fmt: skip
 
-_SEED = _whole("seed", "chooses cars, paints, places and trees", 0, MAX_SEED, default=0)
+#: Keys of a material of a mesh.
+MATERIAL = {
+    **by_key(
+        [
+            Fact(name="spectrum", doc="name of the reflectance spectrum of the surface", example="red"),
+            Fact(name="class", kind="choice", choices=KINDS, doc="class of the surface"),
+            facts_of(Flakes)["share"],
+        ]
+    ),
+    **COAT,
+}
 
 #: Fields of the camera's settings that are keys of ``[camera]``; ``[platform]`` has the columns.
 _CAMERA_FIELDS = CAMERA_FIELDS - {"columns"} | {"noise", "dark_frames"}
@@ -117,56 +120,42 @@ _CAMERA_FIELDS = CAMERA_FIELDS - {"columns"} | {"noise", "dark_frames"}
 SCHEMA: Mapping[str, Facts] = {
     "scene": by_key([
         Fact(name="name", doc="name of the scene; by default the name of the file"),
-        Fact(name="kind", kind="choice", choices=SCENE_KINDS, default="car_park", doc="kind of scene"),
-        _SEED,
-        # of a plane
+        Fact(name="kind", kind="choice", choices=SCENE_KINDS, default="car_park",
+             doc="kind of scene: a car park, a level plane, or only the meshes"),
         Fact(
             name="size_m", kind="numbers", length=2, single=True, unit="m", least=0.0, above=True,
-            default=1000.0, doc="side of a plane, or both of its sides",
+            default=1000.0, doc="length of the sides of a plane; one number for a square, or two",
         ),
-        Fact(name="spectrum", default="asphalt", doc="spectrum of a plane"),
-        # of a car park
-        _number("length_m", "length northwards from y = 0", 1.0, 2000.0, unit="m", default=50.0),
-        _number(
-            "width_m", "width; 16 m hold two rows of cars and an aisle, 32 m four rows", 1.0, 500.0, unit="m",
-            default=32.0,
-        ),
-        _whole("rows", "rows of bays; by default as many as fit", 1, 100),
-        _number("occupancy", "share of the bays that are taken", 0.0, 1.0, default=0.85),
-        Fact(name="paints", kind="words", doc="spectra of the cars, in place of those of the fleet"),
-        Fact(
-            name="fleet", kind="choice", choices=FLEETS, default="real",
-            doc="real: colours, finishes, age and dust of real car parks; solid: fourteen paints",
-        ),
-        Fact(name="types", kind="words", choices=tuple(CAR_TYPES), doc="types of cars; by default all"),
-        Fact(
-            name="neighbours", kind="words", choices=NEIGHBOURS, default=["trees", "walls", "lamps"],
-            doc="things around the car park; [] for an open place",
-        ),
-        Fact(name="panels", kind="flag", default=True, doc="grey panels of known reflectance in the aisle"),
-        Fact(name="islands", kind="flag", default=True, doc="kerbed islands with grass between bays"),
-        Fact(name="coat", kind="flag", default=True, doc="clear coats; false leaves Lambert paints"),
-        *(MATERIAL[f"coat_{name}"]
-          for name in ("index", "roughness", "gloss", "waviness_deg")),
-        _number("line_width_m", "width of the lines between bays", 0.02, 1.0, unit="m", default=0.12),
-        _whole("leaves", "leaves of a tree", 0, 100_000, default=2000),
-        _number("margin_m", "width of the ground around the car park", 0.0, 10_000.0, unit="m", default=30.0),
+        Fact(name="spectrum", default="asphalt", doc="name of the reflectance spectrum of a plane"),
+        *PARK.values(),
+        Fact(name="coat", kind="flag", default=True,
+             doc="whether paints have a clear coat; without it they are Lambertian"),
+        *COAT.values(),
     ]),
     "meshes": by_key([
-        Fact(name="path", needed=True, doc="file of triangles: .obj, or .glb and .ply with hyperpaint[mesh]"),
+        Fact(name="path", needed=True, doc="file of the mesh: .obj, or .glb and .ply with the extra mesh"),
         Fact(name="name", doc="name of the mesh; by default mesh_1, mesh_2 ..."),
-        Fact(name="kind", kind="choice", choices=INSTANCE_KINDS, default="other", doc="kind of thing"),
+        Fact(name="kind", kind="choice", choices=INSTANCE_KINDS, default="other", doc="kind of object"),
         *MATERIAL.values(),
         Fact(
             name="materials", kind="own", accepts=lambda value: isinstance(value, dict),
             phrase="a table: name of a part = spectrum",
-            doc="materials by part: a spectrum, or a table with the keys of a material",
+            doc="materials of the parts of the mesh; a material is the name of a spectrum, or a table with "
+            "the keys spectrum, class, flakes and coat_...",
         ),
-        Fact(name="offset_m", kind="numbers", length=3, unit="m", doc="shift east, north and up",
+        Fact(name="offset_m", kind="numbers", length=3, unit="m",
+             doc="displacement of the mesh to east, north and up",
              default=[0.0, 0.0, 0.0]),
-        _number("heading_deg", "turn clockwise", -360.0, 360.0, unit="degree", default=0.0),
-        _number("unit_m", "length unit of the file", 0.0, None, above=True, unit="m", default=1.0),
-        Fact(name="up", kind="choice", choices=("x", "y", "z"), doc="axis that points up in the file"),
+        Fact(
+            name="heading_deg", kind="number", unit="degree", scale=1.0, least=-360.0, most=360.0,
+            default=0.0, doc="rotation of the mesh, clockwise seen from above",
+        ),
+        Fact(
+            name="unit_m", kind="number", unit="m", scale=1.0, least=0.0, above=True, default=1.0,
+            doc="length of the unit in which the file states coordinates",
+        ),
+        Fact(name="up", kind="choice", choices=("x", "y", "z"),
+             doc="axis of the file that points up; by default y in GLB files, z in others"),
     ]),
     "platform": by_key([
         dataclasses.replace(one, kind="time", accepts=None, phrase="", example="2021-07-20T17:10:00")
@@ -177,20 +166,18 @@ SCHEMA: Mapping[str, Facts] = {
         one for name, one in facts_of(SimulationSettings).items() if name in _CAMERA_FIELDS
     ),
     "atmospheres": by_key([
-        Fact(name="name", doc="name of the group in the store; by default the preset"),
-        Fact(name="preset", kind="choice", choices=PRESETS, doc="light of a kind of sky"),
-        Fact(name="table", doc="file of wavelength, direct and diffuse irradiance, in place of a preset"),
-        Fact(name="irradiance", kind="texts", doc="files of a spectrometer, in place of a preset"),
-        Fact(name="time", kind="time", doc="time in that record; by default all of it"),
-        _number("direct_fraction", "direct share of that irradiance", 0.0, 1.0),
-        _number("sun_zenith_deg", "zenith angle of the sun", 0.0, 89.0, unit="degree"),
-        _number("sun_azimuth_deg", "azimuth of the sun, clockwise from north", -360.0, 360.0, unit="degree"),
-        _number("aerosol", "optical depth of the aerosol, with a preset", 0.0, 10.0),
-        _number("water", "precipitable water, with a preset", 0.0, 100.0),
-        _number("oktas", "eighths of the sky that clouds cover", 0.0, 8.0),
-        _number("overcast_share", "share of the diffuse light that is brighter overhead", 0.0, 1.0),
+        Fact(name="name", doc="name of the group of the store for this light; by default the preset"),
+        Fact(name="preset", kind="choice", choices=tuple(PRESETS),
+             doc="name of a built-in sun and sky; an alternative to table and irradiance"),
+        Fact(name="table",
+             doc="file with wavelength, direct and diffuse irradiance; an alternative to preset"),
+        Fact(name="irradiance", kind="texts",
+             doc="files of an irradiance spectrometer; an alternative to preset"),
+        Fact(name="time", kind="time",
+             doc="UTC for which irradiance is read from the record; needed if it holds several spectra"),
+        *SKY.values(),
     ]),
-    "sampling": by_key(facts_of(Sampling).values()),
+    "sampling": by_key(facts_of(TraceSettings).values()),
     "spectra": {},
     "paints": {},
     "output": by_key(facts_of(SceneFile).values()),
@@ -236,7 +223,7 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
     scene_file = SceneFile(
         path=path, name=reader.one("scene").get("name", path.stem), scene=_scene(reader),
         meshes=_meshes(reader), platform=platform, camera=camera, atmospheres=_atmospheres(reader),
-        sampling=Sampling(**values(reader.one("sampling"))),
+        sampling=filled(SCHEMA["sampling"], reader.one("sampling")),
         spectra={name: file for name, file in spectra.items() if file is not None},
         paints=values(reader.one("paints")), **values(reader.one("output")),
     )  # fmt: skip
@@ -248,7 +235,7 @@ def read_scene_file(path: str | os.PathLike[str]) -> SceneFile:
 #: Keys of [scene] for one kind of scene only.
 _KEYS_OF_KIND = {
     "plane": {"size_m", "spectrum"},
-    "car_park": set(SCHEMA["scene"]) - {"name", "kind", "seed", "size_m", "spectrum"},
+    "car_park": {*PARK, "coat", *COAT} - {"seed"},
     "empty": set(),
 }
 
@@ -274,7 +261,14 @@ def _scene(reader: TableReader) -> dict[str, Any]:
         )
     if "scene" not in reader.given:
         kind = "empty"
+    if kind == "car_park" and set(values(table)) == table["?"]:
+        note_car_park_faults(park_arguments(table), reader.problems, _spelled({"scene": table}, ["scene"]))
     return {**{key: value for key, value in values(table).items() if key != "name"}, "kind": kind}
+
+
+def park_arguments(scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `car_park` that a table ``[scene]`` gives, but for the coat."""
+    return arguments_of(PARK, filled(PARK, scene))
 
 
 def _meshes(reader: TableReader) -> tuple[MeshEntry, ...]:
@@ -334,11 +328,7 @@ def _flight(reader: TableReader) -> tuple[dict[str, Any], dict[str, Any]]:
             reader.problems.add(
                 f"[platform] {key} is missing", mend="state the size of the cube", code="key-missing"
             )
-    facts = {name: SCHEMA[name] for name in tables}
-    platform, camera = (
-        {facts[name][key].name: facts[name][key].argument(value) for key, value in values(table).items()}
-        for name, table in tables.items()
-    )
+    platform, camera = (arguments_of(SCHEMA[name], values(table)) for name, table in tables.items())
     problems, before = reader.problems, len(reader.problems)
     # the tables are compared where each of them is right
     wrong = any(set(values(table)) != table["?"] for table in tables.values())
@@ -385,6 +375,17 @@ def _atmospheres(reader: TableReader) -> tuple[AtmosphereEntry, ...]:
             mend="give each its own name",
             code="name-duplicate",
         )
+    suns = set()
+    for entry in entries:
+        zenith, azimuth = PRESETS.get(entry.preset or "", PRESETS["noon"])
+        suns.add((entry.options.get("sun_zenith", zenith), entry.options.get("sun_azimuth", azimuth)))
+    if len(suns) > MAX_SUNS:
+        reader.problems.add(
+            f"[[atmospheres]] have {len(suns)} suns",
+            expected=f"1 to {MAX_SUNS}",
+            mend="render some of them into another store",
+            code="sun-number",
+        )
     return tuple(entries)
 
 
@@ -425,8 +426,8 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
                 code="key-misplaced",
             )
     files = reader.files(place, "irradiance", table["irradiance"]) if "irradiance" in table else ()
-    skipped = {"?", "name", *_SOURCES}
-    options = {key: value for key, value in table.items() if key not in skipped}
+    sky = {key: value for key, value in values(table).items() if key not in ("name", *_SOURCES)}
+    options = arguments_of(SCHEMA["atmospheres"], sky)
     preset = table.get("preset", None if sources else name)
     return AtmosphereEntry(name, preset, reader.path(place, "table", table.get("table")), files, options)
 
@@ -442,7 +443,7 @@ def _check_size(scene_file: SceneFile, problems: Problems) -> None:
                 code="scene-too-large",
             )
     lines, columns = (scene_file.platform.get(key, 1) for key in ("lines", "columns"))
-    bands = scene_file.camera.get("bands", 272)
+    bands = scene_file.camera.get("bands", SimulationSettings.bands)
     if lines * columns * bands > _MAX_VALUES:
         problems.add(
             f"{lines} lines x {columns} columns x {bands} bands are {lines * columns * bands:.1e} samples",
@@ -454,7 +455,7 @@ def _check_size(scene_file: SceneFile, problems: Problems) -> None:
 
 def _triangles(scene: Mapping[str, Any]) -> float:
     # 1300 a car, two a leaf
-    length, width = scene.get("length_m", 50.0), scene.get("width_m", 32.0)
-    bays = length / 2.5 * scene.get("rows", width / 8.0)
-    trees = length / 7.5 + bays / 10.0 if "trees" in scene.get("neighbours", ["trees"]) else 0.0
-    return float(1300.0 * bays * scene.get("occupancy", 0.85) + 2.0 * trees * scene.get("leaves", 1500))
+    park = park_arguments(scene)
+    bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
+    trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
+    return float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from hyperpaint.base.errors import FormatError, PaintError, Problems, SchemaError
+from hyperpaint.base.facts import arguments_of, filled
 from hyperpaint.io.spectrometers.irradiance import open_irradiance
 from hyperpaint.simulation.camera import Camera
 from hyperpaint.simulation.rendering.appearance import coat_of_gloss
@@ -22,7 +21,16 @@ from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
 from hyperpaint.simulation.settings import SimulationSettings
 
 from .render_libraries import read_spectra
-from .scene_files import MATERIAL, AtmosphereEntry, MeshEntry, SceneFile, camera_fields
+from .scene_files import (
+    COAT,
+    MATERIAL,
+    SCHEMA,
+    AtmosphereEntry,
+    MeshEntry,
+    SceneFile,
+    camera_fields,
+    park_arguments,
+)
 
 
 @dataclass(frozen=True)
@@ -89,11 +97,6 @@ def chosen_atmospheres(parts: Parts, names: Sequence[str]) -> tuple[Atmosphere, 
 
 # --- the scene ---------------------------------------------------------------------------------------------
 
-#: Keys of a car park in metres; without the unit they are arguments of `car_park`.
-_IN_METRES = ("length_m", "width_m", "line_width_m", "margin_m")
-#: Keys of a clear coat behind ``coat_``, to arguments of `Coat`.
-_COAT = {"index": "index", "roughness": "roughness", "gloss": "gloss", "waviness_deg": "waviness"}
-
 
 def _scene(file: SceneFile) -> Scene:
     builders = {"car_park": _car_park, "plane": _plane}
@@ -104,33 +107,28 @@ def _scene(file: SceneFile) -> Scene:
 
 
 def _car_park(file: SceneFile) -> Scene:
-    options = {"fleet": "real", **{key: value for key, value in file.scene.items() if key != "kind"}}
-    for key in _IN_METRES:
-        if key in options:
-            options[key.removesuffix("_m")] = float(options.pop(key))
-    coat = {key: options.pop(f"coat_{key}") for key in _COAT if f"coat_{key}" in options}
-    if not options.pop("coat", True):
-        options["coat"] = None
-    elif coat:
-        options["coat"] = _coat(coat)
-    return car_park(**options)
+    options = park_arguments(file.scene)
+    if not file.scene.get("coat", True):
+        return car_park(**options, coat=None)
+    return car_park(**options, coat=_coat(file.scene) or "own")
 
 
 def _plane(file: SceneFile) -> Scene:
-    size = file.scene.get("size_m", 1000.0)
-    spectrum = file.scene.get("spectrum", "asphalt")
-    sides = (float(size), float(size)) if isinstance(size, int | float) else (float(size[0]), float(size[1]))
-    return plane(sides, Material("ground", spectrum, "asphalt" if spectrum == "asphalt" else "other"))
+    facts = SCHEMA["scene"]
+    ground = arguments_of(facts, filled(facts, file.scene))
+    kind = "asphalt" if ground["spectrum"] == "asphalt" else "other"
+    return plane(ground["size_m"], Material("ground", ground["spectrum"], kind))
 
 
 def _mesh(entry: MeshEntry) -> Scene:
-    options = dict(entry.options)
-    kind = options.get("kind", "other")
-    surface = {key: options[key] for key in MATERIAL if key in options}
+    facts = SCHEMA["meshes"]
+    options = arguments_of(facts, filled(facts, entry.options))
+    kind = options["kind"]
+    surface = {key: value for key, value in entry.options.items() if key in MATERIAL}
     default = _material(entry.name, surface, kind) if "spectrum" in surface else None
     parts = {
         part: _material(f"{part} of {entry.name}", table, kind)
-        for part, table in options.get("materials", {}).items()
+        for part, table in (options["materials"] or {}).items()
     }
     painted = [
         material.spectrum
@@ -142,32 +140,31 @@ def _mesh(entry: MeshEntry) -> Scene:
         parts,
         default=default,
         instance=Instance(entry.name, kind, painted[0] if kind == "car" and painted else ""),
-        unit=float(options.get("unit_m", 1.0)),
-        up=options.get("up"),
+        unit=options["unit_m"],
+        up=options["up"],
     )
-    return mesh.moved(options.get("offset_m", (0.0, 0.0, 0.0)), float(options.get("heading_deg", 0.0)))
+    return mesh.moved(options["offset_m"], options["heading_deg"])
 
 
-def _coat(table: Mapping[str, Any]) -> Coat:
-    # its gloss takes precedence over its roughness
-    arguments = {_COAT[key]: float(value) for key, value in table.items() if key != "gloss"}
-    if "gloss" in table:
-        arguments.pop("roughness", None)
-        return coat_of_gloss(float(table["gloss"]), **arguments)
-    return Coat(**arguments)
+def _coat(table: Mapping[str, Any]) -> Coat | None:
+    # None without keys of a coat; gloss takes precedence over roughness
+    options = arguments_of(COAT, {key: table[key] for key in COAT if key in table})
+    if "gloss" not in options:
+        return Coat(**options) if options else None
+    options.pop("roughness", None)
+    return coat_of_gloss(options.pop("gloss"), **options)
 
 
 def _material(name: str, table: str | Mapping[str, Any], kind: str) -> Material:
     # on a car it is paint unless the table has another class
     table = {"spectrum": table} if isinstance(table, str) else table
     surface = table.get("class", "paint" if kind == "car" else "other")
-    coat = {key: table[f"coat_{key}"] for key in _COAT if f"coat_{key}" in table}
-    share = float(table.get("flakes", 0.0))
+    coat, share = _coat(table), float(table.get("flakes", 0.0))
     return Material(
         f"paint of {name}" if surface == "paint" else name,
         table["spectrum"],
         surface,
-        _coat(coat) if coat or share or surface == "paint" else None,
+        Coat() if coat is None and (share or surface == "paint") else coat,
         Flakes(share) if share else None,
     )
 
@@ -183,7 +180,7 @@ def _platform(file: SceneFile, scene: Scene | None) -> Platform:
         options["centre"] = float(east), float(north)
         if file.scene["kind"] == "car_park":
             # the park lies from y = 0 northwards, in the middle of ground that goes on around it
-            options["centre"] = 0.0, float(file.scene.get("length_m", 50.0)) / 2
+            options["centre"] = 0.0, park_arguments(file.scene)["length"] / 2
     return pushbroom(**options)
 
 
@@ -208,29 +205,22 @@ def _atmospheres(file: SceneFile) -> tuple[Atmosphere, ...]:
 
 def _atmosphere(entry: AtmosphereEntry) -> Atmosphere:
     options = dict(entry.options)
-    oktas, time = options.pop("oktas", None), options.pop("time", None)
-    sun: dict[str, Any] = {
-        key: float(options.pop(f"{key}_deg"))
-        for key in ("sun_zenith", "sun_azimuth")
-        if f"{key}_deg" in options
-    }
-    sky = {key: options.pop(key) for key in ("overcast_share", "direct_fraction") if key in options}
-    clear = {key: options.pop(key) for key in ("aerosol", "water") if key in options}
+    oktas = options.pop("oktas", None)
     if entry.table is not None:
-        atmosphere = Atmosphere.from_table(entry.table, **sun, **sky)
+        atmosphere = Atmosphere.from_table(entry.table, **options)
     elif entry.irradiance:
-        moment = None if time is None else np.datetime64(str(time).replace(" ", "T"), "ns")
-        atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), time=moment, **sun, **sky)
+        atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), **options)
     else:
         atmosphere = preset_atmosphere(entry.preset or entry.name)
-        if sun or clear or oktas is not None:
+        share = options.pop("overcast_share", None)
+        if options or oktas is not None:
             oktas = 8.0 if oktas is None and atmosphere.overcast_share > 0.0 else oktas
-            sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth} | sun
-            atmosphere = Atmosphere.clear(**sun, **clear)
-        if sky:
-            atmosphere = replace(atmosphere, **sky)
+            sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth}
+            atmosphere = Atmosphere.clear(**{**sun, **options})
+        if share is not None:
+            atmosphere = replace(atmosphere, overcast_share=share)
     if oktas:
-        atmosphere = atmosphere.clouded(float(oktas))
+        atmosphere = atmosphere.clouded(oktas)
     return replace(atmosphere, name=entry.name)
 
 

@@ -16,7 +16,7 @@ import xarray as xr
 from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, StoreError
 from hyperpaint.base.schema import FORMAT_VERSION
-from hyperpaint.io.files.sampled_content import sampled_digest
+from hyperpaint.io.files.reading import sampled_digest
 
 
 def paths_in(settings: Any) -> Iterator[Path]:

@@ -14,6 +14,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import (
     PARAMETERS,
     Fact,
+    arguments_of,
     by_key,
     check_fields,
     declared,
@@ -51,6 +52,12 @@ def test_kinds(options: dict[str, Any], good: list[Any], bad: list[Any]) -> None
     assert [one.fault(value) for value in good] == [None] * len(good)
     assert None not in [one.fault(value) for value in bad]
     assert one.expected
+
+
+def test_numbers_in_the_units_of_the_argument_stay_exact() -> None:
+    keys = by_key([Fact(doc="length", kind="number", name="length", key="length_m", scale=1.0)])
+    assert arguments_of(keys, {"length_m": 0.1234567890123456}) == {"length": 0.1234567890123456}
+    assert isinstance(arguments_of(keys, {"length_m": 2})["length"], float)
 
 
 def test_keys_have_the_units_of_the_file() -> None:

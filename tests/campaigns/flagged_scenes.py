@@ -153,9 +153,10 @@ def rows_of(counts: Counts) -> list[str]:
     both, _, clean = counts["adjacency on clean paint"]
     made.append(f"adjacency: flagged on {both / max(clean, 1):.2%} of {clean} pixels of clean coloured paint")
     precision, recall = precision_and_recall(*counts["mixed pixels"])
-    _, edges, every = counts["pixels"]
+    _, flagged, every = counts["pixels"]
+    mixed = counts["mixed pixels"][2]
     made.append(
-        f"mixed_edge: {edges / every:.0%} of all pixels, {counts['mixed pixels'][2] / every:.0%} are; "
+        f"mixed_edge: flagged on {flagged / every:.0%} of all pixels, true on {mixed / every:.0%}; "
         f"precision {precision:.3f}, recall {recall:.3f}"
     )
     return made

@@ -82,7 +82,7 @@ def test_info_of_a_geotiff(folder: Path, tmp_path: Path) -> None:
     trap.write_text(f'<VRTDataset rasterXSize="9" rasterYSize="9">{band}</VRTDataset>')
     refused = CliRunner().invoke(main, ["info", str(trap)])
     assert refused.exit_code == 2
-    assert "no TIFF" in refused.output
+    assert "not a TIFF" in refused.output
 
 
 def test_info_of_regions(folder: Path) -> None:

@@ -13,7 +13,7 @@ from support.wrong_declarations import DECLARED
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.geometry.navigation_checks import BoresightSolution, solve_boresight
+from hyperpaint.geometry.navigation_checks.mounting import BoresightSolution, solve_boresight
 
 pyproj = pytest.importorskip("pyproj")
 

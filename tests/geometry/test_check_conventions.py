@@ -9,7 +9,7 @@ from support.wrong_declarations import DECLARED, cases, flown, right
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.geometry.navigation_checks import ConventionCheck, check_conventions
+from hyperpaint.geometry.navigation_checks.checking import ConventionCheck, check_conventions
 from hyperpaint.geometry.navigation_checks.picture_motion import row_motion
 
 pytest.importorskip("pyproj")

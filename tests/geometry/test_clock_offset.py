@@ -11,7 +11,7 @@ from support.wrong_declarations import DECLARED
 
 import hyperpaint as hp
 from hyperpaint.base.errors import SchemaError, TimeError
-from hyperpaint.geometry.navigation_checks import ClockOffset, estimate_clock_offset
+from hyperpaint.geometry.navigation_checks.clock_offsets import ClockOffset, estimate_clock_offset
 
 pytest.importorskip("pyproj")
 

@@ -8,7 +8,7 @@ from support.geocentric_rays import flown
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.geometry.orthorectification.plausibility import swath_attrs
+from hyperpaint.geometry.orthorectification.mapping import swath_attrs
 
 CAMERA = hp.geometry.PinholeCamera(41, field_of_view=30.0, edges="outer")
 CONVENTION = hp.Convention(column_order="left_to_right")

@@ -60,7 +60,7 @@ def test_what_cannot_be_told_is_refused_with_a_reason() -> None:
         "too bright": (pixels(white, 1.0, 45.0, noise=2e-3), 45.0),
         "expected 40": (pixels(dark, 1.0, 45.0)[:20], 45.0),
         "the sun at 10 degrees": (pixels(dark, 1.0, 45.0), 10.0),
-        "go one way": (pixels(dark, 1.0, 45.0, noise=0.02), 45.0),
+        "first principal component": (pixels(dark, 1.0, 45.0, noise=0.02), 45.0),
         "neither lean nor mirrored sky": (
             dark + np.random.default_rng(0).normal(size=(100, 1)) * 0.01 * np.sin(NM / 20.0), 45.0,
         ),

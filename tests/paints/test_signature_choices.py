@@ -41,7 +41,7 @@ def test_all_regions_with_too_few_pixels_are_named() -> None:
     told = str(caught.value)
     for region in TWO:
         size = pixels(region, line)[0].size
-        assert f"{region.name!r}: 0 of {size} pixels are left, expected 5 (100% shadow)" in told, told
+        assert f"{region.name!r}: 0 of {size} pixels are usable, expected 5 (100% shadow)" in told, told
     beyond = Regions(
         (TWO[0], Region("far", [(90, 90), (99, 90), (99, 99)]), Region("off", [(90, 0), (99, 0), (99, 9)]))
     )
@@ -58,7 +58,7 @@ def test_a_region_with_too_few_pixels_is_dropped_on_request(tmp_path: Path) -> N
     library = extract_signatures(line, TWO, drop_small=True)
     assert library.equals(extract_signatures(line, TWO[1:]))
     (said,) = library.attrs["left_out"]
-    assert f"{TWO[0].name!r}: 0 of {cells[0].size} pixels are left" in said
+    assert f"{TWO[0].name!r}: 0 of {cells[0].size} pixels are usable" in said
     hp.write_library(library, tmp_path / "paints.zarr")
     assert hp.open_library(tmp_path / "paints.zarr").attrs["left_out"] == [said]
     line["quality"].values[:] |= int(Quality.SHADOW)
@@ -166,7 +166,7 @@ def test_every_wrong_option_is_told() -> None:
     told = str(caught.value)
     assert all(
         word in told
-        for word in ("no region", "exclude='glint'", "members=-1", "centre='mean'", "min_pixels=0")
+        for word in ("regions= is empty", "exclude='glint'", "members=-1", "centre='mean'", "min_pixels=0")
     )
     with pytest.raises(SchemaError, match="type-wrong"):
         extract_signatures(3, TWO)  # type: ignore[arg-type]

@@ -101,7 +101,7 @@ def test_what_is_not_known_is_said() -> None:
     for name in ANGLES:
         assert np.isnan(plain[name]).all()
     assert plain.attrs["view_geometry"] == (
-        "not known: no view_zenith of the pixels, and no look_angle, roll, pitch"
+        "unknown: no view_zenith of the pixels, and no look_angle, roll, pitch"
     )
     camera = with_camera(made())
     assert "and no roll" in extract_signatures(camera.drop_vars("roll"), TWO).attrs["view_geometry"]

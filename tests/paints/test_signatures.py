@@ -182,7 +182,7 @@ def test_the_order_of_regions_changes_nothing() -> None:
 def test_regions_read_some_bands_at_a_time(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = extract_signatures(made(), TWO)
     from_counts = extract_signatures(raw(), RAW)
-    monkeypatch.setattr(extraction, "GATHERED_BYTES", size)
+    monkeypatch.setattr(extraction, "MAX_GATHERED_BYTES", size)
     told: list[tuple[int, int]] = []
     found = extract_signatures(made(), TWO, progress=lambda *each: told.append(each))
     assert_same_bits(found, expected)
@@ -190,7 +190,9 @@ def test_regions_read_some_bands_at_a_time(size: int, monkeypatch: pytest.Monkey
     assert told == sorted(told)
     assert_same_bits(extract_signatures(raw(), RAW), from_counts)
     if size == 3_000:
-        monkeypatch.setattr(extraction, "WHOLE_BYTES", size)  # what a geometric median may gather whole
+        monkeypatch.setattr(
+            extraction, "MAX_COMPLETE_BYTES", size
+        )  # what a geometric median may gather whole
         with pytest.raises(SchemaError, match=r"'hood'.*region-too-large"):
             extract_signatures(made(), TWO, centre="geometric_median")
 
@@ -198,7 +200,7 @@ def test_regions_read_some_bands_at_a_time(size: int, monkeypatch: pytest.Monkey
 @pytest.mark.slow
 def test_a_large_region_takes_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     lines, bands, columns = 304, 240, 128
-    monkeypatch.setattr(extraction, "GATHERED_BYTES", 2 * 2**20)
+    monkeypatch.setattr(extraction, "MAX_GATHERED_BYTES", 2 * 2**20)
     monkeypatch.setattr(pixel_statistics, "MAX_GRID_PIXELS", 2**14)
 
     def block(block_info: Any = None) -> np.ndarray:

@@ -163,7 +163,7 @@ def test_a_file_that_was_changed_elsewhere_is_left_as_it_is(tmp_path: Path) -> N
     changed = path.read_text(encoding="utf-8").replace("roof", "bonnet")
     path.write_text(changed, encoding="utf-8")
     state.drop("roof")
-    with refusal(StoreError, "file-changed", "changed elsewhere"):
+    with refusal(StoreError, "file-changed", "changed by another program"):
         state.save_again(path)
     assert path.read_text(encoding="utf-8") == changed
     assert not state.is_saved
@@ -180,13 +180,13 @@ def test_a_page_loaded_anew_says_what_is_not_saved(tmp_path: Path) -> None:
     state, path = Explored(flight().line, BEGIN), tmp_path / "r.geojson"
     state.add([0, 9, 9], [0, 0, 3])
     shown = Explorer(state, save_to=path)
-    assert "2 regions, not saved" in shown._message.object
+    assert "2 regions, not saved" in shown._message_pane.object
     path.write_text("{}", encoding="utf-8")
-    shown._save.clicks += 1
-    assert "begin anew with --regions" in shown._message.object
+    shown._save_button.clicks += 1
+    assert "begin anew with --regions" in shown._message_pane.object
     path.unlink()
-    shown._save.clicks += 1
-    assert Explorer(state, save_to=path)._message.object == "2 regions"
+    shown._save_button.clicks += 1
+    assert Explorer(state, save_to=path)._message_pane.object == "2 regions"
 
 
 # --- spectra -----------------------------------------------------------------------------------------------
@@ -228,7 +228,7 @@ def test_flags_of_a_region_are_named_and_left_out() -> None:
 def test_a_region_without_pixels_says_why(state: Explored) -> None:
     # a sliver between the pixels' centres
     sliver = hp.Region("sliver", [(0.2, 0.2), (0.4, 0.2), (0.4, 20.0)])
-    assert "sliver holds no pixel" in str(state.spectrum_of(sliver))
+    assert "sliver contains no pixel" in str(state.spectrum_of(sliver))
 
 
 def test_of_a_large_region_every_nth_line_is_taken(state: Explored, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -354,17 +354,17 @@ def test_a_click_shows_the_spectrum_and_a_drag_the_median(shown: Any) -> None:
     assert curves["name"] == ["roof", "clicked"]
     pixel = flight().line.paint.pixels(7, 3)
     np.testing.assert_array_equal(curves["reflectance"][1], pixel.reflectance.values)
-    assert "line 7, column 3" in shown._text.object
-    assert len(shown._paints.options) == 5
+    assert "line 7, column 3" in shown._spectrum_pane.object
+    assert len(shown._paint_boxes.options) == 5
     shown.tap(40.0, 2.0)  # beside the picture
-    assert "line 7, column 3" in shown._text.object
+    assert "line 7, column 3" in shown._spectrum_pane.object
     shown.drag({"type": "rect", "x0": 9.4, "x1": 1.6, "y0": 0.7, "y1": 3.2})
-    assert "of 24 pixels" in shown._text.object
-    assert not shown._keep.disabled
-    shown._keep.clicks += 1
+    assert "of 24 pixels" in shown._spectrum_pane.object
+    assert not shown._box_button.disabled
+    shown._box_button.clicks += 1
     assert shown.regions[1].polygon.tolist() == [[1, 2], [3, 2], [3, 9], [1, 9]]
-    assert shown._chosen.value == "region 1"
-    assert "not saved" in shown._message.object
+    assert shown._region_menu.value == "region 1"
+    assert "not saved" in shown._message_pane.object
 
 
 def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
@@ -372,17 +372,17 @@ def test_clicks_draw_and_a_double_click_closes(shown: Any) -> None:
     for along, across in ((10, 0), (20, 0.3), (20.4, 3)):
         shown.tap(along, across)
     assert shown._picture.draft.data["along"] == [10, 20, 20.4]
-    shown._undo.clicks += 1
+    shown._undo_button.clicks += 1
     assert shown._picture.draft.data["along"] == [10, 20]
     shown.tap(20.4, 3)
     shown.close(20.3, 3.1)
     assert shown._picture.draft.data == {"along": [], "across": []}
     assert shown.regions[1].polygon.tolist() == [[0, 10], [0, 20], [3, 20]]
-    assert shown._chosen.options == [None, "roof", "region 1"]
-    assert shown._name.value == shown._chosen.value == "region 1"
+    assert shown._region_menu.options == [None, "roof", "region 1"]
+    assert shown._name.value == shown._region_menu.value == "region 1"
     assert shown._spectra.curves.data["name"] == ["roof", "region 1"]
     shown.close(10, 0)
-    assert "no area" in shown._message.object
+    assert "no area" in shown._message_pane.object
     assert len(shown.regions) == 2
     # clicks in haste end nothing
     shown.tap(12, 0)
@@ -406,22 +406,22 @@ def test_corners_are_dragged(shown: Any) -> None:
 def test_regions_are_renamed_saved_and_removed(shown: Any, tmp_path: Path) -> None:
     shown._name.value = "<b>bonnet"
     assert shown.regions.names == ("<b>bonnet",)
-    assert "&lt;b&gt;bonnet" in shown._text.object
+    assert "&lt;b&gt;bonnet" in shown._spectrum_pane.object
     shown._name.value = ""
-    assert "&#x27;&#x27; is empty" in shown._message.object
+    assert "&#x27;&#x27; is empty" in shown._message_pane.object
     assert shown._name.value == "<b>bonnet"
     shown._file.value = str(tmp_path / "r.geojson")
-    shown._save.clicks += 1
+    shown._save_button.clicks += 1
     assert hp.read_regions(tmp_path / "r.geojson") == shown.regions
-    shown._remove.clicks += 1
+    shown._remove_button.clicks += 1
     assert len(shown.regions) == 0
-    assert shown._chosen.value is None
-    shown._save.clicks += 1
-    assert "saved" in shown._message.object
+    assert shown._region_menu.value is None
+    shown._save_button.clicks += 1
+    assert "saved" in shown._message_pane.object
     shown._file.value = str(tmp_path / "other.geojson")
     (tmp_path / "other.geojson").write_text("{}", encoding="utf-8")
-    shown._save.clicks += 1
-    assert "other.geojson" in shown._message.object
+    shown._save_button.clicks += 1
+    assert "other.geojson" in shown._message_pane.object
     assert (tmp_path / "other.geojson").read_text(encoding="utf-8") == "{}"
 
 
@@ -430,7 +430,7 @@ def test_bands_and_flags_are_chosen(shown: Any) -> None:
     shown.take_band(band + 40.0)
     assert (shown._recipe.value, shown._band.value) == ("one band", band)
     assert shown._spectra._band.location == band
-    assert f"{band:.1f} nm" in shown._level.object
+    assert f"{band:.1f} nm" in shown._caption_pane.object
     shown._recipe.value = "true colour"
     assert not shown._spectra._band.visible
     shown._picture.view.data = {"along": [-0.5, 47.5], "size": [800, 300]}

@@ -19,7 +19,7 @@ from support.refusals import refusal
 
 from hyperpaint.base.schema import flag_shares
 from hyperpaint.paints.colours import ciede2000, encode_srgb, lab_of
-from hyperpaint.pictures.plot_flags import FLAG_COLOURS, background, draw_outlines, flag_overlay
+from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
 
 
 def axes() -> object:
@@ -42,8 +42,7 @@ def line() -> xr.Dataset:
 
 
 def test_every_flag_has_its_own_colour() -> None:
-    assert set(FLAG_COLOURS) == set(Quality)
-    assert len({to_rgb(colour) for colour in FLAG_COLOURS.values()}) == len(Quality)
+    assert len({to_rgb(flag.colour) for flag in Quality}) == len(Quality)
 
 
 # Machado, Oliveira and Fernandes (2009), severity 1, in linear sRGB
@@ -61,7 +60,7 @@ SEEN_BY = {
 @pytest.mark.parametrize("readers", SEEN_BY)
 def test_colours_of_flags_are_told_apart(readers: str) -> None:
     """Expected: any two differ by 15 in CIEDE2000, of which 1 can just be seen; those before, by 1."""
-    encoded = np.array([to_rgb(colour) for colour in FLAG_COLOURS.values()])
+    encoded = np.array([to_rgb(flag.colour) for flag in Quality])
     linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
     lab = lab_of(encode_srgb(np.clip(linear @ SEEN_BY[readers].T, 0.0, 1.0)))
     apart = ciede2000(lab[:, np.newaxis], lab) + 1e3 * np.eye(len(lab))
@@ -74,9 +73,9 @@ def test_flagged_pixels_have_the_colour_of_their_rarest_flag(line: xr.Dataset) -
     expected = np.zeros((40, 6), bool)
     expected[3, 1] = expected[10:20, 2] = True
     np.testing.assert_array_equal(drawn[..., 3] > 0, expected)
-    np.testing.assert_allclose(drawn[3, 1], [*to_rgb(FLAG_COLOURS[Quality.GLINT]), 0.6], atol=1e-6)
-    np.testing.assert_allclose(drawn[12, 2, :3], to_rgb(FLAG_COLOURS[Quality.SHADOW]), atol=1e-6)
-    np.testing.assert_allclose(drawn[15, 2, :3], to_rgb(FLAG_COLOURS[Quality.SATURATED]), atol=1e-6)
+    np.testing.assert_allclose(drawn[3, 1], [*to_rgb(Quality.GLINT.colour), 0.6], atol=1e-6)
+    np.testing.assert_allclose(drawn[12, 2, :3], to_rgb(Quality.SHADOW.colour), atol=1e-6)
+    np.testing.assert_allclose(drawn[15, 2, :3], to_rgb(Quality.SATURATED.colour), atol=1e-6)
 
 
 def test_the_legend_tells_shares_of_all_pixels(line: xr.Dataset) -> None:

@@ -14,7 +14,7 @@ from hyperpaint.base.errors import CollectError, PaintWarning, SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.io.store import open_store
 from hyperpaint.plausibility import KINDS, Finding
-from hyperpaint.plausibility.line_judging import _dark_of, judge_irradiance, judge_navigation
+from hyperpaint.plausibility.line_judging import _mean_dark, judge_irradiance, judge_navigation
 from hyperpaint.simulation import simulate_collect
 from hyperpaint.workflows.collect_check import check_collect
 from hyperpaint.workflows.pipeline import process
@@ -38,7 +38,7 @@ def _change(cube: Path, change: object) -> None:
 
 
 def test_all_findings_are_shown_at_once(collect: Path) -> None:
-    assert CliRunner().invoke(main, ["check", str(collect)]).output.endswith("nothing found\n")
+    assert CliRunner().invoke(main, ["check", str(collect)]).output.endswith("no findings\n")
     _change(collect.parent / "flight/raw_0", lambda counts: counts * 16)
     _change(collect.parent / "dark/raw_0", np.zeros_like)
     done = CliRunner().invoke(main, ["check", str(collect)])
@@ -119,10 +119,10 @@ def test_darks_of_other_exposures_are_judged_as_they_are_used(collect: Path) -> 
         dark_counts=(("dark_time", "band", "cross_track"), darks.astype("float32")),
         dark_exposure_time=("dark_time", factors * exposure),
     )
-    found, is_measured = _dark_of(several)
+    found, is_measured = _mean_dark(several)
     np.testing.assert_allclose(found, bias, rtol=1e-4)
     assert not is_measured
-    assert _dark_of(line)[1]
+    assert _mean_dark(line)[1]
 
 
 def test_a_cube_that_lost_its_first_frame_or_its_name_is_only_said(collect: Path) -> None:

@@ -66,7 +66,7 @@ def test_sun__is_free_far_from_the_edges_of_clouds() -> None:
     assert sunny_lines(line, model, None, 30.0) is None
 
 
-@pytest.mark.parametrize(("fraction", "word"), [(0.08, ""), (0.25, "a cloud was over it")])
+@pytest.mark.parametrize(("fraction", "word"), [(0.08, ""), (0.25, "a cloud covered the sun here")])
 def test_shadow_beside_a_car__shows_a_cloud(fraction: float, word: str) -> None:
     """Rationale: under a cloud, a shadow keeps more of the light that is left.
 
@@ -81,7 +81,9 @@ def test_shadow_beside_a_car__shows_a_cloud(fraction: float, word: str) -> None:
     assert bool(doubt) == bool(word)
     lit = replace(model, state=np.zeros_like(model.state))
     assert "no shadow beside" in doubt_about_clouds(window, channels, lit, sun)
-    assert "no record" in doubt_about_clouds(window, channels, model, sun._replace(lines=~sun.lines))
+    assert "no irradiance record" in doubt_about_clouds(
+        window, channels, model, sun._replace(lines=~sun.lines)
+    )
     # the side of a car that is turned away from the sun is no shadow on the ground
     side = replace(model, ground=np.zeros_like(model.ground))
     assert "no shadow beside" in doubt_about_clouds(window, channels, side, sun)

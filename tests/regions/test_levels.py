@@ -74,8 +74,8 @@ def test_level__is_that_of_the_level_place(sun: Sun, flakes: float) -> None:
     """
     noise = 1.0 + 0.01 * np.random.default_rng(1).normal(size=(40, 80))
     level = level_of(crowned(sun, flakes) * noise)
-    assert abs(level.middle - 1.0) < 0.015
-    assert abs(level.middle - 1.0) < 2.0 * level.sd
+    assert abs(level.brightness - 1.0) < 0.015
+    assert abs(level.brightness - 1.0) < 2.0 * level.sd
 
 
 @pytest.mark.parametrize("zenith", [25.0, 45.0, 60.0])
@@ -97,14 +97,14 @@ def test_glint__is_left_out() -> None:
     seen = crowned(Sun(40.0, 60.0))
     with_glint = seen.copy()
     with_glint[np.random.default_rng(4).random(seen.shape) < 0.08] *= 1.6
-    assert level_of(with_glint).middle == pytest.approx(level_of(seen).middle, rel=0.005)
+    assert level_of(with_glint).brightness == pytest.approx(level_of(seen).brightness, rel=0.005)
 
 
 def test_level__scales_with_brightness() -> None:
     """Expected: three times as bright is three times the level; sd and change with lean stay."""
     seen = crowned(Sun(50.0, 20.0), 0.4)
     one, other = level_of(seen), level_of(3.0 * seen)
-    assert other.middle == pytest.approx(3.0 * one.middle)
+    assert other.brightness == pytest.approx(3.0 * one.brightness)
     assert other[1:] == pytest.approx(one[1:])
 
 

@@ -303,7 +303,7 @@ def test_haze__makes_dark_levels_uncertain() -> None:
             judge_level(verdict, measures, Picture(model, np.empty(0), {}, 45.0), 0.5, Level(0.01, 0.9))
     refused = [key for key, verdict in verdicts.items() if verdict.objections]
     assert refused == [("hazy", 0.08)]
-    assert "mirrors" in verdicts["hazy", 0.08].objections[0]
+    assert "mirrored" in verdicts["hazy", 0.08].objections[0]
     assert verdicts["covered", 0.08].level_sd < 0.03
 
 
@@ -356,7 +356,7 @@ def test_van_without_side_windows__has_a_roof() -> None:
     """
     (region,) = propose(drawn(rear=False))
     assert region.properties["kind"] == "roof"
-    assert "all the rest" in region.properties["reasons"][0]
+    assert "all of the car behind" in region.properties["reasons"][0]
     assert len(propose(drawn(rear=False).isel(cross_track=slice(45, None)))) == 0
 
 

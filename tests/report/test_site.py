@@ -211,7 +211,7 @@ def test_only_a_site_is_replaced_and_only_when_asked(lot: Path, tmp_path: Path) 
     assert "pass --overwrite" in again.stderr
     assert call("--out", tmp_path / "page", "--overwrite").exit_code == 0
     (tmp_path / "page" / ".git").mkdir()
-    assert ".git, which no site has" in call("--out", tmp_path / "page", "--overwrite").stderr
+    assert ".git, which is not part of a site" in call("--out", tmp_path / "page", "--overwrite").stderr
     assert (tmp_path / "page" / ".git").is_dir()
     assert call("--out", lot / "page").exit_code == 2
     (tmp_path / "mine").mkdir()

@@ -14,7 +14,7 @@ import hyperpaint as hp
 from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line
 from hyperpaint.simulation.checkerboard_flight import Checkerboard, CheckerboardFlight
-from hyperpaint.simulation.flight import PIXEL_ANGLE
+from hyperpaint.simulation.settings import PIXEL_ANGLE_RAD
 
 
 def is_bright(board: Any, east: Any, north: Any) -> Any:
@@ -66,10 +66,12 @@ def test_share_is_the_mean_over_pixel_and_exposure() -> None:
     for line in (10, 31):
         origin, rotation = still.trajectory.camera(still.line_times[line] / 1e9 + 2 * half * parts)
         for column in range(15, 40):
-            across = (column - 47.5 + parts) * PIXEL_ANGLE
+            across = (column - 47.5 + parts) * PIXEL_ANGLE_RAD
             fine = [
-                is_bright(still.board, *still._map(still._places(origin, rotation, across, t))[:2]).mean()
-                for t in parts * PIXEL_ANGLE
+                is_bright(
+                    still.board, *still._map_coordinates(still._places(origin, rotation, across, t))[:2]
+                ).mean()
+                for t in parts * PIXEL_ANGLE_RAD
             ]
             errors.append(made["bright_share"][line, column] - np.mean(fine))
     assert np.abs(errors).max() < 0.07

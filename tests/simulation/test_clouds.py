@@ -89,8 +89,6 @@ def test_a_path_adds_in_proportion_where_the_haze_is_not_known() -> None:
 def test_there_are_no_such_oktas(oktas: float) -> None:
     with pytest.raises(SchemaError, match="oktas"):
         CLEAR.clouded(oktas)
-    with pytest.raises(SchemaError, match="oktas"):
-        cloud_factor(oktas)
 
 
 def test_all_problems_at_once() -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line, simulate_sweep
 from hyperpaint.simulation.camera import Camera
-from hyperpaint.simulation.collect import _flight_of
+from hyperpaint.simulation.collect import _create_flight
 from hyperpaint.simulation.optics import (
     Optics,
     OpticsSettings,
@@ -179,7 +179,7 @@ def test_counts_are_those_of_the_blurred_scene() -> None:
 @pytest.mark.parametrize("scene", ["plan", "checkerboard", pytest.param("rendered", marks=pytest.mark.slow)])
 def test_lines_do_not_depend_on_how_they_are_grouped(scene: str) -> None:
     size = {"lines": 23, "bands": 5, "columns": 12, "samples": 2, "scene": scene, "seed": 3}
-    flight = _flight_of(SimulationSettings(**size, **EVERYTHING))
+    flight = _create_flight(SimulationSettings(**size, **EVERYTHING))
     whole = flight.lines(0, 23)
     memory = None
     for first, last in itertools.pairwise((0, 1, 8, 10, 23)):
@@ -204,7 +204,9 @@ def test_files_do_not_depend_on_how_lines_are_grouped(tmp_path: Path) -> None:
 
 def test_memory_does_not_grow_with_the_flight() -> None:
     def peak(lines: int) -> int:
-        flight = _flight_of(SimulationSettings(lines=lines, bands=20, columns=64, scene="plan", **EVERYTHING))
+        flight = _create_flight(
+            SimulationSettings(lines=lines, bands=20, columns=64, scene="plan", **EVERYTHING)
+        )
         flight.lines(0, 32)
         tracemalloc.start()
         memory = None

@@ -65,7 +65,7 @@ def test_paints_that_cannot_be_are_all_named(traced: xr.Dataset) -> None:
     message = str(caught.value)
     for found in (
         "paints['car_9']",
-        "'car_0' goes from 0.5 to 1.2",
+        "'car_0' ranges from 0.5 to 1.2",
         "'car_1' covers 450.0 to 1050.0 nm",
         "'no such spectrum'",
         "'asphalt' is not finite",

@@ -11,7 +11,7 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.light.sun import solar_position
 from hyperpaint.simulation.collect import simulate_collect
 from hyperpaint.simulation.settings import NEAR_SUNSET, ORIGIN, SimulationSettings
-from hyperpaint.simulation.sun_clock import USUAL_START, sun_at, when_sun_stands
+from hyperpaint.simulation.sun_clock import DEFAULT_START, sun_at, when_sun_stands
 
 PLACE = ORIGIN[:2]
 
@@ -45,7 +45,7 @@ def apart(zenith: float, azimuth: float, moment: np.datetime64) -> float:
 )
 def test_the_clock_has_the_sun_of_the_scene(zenith: float, azimuth: float) -> None:
     moment = when_sun_stands(zenith, azimuth, *PLACE)
-    assert moment != USUAL_START
+    assert moment != DEFAULT_START
     assert apart(zenith, azimuth, moment) < 1.2
 
 
@@ -61,9 +61,9 @@ def test_where_the_sun_never_stands_there_its_zenith_angle_is_right(zenith: floa
 
 
 def test_the_usual_clock_stays_where_its_sun_is_as_good() -> None:
-    assert when_sun_stands(25.0, 178.0, *PLACE) == USUAL_START
-    assert when_sun_stands(22.0, 178.0, *PLACE) == USUAL_START
-    assert SimulationSettings().start == USUAL_START
+    assert when_sun_stands(25.0, 178.0, *PLACE) == DEFAULT_START
+    assert when_sun_stands(22.0, 178.0, *PLACE) == DEFAULT_START
+    assert SimulationSettings().start == DEFAULT_START
 
 
 def test_a_sun_that_never_stands_there_is_refused_with_all_else_that_is_wrong(tmp_path: Path) -> None:
@@ -85,6 +85,6 @@ def test_an_overcast_sky_asks_for_no_time() -> None:
     """
     low = SimulationSettings(sky="overcast", sun_zenith=60.0)
     assert low.start == SimulationSettings(sun_zenith=60.0).start
-    assert SimulationSettings(sky="overcast", sun_zenith=5.0).start == USUAL_START
+    assert SimulationSettings(sky="overcast", sun_zenith=5.0).start == DEFAULT_START
     given = SimulationSettings(sky="overcast", sun_zenith=60.0, start_time="2021-06-21T12:00:00")
     assert given.start == np.datetime64("2021-06-21T12:00:00")

@@ -17,17 +17,15 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "hyperpaint"
-LOOSE = ("__init__", "__main__", "accessor", "paper")
 #: What stands for its content no better than `x` does.
 RIDDLES = ("made", "told", "found", "known", "kept")
 MAX_POSITIONAL = 8
-#: What xarray, zarr, Jupyter, click, users of the explorer and examples in docstrings call by name.
+#: Names that xarray, Jupyter, click and numba call.
 _CALLED_BY_OTHERS = {
     "AsdBackendEntrypoint", "CollectBackendEntrypoint", "EnviBackendEntrypoint", "SvcBackendEntrypoint",
-    "description", "guess_can_open", "open_groups_as_dict", "get_partial_values", "_repr_html_",
-    "_repr_mimebundle_", "get_command", "list_commands", "resolve_command", "parse_args",
-    "format_commands", "format_epilog", "save", "worked_example",
-    "add_overload", "ensure_cache_path", "load_overload", "_finalize_final_module",  # by numba
+    "guess_can_open", "open_groups_as_dict", "_repr_html_", "get_command", "format_commands",
+    "add_overload", "load_overload", "_finalize_final_module",
+    "worked_example",  # by doctests
 }  # fmt: skip
 
 Names = list[str]
@@ -329,9 +327,9 @@ def promises() -> list[Promise]:
     lines = {name: path.read_text(encoding="utf-8").count("\n") for name, path in names.items()}
     sizes = [f"{name}: {count}" for name, count in sorted(lines.items(), key=lambda item: -item[1])]
     return [
-        Promise("rooms at the top", 22, sorted({room_of(name) for name in names if "." in name})),
-        Promise("loose modules at the top", 4, [name for name in names if "." not in name]),
-        Promise("arrows between rooms", 130, [f"{a} -> {b}" for a, b in sorted(pairs)]),
+        Promise("rooms at the top", None, sorted({room_of(name) for name in names if "." in name})),
+        Promise("loose modules at the top", None, [name for name in names if "." not in name]),
+        Promise("arrows between rooms", None, [f"{a} -> {b}" for a, b in sorted(pairs)]),
         Promise("arrows up", 0, up),
         Promise("circles between files", 0, circles()),
         Promise("lines", None, sizes, sum(lines.values())),

@@ -204,12 +204,12 @@ def test_smile_is_taken_out_before_flags() -> None:
     shift = np.linspace(-3.0, 3.0, COLUMNS)
     bent = line.assign_coords(wavelength_shift=("cross_track", shift, {"units": "nm"}))
     done = flag_line(bent)
-    assert "wavelength_shift" not in done.seen.variables
+    assert "wavelength_shift" not in done.surveyed.variables
     expected = hp.surroundings.flag(bent.paint.to_nominal()).quality
     np.testing.assert_array_equal(done.line.quality, expected)
     assert "wavelength_shift" in done.line.variables
     small = bent.assign_coords(wavelength_shift=("cross_track", 0.1 * shift, {"units": "nm"}))
-    assert flag_line(small).seen is small
+    assert flag_line(small).surveyed is small
 
 
 @pytest.mark.slow

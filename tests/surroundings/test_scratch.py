@@ -27,7 +27,7 @@ def test_a_survey_in_files_has_the_bits_of_one_in_memory(monkeypatch: pytest.Mon
     made: list[str] = []
     plain = tempfile.TemporaryFile
     in_memory = hp.surroundings.survey(line, sun_zenith=40.0)
-    monkeypatch.setattr(scratch, "MOST_IN_MEMORY_BYTES", 0)
+    monkeypatch.setattr(scratch, "MAX_ARRAY_BYTES_IN_MEMORY", 0)
     monkeypatch.setattr(scratch, "_LINES", 7)
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda **named: made.append("file") or plain(**named))
     in_files = hp.surroundings.survey(line, sun_zenith=40.0)
@@ -38,7 +38,7 @@ def test_a_survey_in_files_has_the_bits_of_one_in_memory(monkeypatch: pytest.Mon
 
 
 def test_a_scratch_array_keeps_its_values_when_memory_is_released(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scratch, "MOST_IN_MEMORY_BYTES", 0)
+    monkeypatch.setattr(scratch, "MAX_ARRAY_BYTES_IN_MEMORY", 0)
     array = scratch.scratch_array((300, 70), np.float32)
     assert not array.any()
     array[:] = np.arange(21000).reshape(300, 70)
@@ -53,7 +53,7 @@ def test_a_full_disk_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(scratch, "MOST_IN_MEMORY_BYTES", 0)
+    monkeypatch.setattr(scratch, "MAX_ARRAY_BYTES_IN_MEMORY", 0)
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(StoreError, match=r"TMPDIR.*disk-full"):
         scratch.scratch_array((8,), np.float64)

@@ -72,7 +72,7 @@ def test_a_coarser_reference_is_not_sharpened() -> None:
     found = hp.validate(agreeing()[0], coarse)
     assert found.spectra[0].sizes["band"] == at.size
     assert value_of(found, "rmse") < 5e-5
-    assert any("brought onto the reference's bands" in note for note in found.notes[0])
+    assert any("resampled to the reference's bands" in note for note in found.notes[0])
 
 
 def test_bands_that_are_not_seen_whole_are_left_out_and_counted() -> None:
@@ -248,7 +248,7 @@ def test_pairs_by_property_else_by_name_never_by_likeness() -> None:
     found = hp.validate(paints, references)
     pairs = list(zip(found.statistics["signature"].values, found.statistics.reference.values, strict=True))
     assert pairs == [("hood", "svc/red_01.sig"), ("roof", "roof.asd.txt")]
-    assert found.unpaired_signatures == ("door (wants 'nowhere')", "bonnet")
+    assert found.unpaired_signatures == ("door (no reference 'nowhere')", "bonnet")
     assert found.unpaired_references == ("hood (ASD)", "other (ASD)")
     for text in ("without a reference: door", "references without a paint: hood"):
         assert text in found.table()
@@ -378,7 +378,7 @@ def test_matched_detectors_are_told() -> None:
     found = hp.validate(signatures, told)
     assert found.statistics.overlap_matched.item()
     assert found.statistics.overlap.item() == "removed @ 970, 1901 nm"
-    assert "the reference was overlap-matched" in found.table()
+    assert "the reference is overlap-matched" in found.table()
     unknown = hp.validate(signatures, references)
     assert unknown.statistics.overlap.item() == "unknown"
     assert "overlap-matched" not in unknown.table()

@@ -53,9 +53,9 @@ def test_readings_of_the_outside_are_brought_to_the_body(geometry: str, included
     field = reading(seen, quantity=OUTSIDE, specular_component=word, measurement_geometry=geometry)
     one = hp.validate(signature(), field, reference_fwhm=5.0)
     assert np.abs(one.statistics.bias).max() < 2e-4
-    assert any("brought to the body" in note for note in one.notes[0])
+    assert any("converted to the body" in note for note in one.notes[0])
     if included:  # as it is where the signature is of the outside too
-        assert not any("brought" in note for note in hp.validate(signature(seen, OUTSIDE), field).notes[0])
+        assert not any("converted" in note for note in hp.validate(signature(seen, OUTSIDE), field).notes[0])
 
 
 def test_what_cannot_be_converted_is_named() -> None:

@@ -38,7 +38,7 @@ def test_files_of_one_name_in_two_folders_are_no_repeats() -> None:
     assert found.statistics["reference"].values.tolist() == ["site1/red.sig"]
     with pytest.warns(PaintWarning, match="reference-scatter"):
         both = hp.validate(red(), two, {"red": ["site1/red.sig", "site2/red.sig"]})
-    assert any("are they of one paint?" in note for note in both.notes[0])
+    assert any("show one paint" in note for note in both.notes[0])
 
 
 def test_a_short_name_of_two_datasets_is_refused() -> None:

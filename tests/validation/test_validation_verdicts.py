@@ -63,10 +63,10 @@ def test_a_reference_that_is_asked_for_must_be_there() -> None:
     )
     references = library([smooth(NM)] * 2, ("red", "blue"))
     found = hp.validate(paints, references)
-    assert found.missing == ("blue (wants 'blu.sig')",)
+    assert found.missing == ("blue (no reference 'blu.sig')",)
     assert found.statistics["passes"].all()
     assert not found.passed
-    assert found.problems == ("blue (wants 'blu.sig'): its reference is not there",)
+    assert found.problems == ("blue (no reference 'blu.sig'): its reference is missing",)
     assert found.verdict.endswith("1 of 2 paints compared")
 
 

@@ -7,10 +7,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from hyperpaint.base.errors import PaintError
+from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.simulation.rendering.car_parks import car_park
+from hyperpaint.simulation.rendering.four_curves import Atmosphere
+from hyperpaint.simulation.rendering.materials import Coat
+from hyperpaint.simulation.rendering.scene_record import TraceSettings
 from hyperpaint.workflows.scene_files import read_scene_file
 
 COLLECT = """\
@@ -68,6 +73,24 @@ samples = 64
 [output]
 product = "counts"
 """
+
+EMPTY_SCENE = """\
+[scene]
+[platform]
+lines = 20
+columns = 16
+[[atmospheres]]
+preset = "noon"
+[sampling]
+"""
+
+SUNS = ((25.0, 180.0),)
+
+
+def atmosphere(**options: Any) -> Atmosphere:
+    grid = np.array([400.0, 1000.0])
+    return Atmosphere(grid, grid, grid, grid, grid, **{"sun_zenith": 25.0, "sun_azimuth": 180.0, **options})
+
 
 FILES = (
     "calibration.zarr",
@@ -131,7 +154,8 @@ CASES: list[tuple[str, str, str, str, str, str, str]] = [
     ("collect", "reflectance = 0.5", "reflectance = 50.0", "[[panels]] 1 reflectance = 50.0",
      "a number above 0 and at most 1.2", "for example reflectance = 0.5", RANGE),
     ("collect", "along_track = [70, 84]", "along_track = [84, 70]", "[[panels]] 1 along_track = [84, 70]",
-     "two whole numbers, the first and the one after the last", "for example along_track = [70, 84]", TYPE),
+     "two whole numbers: the first index, and the index after the last",
+     "for example along_track = [70, 84]", TYPE),
     ("collect", "[collect]", "[colect]", "unknown table or key 'colect'", "", "did you mean 'collect'?",
      "key-unknown"),
     ("collect", "[alignment]", "[[alignment]]", "'alignment' is [{'apply': 'auto'}]",
@@ -140,14 +164,14 @@ CASES: list[tuple[str, str, str, str, str, str, str]] = [
     ("scene", 'kind = "car_park"', 'kind = "carpark"',
      "[scene] kind = 'carpark'", "one of car_park, plane, empty",
      'leave the key out for "car_park"', CHOICE),
-    ("scene", "length_m = 22.0", "length_m = 0", "[scene] length_m = 0", "a number from 1 to 2000",
+    ("scene", "length_m = 22.0", "length_m = 0", "[scene] length_m = 0", "a number above 0 and at most 10000",
      "leave the key out for 50.0", RANGE),
     ("scene", "length_m = 22.0", 'neighbours = ["tree"]', "[scene] neighbours = ['tree']",
      "a list of some of trees, walls, hedges, lamps", 'leave the key out for ["trees", "walls", "lamps"]',
      CHOICE),
     ("scene", "length_m = 22.0", "size_m = 3.0", "[scene] size_m with kind = 'car_park'", "kind = plane",
      "remove the key, or change the kind", "key-misplaced"),
-    ("scene", "length_m = 22.0", "coat_index = 4", "[scene] coat_index = 4", "a number from 1 to 3",
+    ("scene", "length_m = 22.0", "coat_index = 4", "[scene] coat_index = 4", "a number from 1.001 to 3",
      "correct it, or leave the key out", RANGE),
     ("scene", 'spectrum = "red"', "", "[[meshes]] 1 spectrum is missing", "",
      "name a spectrum, or materials, part by part", "key-missing"),
@@ -189,6 +213,56 @@ CASES: list[tuple[str, str, str, str, str, str, str]] = [
      "leave the key out for 64", RANGE),
     ("scene", 'product = "counts"', 'product = "reflectance"', "[output] product = 'reflectance'",
      "one of radiance, counts", 'leave the key out for "radiance"', CHOICE),
+]  # fmt: skip
+
+# table, line in it, call with the same value, expected, code
+DOORS: list[tuple[str, str, Callable[[], Any], str, str]] = [
+    ("[sampling]", "samples = 0", lambda: TraceSettings(SUNS, samples=0), "a whole number from 1 to 16384",
+     RANGE),
+    ("[sampling]", "depth = 33", lambda: TraceSettings(SUNS, depth=33), "a whole number from 1 to 32", RANGE),
+    ("[sampling]", "slots = 4097", lambda: TraceSettings(SUNS, slots=4097), "a whole number from 1 to 4096",
+     RANGE),
+    ("[sampling]", "seed = 1.5", lambda: TraceSettings(SUNS, seed=1.5),  # type: ignore[arg-type]
+     "a whole number from 0 to 9223372036854775807", TYPE),
+    ("[sampling]", "sun_radius_deg = nan", lambda: TraceSettings(SUNS, sun_radius=float("nan")),
+     "a number from 0 to 45", "not-finite"),
+    ("[scene]", "length_m = 0.0", lambda: car_park(length=0.0), "a number above 0 and at most 10000", RANGE),
+    ("[scene]", "width_m = 'wide'", lambda: car_park(width="wide"),  # type: ignore[arg-type]
+     "a number above 0 and at most 10000", TYPE),
+    ("[scene]", "width_m = 8.0", lambda: car_park(width=8.0), "11.0 m or more for 1 rows of bays",
+     "car-park-too-narrow"),
+    ("[scene]", "rows = 0", lambda: car_park(rows=0), "a whole number from 1 to 199", RANGE),
+    ("[scene]", "occupancy = 1.5", lambda: car_park(occupancy=1.5), "a number from 0 to 1", RANGE),
+    ("[scene]", "paints = []", lambda: car_park(paints=[]), "at least one name", "empty-input"),
+    ("[scene]", "fleet = 'old'", lambda: car_park(fleet="old"), "one of solid, real", CHOICE),
+    ("[scene]", "types = ['tank']", lambda: car_park(types=["tank"]),
+     "a list of some of sedan, hatchback, estate, suv, van, pickup", CHOICE),
+    ("[scene]", "neighbours = ['sea']", lambda: car_park(neighbours=["sea"]),
+     "a list of some of trees, walls, hedges, lamps", CHOICE),
+    ("[scene]", "panels = 1", lambda: car_park(panels=1), "true or false", TYPE),  # type: ignore[arg-type]
+    ("[scene]", "line_width_m = 0.01", lambda: car_park(line_width=0.01), "a number from 0.02 to 1", RANGE),
+    ("[scene]", "leaves = -1", lambda: car_park(leaves=-1), "a whole number from 0 to 100000", RANGE),
+    ("[scene]", "margin_m = inf", lambda: car_park(margin=float("inf")), "a number from 0 to 10000",
+     "not-finite"),
+    ("[scene]", "seed = -1", lambda: car_park(seed=-1),
+     "a whole number from 0 to 9223372036854775807", RANGE),
+    ("[scene]", "coat_index = 1.0", lambda: Coat(index=1.0), "a number from 1.001 to 3", RANGE),
+    ("[scene]", "coat_roughness = nan", lambda: Coat(roughness=float("nan")), "a number from 0 to 1",
+     "not-finite"),
+    ("[scene]", "coat_waviness_deg = 6", lambda: Coat(waviness=6), "a number from 0 to 5", RANGE),
+    ("[[atmospheres]]", "sun_zenith_deg = 90.0", lambda: atmosphere(sun_zenith=90.0), "a number from 0 to 89",
+     RANGE),
+    ("[[atmospheres]]", "sun_zenith_deg = '60'", lambda: atmosphere(sun_zenith="60"), "a number from 0 to 89",
+     TYPE),
+    ("[[atmospheres]]", "sun_azimuth_deg = 400.0", lambda: atmosphere(sun_azimuth=400.0),
+     "a number from -360 to 360", RANGE),
+    ("[[atmospheres]]", "overcast_share = 1.5", lambda: atmosphere(overcast_share=1.5),
+     "a number from 0 to 1", RANGE),
+    ("[[atmospheres]]", "aerosol = -0.1", lambda: Atmosphere.clear(aerosol=-0.1), "a number from 0 to 10",
+     RANGE),
+    ("[[atmospheres]]", "water = inf", lambda: Atmosphere.clear(water=float("inf")), "a number from 0 to 100",
+     "not-finite"),
+    ("[[atmospheres]]", "oktas = 9", lambda: atmosphere().clouded(9), "a number from 0 to 8", RANGE),
 ]  # fmt: skip
 
 READERS: dict[str, tuple[str, Callable[..., Any]]] = {
@@ -236,6 +310,18 @@ def test_a_fault_is_told_once(
     assert problem.expected or problem.mend
     assert f"{kind}.toml cannot be" in str(error)
     assert kind == "collect" or "collect " not in str(error).replace(str(folder), "")
+
+
+@pytest.mark.parametrize(("table", "line", "call", "expected", "code"), DOORS)
+def test_a_file_and_a_call_have_the_same_ranges(
+    folder: Path, table: str, line: str, call: Callable[[], Any], expected: str, code: str
+) -> None:
+    (in_file,) = refusal(folder, "scene", EMPTY_SCENE.replace(f"{table}\n", f"{table}\n{line}\n")).problems
+    with pytest.raises(SchemaError) as caught:
+        call()
+    (in_call,) = caught.value.problems
+    assert in_file.found == f"{table}{' 1' * table.startswith('[[')} {line}"
+    assert (in_file.expected, in_file.code) == (in_call.expected, in_call.code) == (expected, code)
 
 
 @pytest.mark.parametrize("kind", READERS)

@@ -61,7 +61,7 @@ def test_the_example_says_what_it_says(write: Write) -> None:
         "exposure_time": 0.005, "frame_period": 0.007,
     }  # fmt: skip
     assert [each.name for each in file.atmospheres] == ["noon", "near_sunset", "cloudy"]
-    assert (file.sampling.samples, file.sampling.depth, file.product) == (64, 4, "counts")
+    assert (file.sampling["samples"], file.sampling["depth"], file.product) == (64, 4, "counts")
     assert file.camera["first_wavelength"] == 399.356
 
 
@@ -75,7 +75,7 @@ def test_what_the_example_has_commented_out_is_known_too(write: Write, tmp_path:
     assert file.scene["neighbours"] == ["trees", "walls", "lamps"]
     assert file.platform["centre"] == (0.0, 11.0)
     assert file.platform["start_time"] == "2021-07-20T17:10:00"
-    assert file.atmospheres[-1].options == {"sun_zenith_deg": 60.0, "sun_azimuth_deg": 100.0, "oktas": 3}
+    assert file.atmospheres[-1].options == {"sun_zenith": 60.0, "sun_azimuth": 100.0, "oktas": 3.0}
     assert file.paints == {"car_003": "mine", "red": "dark_red"}
     parts = build_parts(file)
     assert "truck" not in {each.name for each in parts.scene.instances}
@@ -284,14 +284,30 @@ def test_all_problems_come_in_one_message(write: Write) -> None:
     assert [text for text in ("lines = -1", "'height'", "depth = 0") if text not in message] == []
 
 
+def test_a_narrow_car_park_comes_with_the_other_problems(write: Write) -> None:
+    with pytest.raises(FormatError) as caught:
+        read_scene_file(write("[scene]\nwidth_m = 3\nrows = 2\n[platform]\nlines = 0\ncolumns = 3\n"))
+    narrow, lines = sorted(caught.value.problems, key=lambda problem: problem.code)
+    assert (narrow.found, narrow.code) == ("[scene] width_m = 3", "car-park-too-narrow")
+    assert lines.found == "[platform] lines = 0"
+
+
+def test_suns_are_counted_before_the_scene_is_built(write: Write) -> None:
+    lights = [f"[[atmospheres]]\nname = 'a{zenith}'\npreset = 'noon'\nsun_zenith_deg = {zenith}\n"
+              for zenith in range(20, 27)]  # fmt: skip
+    read_scene_file(write(SMALL + "".join(lights[:6]) + "[[atmospheres]]\npreset = 'noon'\n"))
+    with pytest.raises(FormatError, match=r"7 suns, expected 1 to 6; .*sun-number"):
+        read_scene_file(write(SMALL + "".join(lights)))
+
+
 def test_problems_of_what_is_built_come_in_one_message(write: Write) -> None:
     message = refused(
         write(
-            "[scene]\nwidth_m = 3\n[platform]\nlines = 4\ncolumns = 3\n"
+            "[scene]\ncoat_gloss = 100\n[platform]\nlines = 4\ncolumns = 3\n"
             "[spectra]\nmine = 'scene.toml'\n[[meshes]]\npath = 'scene.toml'\nspectrum = 'red'\n"
         )
     )
-    assert [text for text in ("[scene]", "[spectra]", "car park") if text not in message] == []
+    assert [text for text in ("[scene]", "[spectra]", "gloss is 100.0 units") if text not in message] == []
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe\x00", b"[scene]\nname = '\xff'", b"\0" * 100])

@@ -92,7 +92,7 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
     )
     for words, told in {
         (store, "--regions", bad, "--out", out): "bad.geojson: not GeoJSON",
-        (store, "--regions", far, "--out", out): "region 'far' holds no pixel",
+        (store, "--regions", far, "--out", out): "region 'far' contains no pixel",
         (
             store,
             "--regions",
@@ -113,7 +113,7 @@ def test_bad_calls_are_one_message(store: Path, drawn: Path, tmp_path: Path) -> 
             "--min-pixels",
             "5000",
             "--no-flags",
-        ): "'hood': 99 of 99 pixels are left",
+        ): "'hood': 99 of 99 pixels are usable",
         (drawn.parent, "--regions", drawn, "--out", out): "not a Zarr store",
         (store, "--regions", tmp_path / "none", "--out", out): "does not exist",
         (store, "--out", out): "no region can be proposed",

@@ -13,8 +13,8 @@ import xarray as xr
 from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
-from hyperpaint.io.files import sampled_content
-from hyperpaint.io.files.sampled_content import sampled_digest
+from hyperpaint.io.files import reading
+from hyperpaint.io.files.reading import sampled_digest
 from hyperpaint.workflows.input_comparison import compare_inputs
 from hyperpaint.workflows.pipeline import run
 from hyperpaint.workflows.store_inputs import finishing_command, paths_in
@@ -85,8 +85,8 @@ def test_the_command_that_finishes_a_run_names_its_options() -> None:
 
 
 def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sampled_content, "SAMPLES", 4)
-    monkeypatch.setattr(sampled_content, "SAMPLE_BYTES", 16)
+    monkeypatch.setattr(reading, "SAMPLES", 4)
+    monkeypatch.setattr(reading, "SAMPLE_BYTES", 16)
     content = np.random.default_rng(1).bytes(1000)
     (tmp_path / "cube").write_bytes(content)
     digest = sampled_digest(tmp_path / "cube")

@@ -11,6 +11,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import CROSS_TRACK
 from hyperpaint.base.units import convert, takes_quantities
 
@@ -70,31 +71,23 @@ class PinholeCamera:
                 expected="either the two lengths, or field_of_view with edges",
                 code="option-conflict",
             )
-        for name in ("pixel_pitch", "focal_length"):
-            length = getattr(self, name)
-            if length is not None and not 0.0 < length < np.inf:
-                problems.add(
-                    f"{name} {length!r:.60}", expected="a length above 0 [m]", code="value-out-of-range"
-                )
-        if self.field_of_view is not None:
-            if not 0.0 < self.field_of_view < 2 * _MAX_LOOK_ANGLE_DEG:
-                problems.add(
-                    f"field_of_view {self.field_of_view!r:.60}",
-                    expected="0 to 178 [degree]",
-                    code="value-out-of-range",
-                )
-            if self.edges not in ("centres", "outer"):
-                problems.add(
-                    f"edges {self.edges!r:.60}",
-                    expected="'centres' or 'outer', the edges that field_of_view is between",
-                    code="choice-unknown",
-                )
-            elif self.edges == "centres" and self.columns == 1:
-                problems.add(
-                    "one column has no angle between centres",
-                    mend="give edges='outer'",
-                    code="option-conflict",
-                )
+        for name, limit, expected in (
+            ("pixel_pitch", np.inf, "a length above 0 [m]"),
+            ("focal_length", np.inf, "a length above 0 [m]"),
+            ("field_of_view", 2 * _MAX_LOOK_ANGLE_DEG, "0 to 178 [degree]"),
+        ):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < limit:
+                problems.add(f"{name} {value!r:.60}", expected=expected, code="value-out-of-range")
+        if (
+            self.field_of_view is not None
+            and one_of(self.edges, ("centres", "outer"), "edges", problems=problems)
+            and self.edges == "centres"
+            and self.columns == 1
+        ):
+            problems.add(
+                "one column has no angle between centres", mend="give edges='outer'", code="option-conflict"
+            )
         problems.raise_if_any()
 
     @property
@@ -156,9 +149,11 @@ def look_angles(
                 code="camera-missing",
             )
         across = convert(source[name], "degree").data.astype(np.float64)
-        along = np.zeros(across.shape)
-        if "look_along" in source.variables:
-            along = convert(source["look_along"], "degree").data.astype(np.float64)
+        along = (
+            convert(source["look_along"], "degree").data.astype(np.float64)
+            if "look_along" in source.variables
+            else np.zeros(across.shape)
+        )
     problems = Problems("the directions of the columns cannot be used", SchemaError)
     for name, angles in (("look_across", across), ("look_along", along)):
         if angles.shape != (line.sizes[CROSS_TRACK],):
@@ -185,5 +180,5 @@ def directions(across: Floats, along: Floats) -> Floats:
             expected=f"angles below {_MAX_LOOK_ANGLE_DEG:g} degrees",
             code="value-out-of-range",
         )
-    u = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
-    return np.asarray(u / np.linalg.norm(u, axis=1, keepdims=True))
+    vectors = np.stack([np.tan(np.radians(along)), np.tan(np.radians(across)), np.ones(across.size)], axis=1)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))

@@ -84,8 +84,7 @@ def footprint(located: xr.Dataset, *, crs: Any = None) -> dict[str, Any]:
         )
     corners = np.concatenate([ends[pairs], ends[pairs + 1]], axis=1)
     quads = shapely.convex_hull(shapely.multipoints(corners))
-    across, along = _steps(east, north)
-    bend = 0.5 * float(np.nanmedian(np.concatenate([across.ravel(), along.ravel()])))
+    bend = 0.5 * float(np.nanmedian(np.concatenate([steps.ravel() for steps in _steps(east, north)])))
     covered = shapely.simplify(shapely.union_all(quads), bend)
     target = _LONGITUDE_LATITUDE if crs is None else crs_of(crs)
     outline = shapely.transform(covered, lambda xy: between_maps(xy, source, target))
@@ -133,15 +132,15 @@ def spacing(located: xr.Dataset) -> dict[str, float]:
     (100, 11.1)
     """
     east, north, _ = _positions(located)
-    across, along = _steps(east, north)
     distances: dict[str, float] = {}
-    for name, steps in (("across", across), ("along", along)):
+    for name, steps in zip(("across", "along"), _steps(east, north), strict=True):
         finite = steps[np.isfinite(steps)]
         # a single column or line has no neighbour
         distances[name] = float(np.median(finite)) if finite.size else np.nan
         for percent in _PERCENTILES:
-            value = float(np.percentile(finite, percent)) if finite.size else np.nan
-            distances[f"{name}_p{percent:02.0f}"] = value
+            distances[f"{name}_p{percent:02.0f}"] = (
+                float(np.percentile(finite, percent)) if finite.size else np.nan
+            )
     if np.isnan([distances["across"], distances["along"]]).all():
         raise SchemaError(
             "no two neighbouring pixels have ground positions",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,9 +11,6 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import SchemaError, needs_extra
-
-if TYPE_CHECKING:
-    import pyproj
 
 GEODETIC = "EPSG:4979"  # latitude, longitude, height above the ellipsoid of WGS 84
 _GEOCENTRIC = "EPSG:4978"
@@ -27,18 +24,16 @@ def _pyproj() -> Any:
 
 
 @functools.lru_cache(maxsize=64)
-def _crs(text: str) -> pyproj.CRS:
-    horizontal: pyproj.CRS = _pyproj().CRS.from_user_input(text).to_2d()
-    return horizontal
+def _crs(text: str) -> Any:
+    return _pyproj().CRS.from_user_input(text).to_2d()
 
 
 @functools.lru_cache(maxsize=64)
-def _transformer(source: str, target: str) -> pyproj.Transformer:
+def _transformer(source: str, target: str) -> Any:
     # x or longitude come first; only `GEODETIC` and geocentric X, Y, Z [m] have heights [m]; other systems
     # are reduced to two dimensions
     systems = (name if name in (GEODETIC, _GEOCENTRIC) else _crs(name) for name in (source, target))
-    transformer: pyproj.Transformer = _pyproj().Transformer.from_crs(*systems, always_xy=True)
-    return transformer
+    return _pyproj().Transformer.from_crs(*systems, always_xy=True)
 
 
 def crs_of(crs: Any) -> str:
@@ -75,9 +70,9 @@ def crs_of(crs: Any) -> str:
 
 
 def utm_zone(latitude: float, longitude: float) -> str:
-    """Return the EPSG code of the UTM zone of a place, on WGS 84.
+    """Return the EPSG code of the UTM zone of a position, on WGS 84.
 
-    The irregular zones of Norway and Svalbard are kept.
+    The irregular zones of Norway and Svalbard are included.
 
     Parameters
     ----------
@@ -92,7 +87,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     Raises
     ------
     SchemaError
-        The place is not finite, or beyond 84 degrees north or 80 south.
+        The position is not finite, or beyond 84 degrees north or 80 degrees south.
 
     Examples
     --------
@@ -104,7 +99,7 @@ def utm_zone(latitude: float, longitude: float) -> str:
     if not (-80.0 <= latitude <= 84.0 and np.isfinite(longitude)):
         raise SchemaError(
             f"no UTM zone at latitude {latitude:g}, longitude {longitude:g}",
-            mend="give crs=",
+            mend="pass crs=",
             code="crs-missing",
         )
     longitude = (longitude + 180.0) % 360.0 - 180.0
@@ -156,8 +151,7 @@ def meridian_convergence(latitude: npt.ArrayLike, longitude: npt.ArrayLike, crs:
 def grid_mapping_attrs(crs: str) -> dict[str, Any]:
     """Return the CF attributes of a ``spatial_ref`` coordinate."""
     system = _crs(crs)
-    attrs: dict[str, Any] = {str(name): value for name, value in system.to_cf().items()}
-    return {**attrs, "spatial_ref": system.to_wkt()}
+    return {**system.to_cf(), "spatial_ref": system.to_wkt()}
 
 
 def between_maps(positions: Floats, source: str, target: str) -> Floats:
@@ -234,26 +228,18 @@ def polynomials(
     is_valid = np.isfinite(latitude) & np.isfinite(longitude) & np.isfinite(altitude) & np.isfinite(reach)
     is_valid &= np.abs(latitude) < _MAX_LATITUDE_DEG
     if is_valid.any():
-        coefficients[:, is_valid] = _fitted_coefficients(
-            latitude[is_valid], longitude[is_valid], altitude[is_valid], reach[is_valid], crs
-        )
+        lat, lon, alt, distance = (part[is_valid] for part in (latitude, longitude, altitude, reach))
+        # map coordinates and heights of points around the cameras
+        geocentric = _transformer(GEODETIC, _GEOCENTRIC)
+        origin = np.stack(geocentric.transform(lon, lat, alt), axis=-1)
+        points = origin[:, None] + (_OFFSETS * distance[:, None, None]) @ _east_north_up(lat, lon)
+        lon, lat, height = geocentric.transform(*np.moveaxis(points, -1, 0), direction="INVERSE")
+        x, y, *_ = _transformer(GEODETIC, crs).transform(lon, lat, height)
+        if _crs(crs).is_geographic:
+            x = x[:, :1] + (x - x[:, :1] + 180.0) % 360.0 - 180.0
+        fitted = np.stack([_coefficients(np.asarray(value), distance) for value in (x, y, height)])
+        coefficients[:, is_valid] = np.where(np.isfinite(fitted), fitted, np.nan)  # infinite outside the map
     return coefficients[0], coefficients[1], coefficients[2]
-
-
-def _fitted_coefficients(
-    latitude: Floats, longitude: Floats, altitude: Floats, reach: Floats, crs: str
-) -> Floats:
-    geocentric = _transformer(GEODETIC, _GEOCENTRIC)
-    origin = np.stack(geocentric.transform(longitude, latitude, altitude), axis=-1)
-    points = origin[:, None] + (_OFFSETS * reach[:, None, None]) @ _east_north_up(latitude, longitude)
-    x, y, z = np.moveaxis(points, -1, 0)
-    lon, lat, height = geocentric.transform(x, y, z, direction="INVERSE")
-    x, y, *_ = _transformer(GEODETIC, crs).transform(lon, lat, height)
-    if _crs(crs).is_geographic:
-        x = x[:, :1] + (x - x[:, :1] + 180.0) % 360.0 - 180.0
-    coefficients = np.stack([_coefficients(np.asarray(value), reach) for value in (x, y, height)])
-    coefficients[~np.isfinite(coefficients)] = np.nan  # PROJ returns infinity outside the map
-    return coefficients
 
 
 def _east_north_up(latitude: Floats, longitude: Floats) -> Floats:

@@ -218,12 +218,30 @@ def locate(
     check_interpolation(interpolation, max_gap_s)
     declared = convention_of_line(line, navigation, convention)
     across, along = look_angles(line, camera, declared)
-    columns = _pose_inputs(line, navigation, declared, clock_offset_s)
+    # poses as recorded, with the times of rows and lines where they are to be interpolated
+    source, dim = (line, ALONG_TRACK) if navigation is None else (navigation, NAVIGATION_TIME)
+    columns = {name: column.data for name, column in pose_columns(source, declared, dim).items()}
+    if navigation is not None or clock_offset_s != 0.0:
+        columns["recorded"] = columns["wanted"] = require(line, ["time"], "poses")["time"].data
+    if navigation is not None:
+        if NAVIGATION_TIME not in navigation.variables:
+            raise SchemaError(
+                f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]",
+                code="variable-missing",
+            )
+        columns["recorded"] = navigation[NAVIGATION_TIME].data
     grid = None if dem is None else grid_of(dem)
     if crs is None and _is_lazy(*columns.values()):
         (columns,) = dask.compute(columns)
-    options = {"clock_offset_s": clock_offset_s, "max_gap_s": max_gap_s, "interpolation": interpolation}
-    poses = _call(_poses, convention=declared, crs=crs, **columns, **options)
+    poses = _call(
+        _poses,
+        convention=declared,
+        crs=crs,
+        clock_offset_s=clock_offset_s,
+        max_gap_s=max_gap_s,
+        interpolation=interpolation,
+        **columns,
+    )
     crs = _map_of(poses, crs)
     terrain = None if ground is None else float(ground)
     if dem is not None:
@@ -256,7 +274,18 @@ def locate(
         name: label(xr.DataArray(poses[row], dims=(ALONG_TRACK,)), name) for row, name in enumerate(POSE)
     }
     located = line.drop_vars(POSE, errors="ignore").assign_coords(columns_used)
-    located = _with_places(located, places, crs)
+    # the positions of pixels, and a flag for those without
+    dims = (ALONG_TRACK, CROSS_TRACK)
+    attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
+    for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
+        attrs[name] |= {"crs": crs, "standard_name": standard}
+    coordinates = {n: label(xr.DataArray(places[k], dims=dims), n, **attrs[n]) for k, n in enumerate(_PLACES)}
+    coordinates["spatial_ref"] = xr.DataArray(np.int64(0), attrs=grid_mapping_attrs(crs))
+    quality = xr.Variable(dims, (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16))
+    if "quality" in line.variables:
+        quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
+    located = located.drop_vars(coordinates, errors="ignore")
+    located = located.assign(quality=label(xr.DataArray(quality), "quality")).assign_coords(coordinates)
     settings = {
         "boresight": list(boresight_angles),
         "lever_arm": list(lever_arm_m),
@@ -332,25 +361,6 @@ def _map_of(poses: Any, crs: Any) -> str:
 # --- poses -------------------------------------------------------------------------------------------------
 
 
-def _pose_inputs(
-    line: xr.Dataset, navigation: xr.Dataset | None, convention: Convention, clock_offset_s: float
-) -> dict[str, Any]:
-    source = line if navigation is None else navigation
-    dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
-    inputs = {name: column.data for name, column in pose_columns(source, convention, dim).items()}
-    if navigation is None and clock_offset_s == 0.0:
-        return inputs
-    line_times = require(line, ["time"], "poses")["time"].data
-    if navigation is None:
-        return {**inputs, "recorded": line_times, "wanted": line_times}
-    if NAVIGATION_TIME not in navigation.variables:
-        raise SchemaError(
-            f"this navigation record has no {NAVIGATION_TIME!r}, UTC as datetime64[ns]",
-            code="variable-missing",
-        )
-    return {**inputs, "recorded": navigation[NAVIGATION_TIME].data, "wanted": line_times}
-
-
 def _poses(
     *,
     convention: Convention,
@@ -378,21 +388,6 @@ def _poses(
 
 
 # --- places ------------------------------------------------------------------------------------------------
-
-
-def _with_places(line: xr.Dataset, places: Any, crs: str) -> xr.Dataset:
-    dims = (ALONG_TRACK, CROSS_TRACK)
-    attrs: dict[str, dict[str, str]] = {name: {"grid_mapping": "spatial_ref"} for name in _PLACES}
-    for name, standard in (("east", "projection_x_coordinate"), ("north", "projection_y_coordinate")):
-        attrs[name] |= {"crs": crs, "standard_name": standard}
-    coordinates = {n: label(xr.DataArray(places[k], dims=dims), n, **attrs[n]) for k, n in enumerate(_PLACES)}
-    quality = xr.Variable(dims, (np.isnan(places[0]) * np.uint16(Quality.OFF_SWATH)).astype(np.uint16))
-    if "quality" in line.variables:
-        quality = line["quality"].variable.transpose(*dims).astype(np.uint16) | quality
-    reference = xr.DataArray(np.int64(0), attrs=grid_mapping_attrs(crs))
-    line = line.drop_vars([*_PLACES, "spatial_ref"], errors="ignore")
-    line = line.assign(quality=label(xr.DataArray(quality), "quality"))
-    return line.assign_coords({**coordinates, "spatial_ref": reference})
 
 
 def _line_chunks(line: xr.Dataset) -> tuple[int, ...]:

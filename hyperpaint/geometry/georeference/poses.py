@@ -13,7 +13,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention, wrapped
 from hyperpaint.base.errors import Problems, SchemaError, TimeError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, label
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
@@ -282,16 +282,32 @@ def poses_at(
     knot_ns = _nanoseconds(recorded)
     wanted_ns = _nanoseconds(time)
     wanted_ns = np.where(wanted_ns == _NAT, _NAT, wanted_ns + np.int64(round(clock_offset_s * _NS_PER_S)))
-    is_later = _increasing(knot_ns)
-    knot_ns, values = knot_ns[is_later], values[:, is_later]
+    # rows later than all rows before them
+    rows_with_time = np.flatnonzero(knot_ns != _NAT)
+    steps = np.diff(knot_ns[rows_with_time])
+    if np.any(steps < 0):
+        rows = rows_with_time[1:][steps < 0]
+        listed = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
+        raise TimeError(
+            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knot_ns.size} rows ({listed})",
+            mend="sort the record by time, or remove these rows",
+            code="time-backwards",
+        )
+    later = rows_with_time[np.concatenate([[True], steps > 0])[: rows_with_time.size]]
+    knot_ns, values = knot_ns[later], values[:, later]
     steps = np.diff(knot_ns) / _NS_PER_S
     gap = max_gap_s or max(_GAP_INTERVALS * float(np.median(steps)) if steps.size else 0.0, _MIN_GAP_S)
     poses = np.full((len(POSE), wanted_ns.size), np.nan)
-    for part, interpolate in ((slice(0, 3), _positions_between), (slice(3, 6), _attitudes_between)):
+    for part in (slice(0, 3), slice(3, 6)):
         is_recorded = np.isfinite(values[part]).all(axis=0)
         if is_recorded.any():
-            poses[part] = interpolate(
-                knot_ns[is_recorded], values[part][:, is_recorded], wanted_ns, gap, interpolation
+            poses[part] = _between(
+                knot_ns[is_recorded],
+                values[part][:, is_recorded],
+                wanted_ns,
+                gap,
+                interpolation,
+                is_attitude=part.start == 3,
             )
     # an incomplete pose becomes NaN in all six
     poses[:, np.isnan(poses).any(axis=0)] = np.nan
@@ -301,10 +317,7 @@ def poses_at(
 def check_interpolation(interpolation: str, max_gap_s: float | None) -> None:
     """Refuse an unknown interpolation and a gap of 0 or less, as SchemaError."""
     problems = Problems("poses cannot be interpolated with these options", SchemaError)
-    if interpolation not in ("linear", "cubic"):
-        problems.add(
-            f"interpolation {interpolation!r:.60}", expected="'linear' or 'cubic'", code="choice-unknown"
-        )
+    one_of(interpolation, ("linear", "cubic"), "interpolation", problems=problems)
     if max_gap_s is not None and not max_gap_s > 0.0:
         problems.add(f"max_gap_s {max_gap_s!r:.60}", expected="a time above 0 [s]", code="value-out-of-range")
     problems.raise_if_any()
@@ -316,82 +329,51 @@ def _nanoseconds(time: Array) -> Ints:
     return time.astype("datetime64[ns]").astype(np.int64)
 
 
-def _increasing(knots: Ints) -> Bools:
-    # Return which rows are later than all rows before them (row,).
-    rows_with_time = np.flatnonzero(knots != _NAT)
-    steps = np.diff(knots[rows_with_time])
-    if np.any(steps < 0):
-        rows = rows_with_time[1:][steps < 0]
-        listed = ", ".join(map(str, rows[:5].tolist())) + (", ..." if rows.size > 5 else "")
-        raise TimeError(
-            f"{NAVIGATION_TIME} runs backwards at {rows.size} of {knots.size} rows ({listed})",
-            mend="sort the record by time, or remove these rows",
-            code="time-backwards",
-        )
-    is_later = np.zeros(knots.size, bool)
-    is_later[rows_with_time[np.concatenate([[True], steps > 0])[: rows_with_time.size]]] = True
-    return is_later
-
-
-def _bracket(knots: Ints, wanted: Ints, gap: float) -> tuple[Ints, Floats, Bools]:
-    # Return the row before each time, the weight of the next row, and whether interpolation is allowed.
+def _between(
+    knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str, *, is_attitude: bool
+) -> Floats:
+    # Return positions, or roll, pitch and heading (3, line), from rows of them (3, row); NaN in gaps.
     before = np.clip(np.searchsorted(knots, wanted, side="right") - 1, 0, max(knots.size - 2, 0))
     after = np.minimum(before + 1, knots.size - 1)
     is_inside = (wanted >= knots[0]) & (wanted <= knots[-1])
     step = knots[after] - knots[before]
     elapsed = np.where(is_inside, wanted - knots[before], 0)
-    weight = elapsed / np.maximum(step, 1)
     # a time equal to that of a row needs no interpolation, whatever the distance of the next row
-    return before, weight, is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
-
-
-def _positions_between(knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str) -> Floats:
-    values = values.copy()
-    values[1] = np.unwrap(values[1], period=360.0)
-    before, weight, is_covered = _bracket(knots, wanted, gap)
-    if interpolation == "cubic" and knots.size > 1:
-        from scipy.interpolate import CubicSpline
-
-        def spline(rows: slice, s: Floats, t: Floats) -> Floats:
-            return np.asarray(CubicSpline(s, values[:, rows], axis=1)(t))
-
-        positions = _by_stretch(knots, wanted, is_covered, gap, spline)
+    is_covered = is_inside & ((step / _NS_PER_S <= gap) | (elapsed == 0) | (elapsed == step))
+    if is_attitude:
+        values = quaternions(*values).T
     else:
-        after = np.minimum(before + 1, knots.size - 1)
-        positions = values[:, before] + weight * (values[:, after] - values[:, before])
-    positions[1] = wrapped(positions[1])
-    return np.where(is_covered, positions, np.nan)
-
-
-def _attitudes_between(knots: Ints, values: Floats, wanted: Ints, gap: float, interpolation: str) -> Floats:
-    rotation = quaternions(*values)
-    before, weight, is_covered = _bracket(knots, wanted, gap)
+        values = np.stack([values[0], np.unwrap(values[1], period=360.0), values[2]])
     if interpolation == "cubic" and knots.size > 1:
-        from scipy.spatial.transform import Rotation, RotationSpline
-
-        def spline(rows: slice, s: Floats, t: Floats) -> Floats:
-            spline_rotation = RotationSpline(s, Rotation.from_quat(rotation[rows], scalar_first=True))(t)
-            return np.asarray(spline_rotation.as_quat(scalar_first=True)).T
-
-        rotations = _by_stretch(knots, wanted, is_covered, gap, spline, size=4).T
+        between = _splined(knots, values, wanted, is_covered, gap)
     else:
-        rotations = slerp(rotation[before], rotation[np.minimum(before + 1, knots.size - 1)], weight)
-    return np.where(is_covered, np.stack(angles_of(rotations)), np.nan)
+        weight = elapsed / np.maximum(step, 1)
+        first, second = values[:, before], values[:, after]
+        between = slerp(first.T, second.T, weight).T if is_attitude else first + weight * (second - first)
+    if is_attitude:
+        between = np.stack(angles_of(between.T))
+    else:
+        between[1] = wrapped(between[1])
+    return np.where(is_covered, between, np.nan)
 
 
-def _by_stretch(
-    knots: Ints, wanted: Ints, is_covered: Bools, gap: float, spline: Any, size: int = 3
-) -> Floats:
-    # Evaluate splines (size, line), which end at every gap; a stretch of a single row is constant.
+def _splined(knots: Ints, values: Floats, wanted: Ints, is_covered: Bools, gap: float) -> Floats:
+    # Evaluate cubic splines of positions (3, row) or quaternions (4, row), which end at every gap.
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import Rotation, RotationSpline
+
+    splined = np.full((len(values), wanted.size), np.nan)
     ends = [0, *(np.flatnonzero(np.diff(knots) / _NS_PER_S > gap) + 1).tolist(), knots.size]
-    splined = np.full((size, wanted.size), np.nan)
     for start, stop in itertools.pairwise(ends):
         is_here = is_covered & (wanted >= knots[start]) & (wanted <= knots[stop - 1])
         if not is_here.any():
             continue
-        first = max(start - 1, 0) if stop - start == 1 else start
-        last = min(start + 2, knots.size) if stop - start == 1 and first == start else stop
-        rows = slice(first, last)
-        s = (knots[rows] - knots[start]) / _NS_PER_S
-        splined[:, is_here] = spline(rows, s, (wanted[is_here] - knots[start]) / _NS_PER_S)
+        # a spline needs two rows: a stretch of a single row, whose values it keeps, takes a neighbour
+        rows = slice(start, stop) if stop - start > 1 else slice(max(start - 1, 0), max(stop, 2))
+        s, t = ((time - knots[start]) / _NS_PER_S for time in (knots[rows], wanted[is_here]))
+        if len(values) == 3:
+            splined[:, is_here] = CubicSpline(s, values[:, rows], axis=1)(t)
+        else:
+            rotations = RotationSpline(s, Rotation.from_quat(values[:, rows].T, scalar_first=True))(t)
+            splined[:, is_here] = rotations.as_quat(scalar_first=True).T
     return splined

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,6 +10,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.io.files.reading import numbers
 from hyperpaint.kernels.arguments import BLOCK
 
 from .geodesy import crs_of
@@ -65,7 +64,12 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
                 axes[name] = _axis(dem, name)
             except SchemaError as error:
                 problems.add_error("grid", error)
-    if _is_turned(dem, axes):
+    mapping = dem.attrs.get("grid_mapping", dem.encoding.get("grid_mapping", "spatial_ref"))
+    mapping_attrs = dem.coords[mapping].attrs if mapping in dem.coords else {}
+    # the origin of a GeoTransform may be stale in a cropped raster, so only directions are used; on the grid
+    # of a flight to the south, x increases to the west
+    steps = numbers(str(mapping_attrs.get("GeoTransform", "")).split()) or []
+    if len(steps) == 6 and (steps[2] or steps[4] or steps[1] < 0.0 < axes.get("x", (0.0, 0.0))[1]):
         problems.add(
             "the GeoTransform of spatial_ref rotates the raster, so x and y are not map coordinates",
             mend="resample it to a grid with north up, by rioxarray's reproject or "
@@ -75,7 +79,7 @@ def grid_of(dem: xr.DataArray) -> TerrainGrid:
     # declared by rioxarray's coordinate, or by an attribute of the raster
     crs_texts = [
         str(attrs[name])
-        for attrs in (dem.attrs, _mapping_attrs(dem))
+        for attrs in (dem.attrs, mapping_attrs)
         for name in ("crs", "crs_wkt", "spatial_ref")
         if attrs.get(name)
     ]
@@ -122,7 +126,7 @@ def terrain_of(heights: Array, grid: TerrainGrid) -> Terrain:
         elevation[np.asarray(heights) == value] = np.nan
     elevation[~np.isfinite(elevation)] = np.nan
     if np.isnan(elevation).all():
-        raise SchemaError("this DEM holds no heights, only holes", code="dem-empty")
+        raise SchemaError("this DEM contains only holes", code="dem-empty")
     elevation = np.ascontiguousarray(grid.heights.ellipsoidal(elevation))
     # highest point of every block of cells; neighbouring blocks share a border
     filled = np.where(np.isnan(elevation), -np.inf, elevation)
@@ -150,22 +154,3 @@ def _axis(dem: xr.DataArray, name: str) -> tuple[float, float]:
             code="grid-uneven",
         )
     return float(values[0]), float(step)
-
-
-def _is_turned(dem: xr.DataArray, axes: Mapping[str, tuple[float, float]]) -> bool:
-    # Return whether the GeoTransform rotates the raster; its origin may be stale in a cropped raster, so
-    # only directions are used
-    try:
-        numbers = [float(part) for part in str(_mapping_attrs(dem).get("GeoTransform", "")).split()]
-    except ValueError:
-        return False
-    if len(numbers) != 6:
-        return False
-    _, x_step_by_column, x_step_by_row, _, y_step_by_column, _ = numbers
-    # on the grid of a flight to the south, x increases to the west
-    return bool(x_step_by_row or y_step_by_column) or (x_step_by_column < 0.0 < axes.get("x", (0.0, 0.0))[1])
-
-
-def _mapping_attrs(dem: xr.DataArray) -> Mapping[Any, Any]:
-    mapping = dem.attrs.get("grid_mapping", dem.encoding.get("grid_mapping", "spatial_ref"))
-    return dem.coords[mapping].attrs if mapping in dem.coords else {}

@@ -11,19 +11,17 @@ from typing import Any, Literal
 import dask.array as da
 import numpy as np
 import xarray as xr
-from dask.base import tokenize
-from dask.highlevelgraph import HighLevelGraph
 
-from hyperpaint.base.arrays import Array, Progress
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.arrays import Array, Bools, Floats, Progress
+from hyperpaint.base.errors import Problems, SchemaError, needs_extra
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import BAND, Quality
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS
-from hyperpaint.geometry.orthorectification import MapGrid
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
+from hyperpaint.geometry.orthorectification.grids import MapGrid, Place, check_cells, tile_array
 from hyperpaint.io.store.layout import TILE as STORE_TILE
 
-from .levelling import LEVELLED_BY, Levelling, overlap_factors
+from .levelling import LEVELLED_BY, overlap_factors
 from .strips import Recipe, Strip, fill_of, located_lines, named_lines, shared_grid, strips_of
 
 RULES = ("nadir", "unflagged", "newest")
@@ -36,7 +34,6 @@ _RANKED_BY = {
 _EMPTY_PIXEL = int(Quality.OFF_SWATH | Quality.NO_DATA)  # such pixels rank below pixels of any other line
 _LOCATION = (*LOCATION_UNITS, "navigation", "dem", "crs", "camera", "convention", "interpolation")
 NO_LINE = np.int16(-1)
-Place = tuple[int, int]
 
 
 @takes_quantities(**LOCATION_UNITS, gsd="m")
@@ -125,7 +122,12 @@ def mosaic(
     (array([0., 2., 2., 2.]), array([0, 1, 1, 1], dtype=int16), 'first second')
     """
     lines_by_name = named_lines(lines)
-    _check_options(rule, gsd, tile, levelling)
+    problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
+    one_of(rule, RULES, "rule", problems=problems)
+    if levelling not in (None, "overlap"):
+        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
+    check_cells(problems, gsd, tile)
+    problems.raise_if_any()
     lines_by_name = located_lines(
         lines_by_name, {name: options.pop(name) for name in _LOCATION if name in options}
     )
@@ -140,22 +142,7 @@ def mosaic(
             option="choose another --rule",
             code="variable-missing",
         )
-    return _composed_map(strips, _aligned_grid(shared.grid), rule, tile, levelling)
-
-
-def _check_options(rule: Any, gsd: Any, tile: Any, levelling: Any) -> None:
-    problems = Problems("these lines cannot be composed to a mosaic", SchemaError)
-    if rule not in RULES:
-        problems.add(f"rule {rule!r:.60}", expected=" or ".join(map(repr, RULES)), code="choice-unknown")
-    if levelling not in (None, "overlap"):
-        problems.add(f"levelling {levelling!r:.60}", expected="'overlap' or None", code="choice-unknown")
-    if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
-        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
-    if not (isinstance(tile, int | np.integer) and tile > 0):
-        problems.add(
-            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
-        )
-    problems.raise_if_any()
+    return _composed_map(strips, shared.grid, rule, tile, levelling)
 
 
 def _planes_of_tile(
@@ -168,7 +155,7 @@ def _planes_of_tile(
     out = {name: np.full(shape, fill) for name, fill in zip(names, fills, strict=True)}
     best_ranks: list[Array] = []
     for number, recipe in recipes.items():
-        plane = dict(zip(names, recipe.values(), strict=True))
+        plane = dict(zip(names, recipe(), strict=True))
         ranks = _ranks_of(rule, plane)
         if not best_ranks:
             best_ranks = [np.zeros(shape, rank.dtype) for rank in ranks]
@@ -187,7 +174,7 @@ def _planes_of_tile(
             out[name][is_chosen] = values[is_chosen]
     is_within = np.zeros(shape, bool)
     for recipe in gaps:
-        is_within |= recipe.values()[0]
+        is_within |= recipe()[0]
     return {**out, "flightline": line, "line_count": line_count, "gap": is_within & (line == NO_LINE)}
 
 
@@ -199,7 +186,7 @@ def _spectra_of_tile(
     for number, recipe in recipes.items():
         is_line = line == number
         if is_line.any():
-            (tile,) = recipe.values()
+            (tile,) = recipe()
             out[is_line] = tile[is_line] if factors is None else tile[is_line] * factors[number]
     return out
 
@@ -226,27 +213,26 @@ class _Tiles:
 
     def _array(
         self,
-        name: str,
+        label: str,
         tasks: Mapping[Any, Any],
         dtype: Any,
-        bands: tuple[int, ...],
-        dependencies: list[da.Array],
+        sources: list[da.Array],
+        options: Any = None,
+        bands: tuple[int, ...] = (),
     ) -> da.Array:
-        layer = {(name, *place, *(0 for _ in bands)): task for place, task in tasks.items()}
-        graph = HighLevelGraph.from_collections(name, layer, dependencies=dependencies)
-        rows, cols = ((1 if dtype is object else self.size,) * count for count in self.count)
-        chunks = (rows, cols, *((size,) for size in bands))
-        return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
+        sides = tuple((1 if dtype is object else self.size,) * count for count in self.count)
+        layer = {(*place, *(0 for _ in bands)): task for place, task in tasks.items()}
+        return tile_array(label, layer, (*sides, *((size,) for size in bands)), dtype, sources, options)
 
-    def levelling(self, variable: str) -> Levelling:
+    def levelling(self, variable: str) -> tuple[Floats, Bools]:
         first = self.strips[0].map[variable]
         tiles = (self._recipes([*LEVELLED_BY, variable], place) for place in np.ndindex(self.count))
         wavelength = first.coords.get("wavelength")
         wavelength_nm = (
             None if wavelength is None or wavelength.ndim != 1 else wavelength.values.astype(np.float64)
         )
-        levelling = overlap_factors(tiles, len(self.strips), first.shape[2], wavelength_nm)
-        return levelling._replace(factors=levelling.factors.astype(first.dtype))
+        factors, interpolated = overlap_factors(tiles, len(self.strips), first.shape[2], wavelength_nm)
+        return factors.astype(first.dtype), interpolated
 
     def _recipes(self, names: list[str], place: Place) -> dict[int, Recipe]:
         tile_index = self.first[0] + place[0], self.first[1] + place[1]
@@ -266,12 +252,12 @@ class _Tiles:
             arguments = (rule, names, fills, self.size, self._recipes(names, place), gaps)
             tasks[place] = (partial(_planes_of_tile, *arguments),)
         sources = [[strip.map[name].data.name for name in names] for strip in self.strips]
-        name = f"mosaic-planes-{tokenize(sources, rule, self.first, self.count, self.size)}"
-        return self._array(name, tasks, object, (), [])
+        options = (sources, rule, self.first, self.count, self.size)
+        return self._array("mosaic-planes", tasks, object, [], options)
 
     def plane(self, planes: da.Array, name: str, dtype: Any) -> da.Array:
         tasks = {place: (getitem, (planes.name, *place), name) for place in np.ndindex(self.count)}
-        return self._array(f"mosaic-{name}-{planes.name[14:]}", tasks, dtype, (), [planes])
+        return self._array(f"mosaic-{name}", tasks, dtype, [planes])
 
     def spectra(self, lines: da.Array, variable: str, factors: Array | None) -> da.Array:
         first = self.strips[0].map[variable]
@@ -281,27 +267,22 @@ class _Tiles:
             options = {"fill": fill, "bands": bands, "factors": factors}
             recipes = self._recipes([variable], place)
             tasks[place] = (partial(_spectra_of_tile, recipes=recipes, **options), (lines.name, *place))
-        name = f"mosaic-{variable}-{tokenize(lines.name, variable, factors)}"
-        return self._array(name, tasks, first.dtype, (bands,), [lines])
-
-
-def _aligned_grid(grid: MapGrid) -> MapGrid:
-    """Return a grid whose longer sides begin at a chunk of a store.
-
-    Tiles begin at whole multiples of their size on the map. If a mosaic of several tiles began between two
-    chunks of a store, every chunk would be written from up to four tiles, which stay in memory until then.
-    """
-    starts = [
-        first - first % STORE_TILE if size > 2 * STORE_TILE else first
-        for first, size in zip(grid.first, grid.shape, strict=True)
-    ]
-    sizes = [size + first - start for first, size, start in zip(grid.first, grid.shape, starts, strict=True)]
-    return replace(grid, first=(starts[0], starts[1]), shape=(sizes[0], sizes[1]))
+        sources = [strip.map[variable].data.name for strip in self.strips]
+        return self._array(f"mosaic-{variable}", tasks, first.dtype, [lines], (sources, factors), (bands,))
 
 
 def _composed_map(
     strips: list[Strip], grid: MapGrid, rule: str, tile: int, levelling: str | None
 ) -> xr.Dataset:
+    # Longer sides begin at a chunk of a store. Tiles begin at whole multiples of their size on the map; if a
+    # mosaic of several tiles began between two chunks, every chunk would be written from up to four tiles,
+    # which stay in memory until then.
+    sides = [
+        (start - start % STORE_TILE if size > 2 * STORE_TILE else start, start + size)
+        for start, size in zip(grid.first, grid.shape, strict=True)
+    ]
+    (top, bottom), (left, right) = sides
+    grid = replace(grid, first=(top, left), shape=(bottom - top, right - left))
     first = strips[0].map
     starts = [start // tile for start in grid.first]
     ends = [-(-(start + size) // tile) for start, size in zip(grid.first, grid.shape, strict=True)]
@@ -323,7 +304,17 @@ def _composed_map(
         variables[name] = (("y", "x"), tiles.plane(planes, name, dtype), attrs)
     factors = None
     if levelling is not None:
-        factors, interpolated = tiles.levelling(_cube_to_level(first, flat))
+        cubes = [name for name in names_of_all if name not in flat and first[name].ndim == 3]
+        missing = [name for name in LEVELLED_BY if name not in first.variables]
+        if len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing:
+            raise SchemaError(
+                f"levelling, with {', '.join(cubes) or 'no cube'} and without "
+                f"{', '.join(missing) or 'nothing'}",
+                expected="one cube of floats, such as reflectance, with quality",
+                mend="give variables=",
+                code="variable-missing",
+            )
+        factors, interpolated = tiles.levelling(cubes[0])
         attributes = {
             "units": "1",
             "long_name": "Factor of the spectra of a line, from its overlaps with others",
@@ -364,19 +355,6 @@ def _composed_map(
     return tiled.isel(y=rows, x=cols).assign_coords(_coordinates(first, grid))
 
 
-def _cube_to_level(first: xr.Dataset, flat: list[str]) -> str:
-    cubes = [str(name) for name in first.data_vars if name not in flat and first[name].ndim == 3]
-    missing = [name for name in LEVELLED_BY if name not in first.variables]
-    if len(cubes) != 1 or first[cubes[0]].dtype.kind != "f" or missing:
-        raise SchemaError(
-            f"levelling, with {', '.join(cubes) or 'no cube'} and without {', '.join(missing) or 'nothing'}",
-            expected="one cube of floats, such as reflectance, with quality",
-            mend="give variables=",
-            code="variable-missing",
-        )
-    return cubes[0]
-
-
 def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
     rows, cols = grid.shape
     (east, _), (_, north) = (
@@ -390,3 +368,70 @@ def _coordinates(first: xr.Dataset, grid: MapGrid) -> dict[str, Any]:
         "y": ("y", north[:, 0], first["y"].attrs if "y" in first.coords else {"units": "m"}),
         "spatial_ref": ((), np.int64(0), {**attrs, "GeoTransform": transform}),
     }
+
+
+def seamlines(mosaic: xr.Dataset) -> dict[str, Any]:
+    """Return the area that each line of a mosaic shows, as GeoJSON (eager in ``flightline`` alone).
+
+    Parameters
+    ----------
+    mosaic
+        Result of `hyperpaint.geometry.mosaic`.
+
+    Returns
+    -------
+    dict
+        A FeatureCollection in map coordinates, with the ``crs`` of the map: a MultiPolygon per line, with
+        the property ``flightline`` and the area in cells, ``cells``. Outlines follow the edges of cells.
+
+    Raises
+    ------
+    SchemaError
+        There is no ``flightline`` with its names, or no ``spatial_ref`` with a ``GeoTransform``.
+    MissingExtraError
+        rasterio is not installed (extra ``geo``).
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> names = {"flag_values": [0, 1], "flag_meanings": "left right"}
+    >>> both = xr.Dataset({"flightline": (("y", "x"), np.int16([[0, 0, 1], [0, 1, 1]]), names)})
+    >>> both = both.assign_coords(spatial_ref=((), 0, {"GeoTransform": "0 2 0 10 0 -2"}))
+    >>> for area in seamlines(both)["features"]:
+    ...     print(area["properties"], area["geometry"]["coordinates"][0][0][0])
+    {'flightline': 'left', 'cells': 3} (0.0, 10.0)
+    {'flightline': 'right', 'cells': 3} (4.0, 10.0)
+    """
+    attrs = mosaic["flightline"].attrs if "flightline" in mosaic.variables else {}
+    transform = mosaic["spatial_ref"].attrs.get("GeoTransform") if "spatial_ref" in mosaic.variables else None
+    if "flag_meanings" not in attrs or transform is None:
+        raise SchemaError(
+            "not a mosaic: flightline with flag_meanings, or spatial_ref with GeoTransform, is missing",
+            mend="compose one with hyperpaint.geometry.mosaic",
+            code="variable-missing",
+        )
+    with needs_extra("rasterio", "geo", "outlining the lines of a mosaic"):
+        from rasterio import Affine
+        from rasterio.features import shapes
+    east, a, b, north, c, d = (float(number) for number in str(transform).split())
+    numbers = mosaic["flightline"].values
+    names = dict(
+        zip(np.atleast_1d(attrs["flag_values"]).tolist(), attrs["flag_meanings"].split(), strict=True)
+    )
+    outlines: dict[int, list[Any]] = {number: [] for number in names}
+    for outline, number in shapes(numbers, numbers >= 0, transform=Affine(a, b, east, c, d, north)):
+        outlines[int(number)].append(outline["coordinates"])
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"flightline": names[number], "cells": int((numbers == number).sum())},
+            "geometry": {"type": "MultiPolygon", "coordinates": polygons},
+        }
+        for number, polygons in outlines.items()
+        if polygons
+    ]
+    collection: dict[str, Any] = {"type": "FeatureCollection", "coordinates": "map", "features": features}
+    crs = mosaic["x"].attrs.get("crs") if "x" in mosaic.coords else None
+    if crs is not None:
+        collection["crs"] = {"type": "name", "properties": {"name": str(crs)}}
+    return collection

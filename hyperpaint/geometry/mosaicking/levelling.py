@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import dask
 import numpy as np
@@ -33,25 +32,12 @@ class Rules:
 RULES = Rules()
 
 
-class _Ratio(NamedTuple):
-    first: int
-    second: int
-    cells: Floats  #: (band,): number of cells
-    log_ratio: Floats  #: (band,): median of log(first / second); NaN where there are too few cells
-
-
-class Levelling(NamedTuple):
-    """Factors, and the bands in which they are interpolated."""
-
-    factors: Floats  #: (line, band) [1]
-    #: (line, band): whether the factor of an overlapping line is interpolated from neighbouring bands
-    interpolated: Bools
-
-
 def overlap_factors(
     tiles: Iterable[dict[int, Recipe]], lines: int, bands: int, wavelength: Floats | None = None
-) -> Levelling:
-    """Return factors that make lines agree where they overlap (eager, a tile at a time).
+) -> tuple[Floats, Bools]:
+    """Return factors (line, band) that make lines agree where they overlap (eager, a tile at a time).
+
+    And whether the factor of an overlapping line is interpolated from neighbouring bands (line, band).
 
     ``tiles`` make `LEVELLED_BY` and spectra of every line of a tile, by its number. Robust least squares on
     the logarithm of the medians of tiles, over unflagged cells. Lines connected by overlaps keep their mean
@@ -69,7 +55,7 @@ def overlap_factors(
     tasks = [
         dask.delayed(partial(_ratios, tile), pure=False, traverse=False)() for tile in tiles if len(tile) > 1
     ]
-    ratios = [ratio for part in dask.compute(*tasks) for ratio in part]
+    ratios = [ratio for tile in dask.compute(*tasks) for ratio in tile]
     if not ratios:
         raise SchemaError(
             "lines cannot be levelled: no two lines overlap in unflagged cells",
@@ -77,10 +63,10 @@ def overlap_factors(
             code="overlap-missing",
         )
     incidence = np.zeros((len(ratios), lines))
-    for row, ratio in enumerate(ratios):
-        incidence[row, ratio.first], incidence[row, ratio.second] = -1.0, 1.0
-    observed = np.stack([ratio.log_ratio for ratio in ratios])
-    weights = np.sqrt(np.stack([ratio.cells for ratio in ratios]))
+    for row, (first, second, _, _) in enumerate(ratios):
+        incidence[row, first], incidence[row, second] = -1.0, 1.0
+    weights = np.sqrt(np.stack([cells for _, _, cells, _ in ratios]))
+    observed = np.stack([log_ratio for *_, log_ratio in ratios])
     # lines connected by overlaps in any band must be connected in this band too
     parts_of_all = _connected_parts(incidence)
     logs = np.zeros((lines, bands))
@@ -101,7 +87,7 @@ def overlap_factors(
         tied_bands = tied_bands[np.argsort(position[tied_bands], kind="stable")]
         gap_bands = interpolated[line]
         logs[line, gap_bands] = np.interp(position[gap_bands], position[tied_bands], logs[line, tied_bands])
-    return Levelling(np.exp(logs), interpolated)
+    return np.exp(logs), interpolated
 
 
 def _connected_parts(incidence: Floats) -> Ints:
@@ -117,10 +103,12 @@ def _connected_parts(incidence: Floats) -> Ints:
     return parts
 
 
-def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
+def _ratios(recipes: dict[int, Recipe]) -> list[tuple[int, int, Floats, Floats]]:
+    # Return pairs of lines and per band the number of common cells and the median of log(first / second),
+    # NaN where there are too few cells.
     logs = {}
     for number, recipe in recipes.items():
-        hits, quality, cube = (values[:: RULES.step, :: RULES.step] for values in recipe.values())
+        hits, quality, cube = (values[:: RULES.step, :: RULES.step] for values in recipe())
         is_good = ((hits > 0) & (quality == 0))[..., None] & (cube > 0.0)
         logs[number] = np.log(np.where(is_good, cube, np.nan))
     ratios = []
@@ -131,7 +119,7 @@ def _ratios(recipes: dict[int, Recipe]) -> list[_Ratio]:
         if is_enough.any():
             median = np.full(cells.shape, np.nan)
             median[is_enough] = np.nanmedian(difference[:, is_enough], axis=0)
-            ratios.append(_Ratio(first, second, cells.astype(np.float64), median))
+            ratios.append((first, second, cells.astype(np.float64), median))
     return ratios
 
 

@@ -6,9 +6,9 @@ touches, so that no tile is cut again.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import dask
@@ -20,17 +20,22 @@ from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.arrays import Array, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
-from hyperpaint.geometry.georeference import locate
-from hyperpaint.geometry.georeference.locating import is_located, line_slabs
-from hyperpaint.geometry.orthorectification import MapGrid, orthorectify
-from hyperpaint.geometry.orthorectification.grids import Survey, covering, north_axes, survey_lines
+from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.geometry.georeference.locating import is_located, locate
+from hyperpaint.geometry.orthorectification.grids import NORTH, MapGrid, Survey, covering, survey_lines
 from hyperpaint.geometry.orthorectification.indexing import needed_slabs
+from hyperpaint.geometry.orthorectification.mapping import line_chunks, orthorectify
 from hyperpaint.geometry.orthorectification.tiling import empty_value, in_slabs, tile_windows
 
 _MAX_GRID_OFFSET_CELLS = 1e-3  # largest offset between two grids that are taken as equal
 _WAVELENGTH_TOLERANCE_NM = 1e-6
 _MAP_VARIABLES = ("hits", "gap")  # variables of every map from `orthorectify`
+
+#: The tasks of one tile of one line, run one after another within a task of the mosaic. As separate tasks
+#: they would be shared between neighbouring tiles, and dask would hold the slabs of all lines of a row of
+#: tiles until the row is done: memory would grow with the number of lines. In exchange, a slab is computed
+#: again for every tile that it touches.
+Recipe = Callable[[], Sequence[Array]]
 
 
 @dataclass(frozen=True)
@@ -57,29 +62,13 @@ class Strip:
         row, col = place[0] - self.corner[0], place[1] - self.corner[1]
         arrays = [self.map[name].data for name in names]
         keys = [(array.name, row, col, *(0,) * (array.ndim - 2)) for array in arrays]
-        return Recipe(cull(self._graph, keys), keys)
+        return partial(dask.get, cull(self._graph, keys), keys)
 
     @cached_property
     def _graph(self) -> dict[Any, Any]:
         merged = HighLevelGraph.merge(*(array.data.dask for array in self.map.data_vars.values()))
         graph: dict[Any, Any] = convert_legacy_graph(dict(merged))
         return graph
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """The tasks of one tile of one line, which run one after another within a task of the mosaic.
-
-    As separate tasks they would be shared between neighbouring tiles, and dask would hold the slabs of all
-    lines of a row of tiles until the row is done: memory would grow with the number of lines. In exchange,
-    a slab is computed again for every tile that it touches.
-    """
-
-    graph: dict[Any, Any]
-    keys: list[Any]
-
-    def values(self) -> list[Array]:
-        return list(dask.get(self.graph, self.keys))
 
 
 def named_lines(lines: Any) -> dict[str, xr.Dataset]:
@@ -139,7 +128,7 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
             code="crs-conflict",
         )
     surveys = {
-        name: survey_lines(*_positions(line), north_axes(), progress)
+        name: survey_lines(*_positions(line), NORTH, progress)
         for name, line in lines.items()
         if not is_map(line)
     }
@@ -148,7 +137,7 @@ def shared_grid(lines: Mapping[str, xr.Dataset], gsd: float | None, progress: Pr
     # the cell of the first map, else the largest spacing of a line
     largest = max((survey.gsd for survey in surveys.values()), default=np.nan)
     size = float(next((transform[1] for transform in transforms.values()), largest) if gsd is None else gsd)
-    axes = north_axes()
+    axes = NORTH
     if transforms:
         # maps of hyperpaint begin at multiples of the cell size, maps of other programs anywhere
         east, *_, north, _, _ = next(iter(transforms.values()))
@@ -199,10 +188,9 @@ def strips_of(
         end_row, end_col = (
             -(-(k + count) // tile) for k, count in zip(covered.first, covered.shape, strict=True)
         )
-        corner = row, col
         rows, cols = ([k * tile for k in range(*ends)] for ends in ((row, end_row + 1), (col, end_col + 1)))
         if is_map(line):
-            strips.append(_cut_map(name, line, covered, (corner, rows, cols), variables))
+            strips.append(_cut_map(name, line, covered, ((row, col), rows, cols), variables))
             continue
         line_grid = replace(
             shared.grid, first=(rows[0], cols[0]), shape=(rows[-1] - rows[0], cols[-1] - cols[0])
@@ -214,7 +202,7 @@ def strips_of(
             west + line_grid.shape[1] * line_grid.gsd,
             north,
         )
-        strip = orthorectify(
+        orthomap = orthorectify(
             line, line_grid.gsd, grid="north", variables=variables, tile=tile, bounds=bounds, **options
         )
         survey = shared.surveys[name]
@@ -222,8 +210,41 @@ def strips_of(
         touched = np.zeros((len(windows), len(windows[0])), bool)
         for place, slabs in needed_slabs(survey, line_grid, [len(survey.boxes)], windows).items():
             touched[place] = bool(slabs)
-        strips.append(Strip(name, strip, corner, touched))
-    _check_equal_variables(strips)
+        strips.append(Strip(name, orthomap, (row, col), touched))
+    # the variables of all lines must be those of the first
+    problems = Problems("these lines make no mosaic", SchemaError)
+    first = strips[0]
+    for other in strips[1:]:
+        for variable in first.map.data_vars:
+            first_array, array = first.map[variable], other.map.variables.get(variable)
+            if array is None:
+                problems.add(
+                    f"{other.name} has no {variable}, which {first.name} has",
+                    mend="give variables=",
+                    code="variable-missing",
+                )
+                continue
+            for property_name, found, expected in (
+                ("type", array.dtype, first_array.dtype),
+                ("size", array.shape[2:], first_array.shape[2:]),
+                ("units", array.attrs.get("units"), first_array.attrs.get("units")),
+            ):
+                if found != expected:
+                    problems.add(
+                        f"{property_name} of {variable} of {other.name} {found}",
+                        expected=f"{expected} of {first.name}",
+                        code="variable-mismatch",
+                    )
+        first_wavelength, wavelength = (
+            np.asarray(s.map.coords.get("wavelength", ())) for s in (first, other)
+        )
+        if first_wavelength.shape != wavelength.shape or not np.allclose(
+            first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM
+        ):
+            problems.add(
+                f"wavelengths of {other.name} differ from those of {first.name}", code="wavelength-mismatch"
+            )
+    problems.raise_if_any()
     return strips
 
 
@@ -272,45 +293,8 @@ def fill_of(name: str, dtype: np.dtype[Any]) -> Any:
     return dtype.type(0) if name == "hits" else empty_value(name, dtype)
 
 
-def _check_equal_variables(strips: Sequence[Strip]) -> None:
-    problems = Problems("these lines make no mosaic", SchemaError)
-    first = strips[0]
-    for strip in strips[1:]:
-        for name in first.map.data_vars:
-            first_array, array = first.map[name], strip.map.variables.get(name)
-            if array is None:
-                problems.add(
-                    f"{strip.name} has no {name}, which {first.name} has",
-                    mend="give variables=",
-                    code="variable-missing",
-                )
-                continue
-            for property_name, found, expected in (
-                ("type", array.dtype, first_array.dtype),
-                ("size", array.shape[2:], first_array.shape[2:]),
-                ("units", array.attrs.get("units"), first_array.attrs.get("units")),
-            ):
-                if found != expected:
-                    problems.add(
-                        f"{property_name} of {name} of {strip.name} {found}",
-                        expected=f"{expected} of {first.name}",
-                        code="variable-mismatch",
-                    )
-        first_wavelength, wavelength = (
-            np.asarray(s.map.coords.get("wavelength", ())) for s in (first, strip)
-        )
-        if first_wavelength.shape != wavelength.shape or not np.allclose(
-            first_wavelength, wavelength, rtol=0, atol=_WAVELENGTH_TOLERANCE_NM
-        ):
-            problems.add(
-                f"wavelengths of {strip.name} differ from those of {first.name}", code="wavelength-mismatch"
-            )
-    problems.raise_if_any()
-
-
 def _positions(line: xr.Dataset) -> tuple[da.Array, da.Array]:
-    chunks = line["east"].variable.chunksizes.get(ALONG_TRACK)
-    slabs = chunks or line_slabs(line.sizes[ALONG_TRACK], CHUNK_LINES)
+    slabs = line_chunks(line)
     east, north = (line[axis].transpose(ALONG_TRACK, CROSS_TRACK) for axis in ("east", "north"))
     return in_slabs(east, slabs), in_slabs(north, slabs)
 

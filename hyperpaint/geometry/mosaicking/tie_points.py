@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,13 +11,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Progress
+from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS
-from hyperpaint.geometry.orthorectification import orthorectify
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
+from hyperpaint.geometry.orthorectification.mapping import orthorectify
 
 from .strips import is_map, located_lines, named_lines, shared_grid
 
@@ -118,8 +119,7 @@ def find_tie_points(
             "tie points need two flight lines or more, in the geometry of the camera", code="line-number"
         )
     lines_by_name = located_lines(lines_by_name, location)
-    if gsd is None:
-        gsd = 2.0 * shared_grid(lines_by_name, None, None).grid.gsd
+    gsd = 2.0 * shared_grid(lines_by_name, None, None).grid.gsd if gsd is None else gsd
     shared = shared_grid(lines_by_name, gsd, None)
     pictures = {name: _picture(line, shared.grids[name], gsd, band) for name, line in lines_by_name.items()}
     reach = 16 if search_m is None else max(1, round(search_m / gsd))
@@ -209,7 +209,19 @@ def _ties_of(first_picture: _Picture, second_picture: _Picture, reach: int, rule
         if np.isfinite(tie).all():
             ties.append(tie)
     table = np.array(ties, np.float64).reshape(-1, 10)
-    return table[_near_plane(table, rules)]
+    # leave out ties with shifts off a plane through all shifts of the pair
+    is_near = np.ones(len(table), bool)
+    if len(table) < 6:
+        return table
+    terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)])
+    for _ in range(10):
+        plane = np.linalg.lstsq(terms[is_near], table[is_near, 2:4], rcond=None)[0]
+        distance = np.linalg.norm(table[:, 2:4] - terms @ plane, axis=1)
+        limit = rules.outlier_sd * max(float(np.median(distance[is_near])) / 1.1774, 0.05)
+        before, is_near = is_near, distance < limit
+        if is_near.sum() < 6 or (is_near == before).all():
+            break
+    return table[is_near]
 
 
 def _window(picture: _Picture, place: Sequence[int], half: int) -> Floats:
@@ -263,19 +275,14 @@ def _match(patch: Floats, window: Floats, rules: Rules) -> tuple[Floats, float]:
     rivals[tuple(peak)] = -1.0
     if neighbourhood.min() <= -1.0 or float(rivals.max()) > rules.max_rival * best:
         return no_match
-    return np.array(peak) - reach + _summit(neighbourhood), best
-
-
-def _summit(near: Floats) -> Floats:
-    # Return the offset of the maximum of the paraboloid through 3 x 3 values from the middle one.
+    # the maximum of the paraboloid through the 3 x 3 values, from the middle one
     y, x = np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij")
     terms = np.stack([np.ones(9), y.ravel(), x.ravel(), y.ravel() ** 2, x.ravel() ** 2, (x * y).ravel()], 1)
-    _, a, b, aa, bb, ab = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
-    try:
-        summit = np.linalg.solve(np.array([[2 * aa, ab], [ab, 2 * bb]]), [-a, -b])
-    except np.linalg.LinAlgError:
-        return np.zeros(2)
-    return np.asarray(np.clip(summit, -1.0, 1.0))
+    _, a, b, aa, bb, ab = np.linalg.lstsq(terms, neighbourhood.ravel(), rcond=None)[0]
+    summit = np.zeros(2)
+    with contextlib.suppress(np.linalg.LinAlgError):
+        summit = np.clip(np.linalg.solve(np.array([[2 * aa, ab], [ab, 2 * bb]]), [-a, -b]), -1.0, 1.0)
+    return np.array(peak) - reach + summit, best
 
 
 def _fields_at(picture: _Picture, cell: Array) -> Floats:
@@ -288,21 +295,3 @@ def _fields_at(picture: _Picture, cell: Array) -> Floats:
     neighbours = picture.fields[:, row : row + 2, col : col + 2]
     weights = np.array([[(1 - y) * (1 - x), (1 - y) * x], [y * (1 - x), y * x]])
     return np.asarray((neighbours * weights).sum(axis=(1, 2)))
-
-
-def _near_plane(table: Floats, rules: Rules) -> Bools:
-    # Return which ties have shifts near a plane through all shifts of the pair.
-    is_near = np.ones(len(table), bool)
-    if not len(table):
-        return is_near
-    terms = np.column_stack([np.ones(len(table)), table[:, :2] - table[:, :2].mean(axis=0, keepdims=True)])
-    for _ in range(10):
-        if is_near.sum() < 6:
-            return is_near
-        plane = np.linalg.lstsq(terms[is_near], table[is_near, 2:4], rcond=None)[0]
-        distance = np.linalg.norm(table[:, 2:4] - terms @ plane, axis=1)
-        limit = rules.outlier_sd * max(float(np.median(distance[is_near])) / 1.1774, 0.05)
-        if (is_near == (distance < limit)).all():
-            return is_near
-        is_near = distance < limit
-    return is_near

@@ -16,8 +16,8 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import conversion_factor, takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
-from hyperpaint.geometry.georeference.poses import ANGLES
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import ANGLES, LOCATION_UNITS
 
 from .hypotheses import Hypothesis, Scored, fields_of, score
 from .motion_fit import Refined, costs_of, fit_clock, fit_height
@@ -194,10 +194,18 @@ def check_conventions(
     is_labelled = not other_units and labelled != "None"
     if is_labelled and conversion_factor(labelled, setting.declared.angle_unit) != 1.0:
         evidence = f"the variables have units {labelled!r}"
-        finding_of_units = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
-        findings = [finding_of_units if one.field == "angle_unit" else one for one in findings]
+        unit = Finding("angle_unit", setting.declared.angle_unit, "wrong", labelled, evidence)
+        findings = [unit if finding.field == "angle_unit" else finding for finding in findings]
     first, stop, _ = setting.lines.indices(line.sizes[ALONG_TRACK])
-    return ConventionCheck(tuple(findings), _suggested(setting.declared, findings), (first, stop))
+    # a wrong field is replaced only where one alternative remains
+    changes = {
+        finding.field: finding.likely
+        for finding in findings
+        if finding.verdict == "wrong"
+        and hasattr(setting.declared, finding.field)
+        and " or " not in finding.likely
+    }
+    return ConventionCheck(tuple(findings), setting.declared.replace(**changes), (first, stop))
 
 
 def _findings(setting: Setting) -> list[Finding]:
@@ -205,7 +213,9 @@ def _findings(setting: Setting) -> list[Finding]:
     recorded_height = _median_height(declared, setting)
     if recorded_height <= 0.0:
         # signs can be tested at any height: use the height of square pixels, as flights are planned
-        setting = _at_height(setting, declared, _square_pixel_height(declared, setting))
+        north, east = local_metres(*declared.poses(setting.recorded)[:2])
+        distance = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
+        setting = _at_height(setting, declared, max(distance / float(np.abs(setting.view.step).mean()), 1.0))
     scored, compared = _scores(setting)
     if not scored or scored[0].over_rest < RULES.log_odds:
         evidence = (
@@ -338,13 +348,6 @@ def _at_height(setting: Setting, hypothesis: Hypothesis, height: float) -> Setti
     return replace(setting, view=replace(setting.view, ground=ground))
 
 
-def _square_pixel_height(hypothesis: Hypothesis, setting: Setting) -> float:
-    # Return the height at which pixels are square [m].
-    north, east = local_metres(*hypothesis.poses(setting.recorded)[:2])
-    distance = float(np.nanmedian(np.hypot(np.diff(north), np.diff(east))))
-    return max(distance / float(np.abs(setting.view.step).mean()), 1.0)
-
-
 def _is_off(fitted: Refined, recorded: float) -> bool:
     ratio = max(fitted.value / recorded, recorded / fitted.value)
     return fitted.odds > RULES.log_odds and np.isfinite(fitted.sd) and ratio > RULES.height_ratio
@@ -406,13 +409,3 @@ def _north_finding(hypothesis: Hypothesis, setting: Setting) -> Finding:
     crab = float(np.degrees(np.angle(direction.mean()))) if has_heading.any() else float("nan")
     evidence = f"heading {crab:+.1f} degrees from the course: wind, boresight and declination look alike"
     return Finding("heading_reference", setting.declared.heading_reference, "undecided", "", evidence)
-
-
-def _suggested(declared: Convention, findings: list[Finding]) -> Convention:
-    # a wrong field is replaced only where one alternative remains
-    changes = {
-        one.field: one.likely
-        for one in findings
-        if one.verdict == "wrong" and hasattr(declared, one.field) and " or " not in one.likely
-    }
-    return declared.replace(**changes)

@@ -7,19 +7,20 @@ nearly the same ground, so that the median change over columns is the change of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats, Floats32
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import SchemaError, TimeError
 from hyperpaint.base.schema import ALONG_TRACK, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, require
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.light.synchrony import check_irradiance_times
 
 from .hypotheses import Hypothesis
@@ -284,14 +285,25 @@ def _light_offset(
     ticks = record[IRRADIANCE_TIME].values.astype("datetime64[ns]")
     check_irradiance_times(ticks)
     time = require(part, ["time"], "a clock's offset")["time"].values.astype("datetime64[ns]")
-    start = ticks[0]
-    samples, seconds = ((t - start).astype(np.int64) / 1e9 for t in (ticks, time))
-    level = np.log(np.maximum(_mean_level(record), _EPS))
+    samples, seconds = ((t - ticks[0]).astype(np.int64) / 1e9 for t in (ticks, time))
+    # mean irradiance of every sample, any scale
+    wavelength = record[IRRADIANCE_WAVELENGTH].values
+    is_inside = (wavelength >= LIGHT.wavelengths_nm[0]) & (wavelength <= LIGHT.wavelengths_nm[1])
+    channels = np.flatnonzero(is_inside) if is_inside.any() else np.arange(wavelength.size)
+    spectra = record["irradiance"].transpose(IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH).values
+    level = np.log(np.maximum(np.asarray(spectra[:, channels].mean(axis=1), np.float64), _EPS))
     is_finite = np.isfinite(level)
     samples, level = samples[is_finite], level[is_finite]
     if samples.size < 4:
         _refuse(f"the record has {samples.size} spectra", "record-too-short")
-    seconds, change = _changes(picture_of(part, part_image), seconds)
+    # the times of lines in order, and the log change of the light from each line to the next
+    is_valid = np.isfinite(seconds) & (np.abs(seconds) < 1e9)
+    order = np.flatnonzero(is_valid)[np.argsort(seconds[is_valid], kind="stable")]
+    seconds, values = seconds[order], picture_of(part, part_image)[order].astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        steps = np.diff(np.log(np.where(values > 0, values, np.nan)), axis=0)
+    steps[~np.isfinite(steps).any(axis=1)] = 0.0
+    change = np.nanmedian(steps, axis=1)
     width = float(np.median(np.diff(samples))) / LIGHT.bins_an_interval
     edges = np.arange(seconds[0], seconds[-1], max(width, 3.0 * float(np.median(np.diff(seconds)))))
     if edges.size <= LIGHT.min_bins:
@@ -386,24 +398,3 @@ def _minimum(offsets: Floats, cost: Floats) -> float:
 def _clipped_squares(values: Floats, scale: float) -> Floats:
     # Return squares, limited to those of four standard deviations.
     return np.asarray(np.minimum(values**2, (4.0 * scale) ** 2))
-
-
-def _mean_level(irradiance: Mapping[str, xr.DataArray]) -> Floats:
-    # Return the mean irradiance of every sample (irradiance_time,), any scale.
-    wavelength = irradiance[IRRADIANCE_WAVELENGTH].values
-    is_inside = (wavelength >= LIGHT.wavelengths_nm[0]) & (wavelength <= LIGHT.wavelengths_nm[1])
-    chosen = np.flatnonzero(is_inside) if is_inside.any() else np.arange(wavelength.size)
-    spectra = irradiance["irradiance"].transpose(IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH).values
-    return np.asarray(spectra[:, chosen].mean(axis=1), np.float64)
-
-
-def _changes(picture: Floats32, seconds: Floats) -> tuple[Floats, Floats]:
-    # Return the times of lines, and the log change of the light from each line to the next.
-    is_valid = np.isfinite(seconds) & (np.abs(seconds) < 1e9)
-    order = np.flatnonzero(is_valid)[np.argsort(seconds[is_valid], kind="stable")]
-    values = picture[order].astype(np.float64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        steps = np.diff(np.log(np.where(values > 0, values, np.nan)), axis=0)
-    is_empty = ~np.isfinite(steps).any(axis=1)
-    steps[is_empty] = 0.0
-    return seconds[order], np.asarray(np.nanmedian(steps, axis=1))

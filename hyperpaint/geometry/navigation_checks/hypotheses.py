@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -12,7 +11,7 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 
-from .motion_fit import RULES, Residuals, correlation_factor, residuals, robust_scale
+from .motion_fit import likelihood_costs, residuals
 from .picture_motion import RowMotion
 from .pose_motion import Motion, Recorded, View
 
@@ -73,25 +72,6 @@ def fields_of(hypothesis: Hypothesis) -> dict[str, str]:
     return {**senses, "positions": hypothesis.positions}
 
 
-def hypotheses_of(declared: Convention, *, columns_matter: bool) -> Iterator[Hypothesis]:
-    """Return all possible conventions, the declared one first."""
-    senses = dict(_SENSES)
-    if not columns_matter:
-        senses["column_order"] = (str(declared.column_order),)
-    options = []
-    for name, choices in senses.items():
-        declared_choice = getattr(declared, name)
-        options.append(
-            (declared_choice, *(choice for choice in choices if choice != declared_choice))
-            if declared_choice in choices
-            else choices
-        )
-    for positions in POSITIONS:
-        for choice_tuple in itertools.product(*options):
-            meanings: dict[str, Any] = dict(zip(senses, choice_tuple, strict=True))
-            yield Hypothesis(replace(declared, **meanings), positions)
-
-
 def score(
     observed: RowMotion,
     recorded: Recorded,
@@ -112,10 +92,19 @@ def score(
     Residuals are assumed normal, with outliers beyond `RULES.clip_sd` standard deviations; their number is
     reduced by the correlation of the best hypothesis' residuals with their neighbours; see `motion_fit`.
     """
-    explained: list[tuple[Hypothesis, Residuals]] = []
+    # all possible conventions, the declared one first
+    convention = declared.convention
+    senses = _SENSES if columns_matter else {**_SENSES, "column_order": (str(convention.column_order),)}
+    declared_first: list[Any] = [
+        sorted(choices, key=lambda choice: choice != getattr(convention, name))
+        for name, choices in senses.items()
+    ]
+    explained: list[tuple[Hypothesis, Floats, Floats]] = []
     poses_by_convention: dict[Any, Floats] = {}
     expected: Motion | None = None
-    for hypothesis in hypotheses_of(declared.convention, columns_matter=columns_matter):
+    for positions, *choices in itertools.product(POSITIONS, *declared_first):
+        meanings: dict[str, Any] = dict(zip(senses, choices, strict=True))
+        hypothesis = Hypothesis(replace(convention, **meanings), positions)
         key = (hypothesis.convention.replace(column_order=None), hypothesis.positions)
         if key not in poses_by_convention:
             poses_by_convention[key] = hypothesis.poses(recorded)
@@ -126,7 +115,7 @@ def score(
         if not (np.isfinite(motion.shift) | ~compared).all():
             continue
         expected = motion
-        explained.append((hypothesis, residuals(observed, expected, compared, interval)))
+        explained.append((hypothesis, *residuals(observed, expected, compared, interval)))
     if expected is None:
         return []
     # the same travel over ground, without rotation
@@ -136,33 +125,15 @@ def score(
             for part in (observed.shift, expected.travel)
         )
     )
-    shift_costs = _costs(
-        [left.shift for _, left in explained] + [residuals(observed, no_rotation, compared, interval).shift],
-        compared,
-    )
-    costs = shift_costs[:-1] + _costs([left.unlikeness for _, left in explained], compared)
+    shift_at_rest, _ = residuals(observed, no_rotation, compared, interval)
+    shift_costs = likelihood_costs([*(shift for _, shift, _ in explained), shift_at_rest], compared)
+    costs = shift_costs[:-1] + likelihood_costs([unlikeness for *_, unlikeness in explained], compared)
     declared_fields = fields_of(declared)
     costs += _LOG_ODDS_AGAINST * np.array(
-        [sum(declared_fields[n] != v for n, v in fields_of(h).items()) for h, _ in explained]
+        [sum(declared_fields[n] != v for n, v in fields_of(h).items()) for h, *_ in explained]
     )
     scored = [
-        Scored(h, float(costs.min() - cost), float(shift_costs[-1] - declared_fields))
-        for (h, _), cost, declared_fields in zip(explained, costs, shift_costs, strict=False)
+        Scored(h, float(costs.min() - cost), float(shift_costs[-1] - shift_cost))
+        for (h, *_), cost, shift_cost in zip(explained, costs, shift_costs, strict=False)
     ]
-    return sorted(scored, key=lambda one: -one.odds)
-
-
-def _costs(residuals_of: list[Floats], compared: Bools) -> Floats:
-    # Return negative logarithms of likelihoods, up to a constant.
-    scales = [robust_scale(residual[compared]) for residual in residuals_of]
-    best = int(np.argmin(scales))
-    scale, fewer = scales[best], correlation_factor(residuals_of[best])
-    return (
-        np.array(
-            [
-                0.5 * np.minimum((residual[compared] / scale) ** 2, RULES.clip_sd**2).sum()
-                for residual in residuals_of
-            ]
-        )
-        / fewer
-    )
+    return sorted(scored, key=lambda hypothesis: -hypothesis.odds)

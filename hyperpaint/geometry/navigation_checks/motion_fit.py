@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,22 +42,18 @@ RULES = Rules()
 _EPS = 1e-30
 
 
-@dataclass(frozen=True)
-class Residuals:
-    """Motion of the picture that a hypothesis does not explain."""
-
-    shift: Floats  #: (line - 1, zone) [pixel]
-    unlikeness: Floats  #: (line - 1, zone) [1]
-
-
 def robust_scale(values: Floats) -> float:
     """Return the standard deviation of values about 0 from the median of their size; NaN is ignored."""
     sizes = np.abs(values[np.isfinite(values)])
     return max(1.4826 * float(np.median(sizes)), 1e-9) if sizes.size else float("nan")
 
 
-def residuals(observed: RowMotion, expected: Motion, compared: Bools, interval: float) -> Residuals:
+def residuals(
+    observed: RowMotion, expected: Motion, compared: Bools, interval: float
+) -> tuple[Floats, Floats]:
     """Return the motion of a picture minus expected motion, slant of the ground and lag of the clock.
+
+    Shift [pixel] and unlikeness [1], both (line - 1, zone).
 
     ``observed`` and ``expected`` are the motion of the picture and of the poses, used where ``compared``
     (line - 1, zone); ``interval`` is the time between lines [s].
@@ -72,41 +68,42 @@ def residuals(observed: RowMotion, expected: Motion, compared: Bools, interval: 
     shift_per_lag = (
         np.gradient(expected.shift, axis=0) / interval if expected.shift.shape[0] > 1 else 0 * expected.shift
     )
-    shift = _without_terms(
-        observed.shift - expected.shift,
-        [(expected.travel, RULES.max_slant), (shift_per_lag, RULES.max_lag_s)],
-        compared,
-    )
+    # shifts without terms of known form and unknown, but bounded, size; robust
+    design = np.stack([np.where(compared, term, 0.0) for term in (expected.travel, shift_per_lag)])
+    limits = np.array([RULES.max_slant, RULES.max_lag_s])
+    values = shift = observed.shift - expected.shift
+    for _ in range(3):
+        scale = robust_scale(shift[compared])
+        inliers = compared & (np.abs(shift) < RULES.clip_sd * scale)
+        a = design[:, inliers]
+        sizes = np.linalg.solve(a @ a.T / scale**2 + np.diag(limits**-2.0), a @ values[inliers] / scale**2)
+        shift = values - np.tensordot(sizes, design, 1)
+    # unlikeness without a constant and a non-negative multiple of the expected one; robust
     expected_unlikeness = np.interp(
         np.abs(expected.travel), np.arange(observed.structure.size), observed.structure
     )
-    return Residuals(shift, _without_likeness(observed.unlikeness, expected_unlikeness, compared))
-
-
-def _without_terms(values: Floats, terms: list[tuple[Floats, float]], compared: Bools) -> Floats:
-    # Subtract terms of known form and unknown, but bounded, size; robust.
-    design = np.stack([np.where(compared, part, 0.0) for part, _ in terms])
-    limits = np.array([limit for _, limit in terms])
-    residual = values
+    unlikeness = observed.unlikeness - np.median(observed.unlikeness[compared])
     for _ in range(3):
-        scale = robust_scale(residual[compared])
-        inliers = compared & (np.abs(residual) < RULES.clip_sd * scale)
-        a = design[:, inliers]
-        sizes = np.linalg.solve(a @ a.T / scale**2 + np.diag(limits**-2.0), a @ values[inliers] / scale**2)
-        residual = values - np.tensordot(sizes, design, 1)
-    return np.where(compared, residual, np.nan)
-
-
-def _without_likeness(values: Floats, expected_unlikeness: Floats, compared: Bools) -> Floats:
-    # Subtract a constant and a non-negative multiple of ``expected_unlikeness``; robust.
-    residual = values - np.median(values[compared])
-    for _ in range(3):
-        inliers = compared & (np.abs(residual) < RULES.clip_sd * robust_scale(residual[compared]))
-        x, y = expected_unlikeness[inliers], values[inliers]
+        inliers = compared & (np.abs(unlikeness) < RULES.clip_sd * robust_scale(unlikeness[compared]))
+        x, y = expected_unlikeness[inliers], observed.unlikeness[inliers]
         slope = ((x - x.mean()) * (y - y.mean())).sum() / max(((x - x.mean()) ** 2).sum(), _EPS)
-        slope = max(float(slope), 0.0)
-        residual = values - (y.mean() + slope * (expected_unlikeness - x.mean()))
-    return np.where(compared, residual, np.nan)
+        unlikeness = observed.unlikeness - (
+            y.mean() + max(float(slope), 0.0) * (expected_unlikeness - x.mean())
+        )
+    return np.where(compared, shift, np.nan), np.where(compared, unlikeness, np.nan)
+
+
+def likelihood_costs(parts: Sequence[Floats], compared: Bools, independent: int | None = None) -> Floats:
+    """Return negative logarithms of likelihoods of residuals (line, zone), up to a constant.
+
+    The number of residuals is reduced by the correlation of those at ``independent``, by default the
+    smallest.
+    """
+    scales = [robust_scale(part[compared]) for part in parts]
+    smallest = int(np.argmin(scales))
+    limited = [np.minimum((part[compared] / scales[smallest]) ** 2, RULES.clip_sd**2) for part in parts]
+    costs = np.array([0.5 * squares.sum() for squares in limited])
+    return costs / correlation_factor(parts[smallest if independent is None else independent])
 
 
 def correlation_factor(residual: Floats) -> float:
@@ -166,11 +163,8 @@ def fit_clock(
     first = last = 0.0
     for iteration in range(RULES.max_steps):
         expected = view.motion(poses(offset))
-        later, earlier = (
-            view.motion(poses(offset + RULES.time_step_s)),
-            view.motion(poses(offset - RULES.time_step_s)),
-        )
-        per_offset = (later.shift - earlier.shift) / (2.0 * RULES.time_step_s)
+        shifts = (view.motion(poses(offset + sign * RULES.time_step_s)).shift for sign in (1.0, -1.0))
+        per_offset = np.subtract(*shifts) / (2.0 * RULES.time_step_s)
         roll, pitch, heading = view.boresight
         per_pitch = (
             view.motion(poses(offset), boresight=(roll, pitch + RULES.turn_step_deg, heading)).shift
@@ -196,20 +190,16 @@ def costs_of(
     costs = np.full(offsets.size, np.nan)
     for k, offset in enumerate(offsets):
         expected = view.motion(poses(float(offset)))
-        residual = _without_slant(
-            np.where(compared, observed.shift - expected.shift, np.nan), expected.travel
-        )
+        residual = np.where(compared, observed.shift - expected.shift, np.nan)
+        # subtract the part proportional to travel, which comes from slanted structures
+        inliers = np.isfinite(residual) & (np.abs(residual) < RULES.clip_sd * robust_scale(residual))
+        x, y = expected.travel[inliers], residual[inliers]
+        slant = np.clip(float((y * x).sum() / max((x**2).sum(), 1e-12)), -RULES.max_slant, RULES.max_slant)
+        residual = residual - slant * expected.travel
         if np.isfinite(residual).sum() > 0.5 * compared.sum():
-            scale = robust_scale(residual)
-            costs[k] = np.sqrt(np.nanmean(np.minimum(residual**2, (RULES.outlier_sd * scale) ** 2)))
+            limit = (RULES.outlier_sd * robust_scale(residual)) ** 2
+            costs[k] = np.sqrt(np.nanmean(np.minimum(residual**2, limit)))
     return costs
-
-
-def _without_slant(residual: Floats, travel: Floats) -> Floats:
-    # Subtract the part proportional to travel, which comes from slanted structures.
-    inliers = np.isfinite(residual) & (np.abs(residual) < RULES.clip_sd * robust_scale(residual))
-    slant = float((residual[inliers] * travel[inliers]).sum() / max((travel[inliers] ** 2).sum(), 1e-12))
-    return np.asarray(residual - np.clip(slant, -RULES.max_slant, RULES.max_slant) * travel)
 
 
 def amplitude(observed: RowMotion, expected: Floats, rest: Floats, compared: Bools) -> float:
@@ -298,21 +288,10 @@ def fit_height(
     """
     factors = np.array(RULES.height_factors)
     heights = height * factors
-    cost = np.zeros(heights.size)
-    residuals_by_height = []
-    for h in heights:
-        expected: Motion = replace(view, ground=view.ground + height - float(h)).motion(poses)
-        residuals_by_height.append(residuals(observed, expected, compared, interval))
-    for part in ("shift", "unlikeness"):
-        parts = [getattr(one, part) for one in residuals_by_height]
-        scale, factor = (
-            min(robust_scale(p[compared]) for p in parts),
-            correlation_factor(parts[factors.size // 2]),
-        )
-        cost += (
-            np.array([0.5 * np.minimum((p[compared] / scale) ** 2, RULES.clip_sd**2).sum() for p in parts])
-            / factor
-        )
+    motions = [replace(view, ground=view.ground + height - float(h)).motion(poses) for h in heights]
+    shifts, unlikeness = zip(*(residuals(observed, m, compared, interval) for m in motions), strict=True)
+    middle = factors.size // 2
+    cost = likelihood_costs(shifts, compared, middle) + likelihood_costs(unlikeness, compared, middle)
     best = int(cost.argmin())
     plausible = heights[cost < cost[best] + 2.0]  # within two standard deviations
     sd = float(plausible[-1] - plausible[0]) / 4.0 if 0 < best < heights.size - 1 else np.inf

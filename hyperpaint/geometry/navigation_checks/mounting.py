@@ -13,11 +13,14 @@ from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, PinholeCamera
+from hyperpaint.geometry.georeference.cameras import PinholeCamera
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 
-from .misses import PARAMETERS, STEPS, Misses, TieMisses
 from .sightings import Sightings, sightings_of
 
+PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
+#: Parameter steps of the numerical derivatives of misses.
+STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
 _ANGLES = ("roll", "pitch", "heading")
 _UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
 #: Largest useful uncertainty from points picked to one pixel [degree, m, s].
@@ -210,17 +213,22 @@ def solve_boresight(
         )
     names = _checked_names((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
-    forward, right, down = (float(length) for length in lever_arm)
     sights = _sightings(
-        lines, control_points, navigation, (forward, right, down), camera, convention, crs, start
+        lines, control_points, navigation, tuple(map(float, lever_arm)), camera, convention, crs, start
     )
     free = [PARAMETERS.index(name) for name in names]
     white = [sight.whitening(start) for sight in sights]
-    points = Misses(sights, start, free, control_points.sizes["point"], white)
-    if pairs:
-        heights = control_points["height"].values.astype(np.float64)
-        points = TieMisses(sights, start, free, points.count, white, heights)
-    plausible = _plausible(points)
+    heights = control_points["height"].values.astype(np.float64) if pairs else None
+    points = Misses(sights, start, free, control_points.sizes["point"], white, heights)
+    # points with misses that a mounting or a clock offset can explain
+    plausible = np.ones(points.count, bool)
+    misses_at_start = [sight.misses(start) for sight in sights]
+    median_miss = np.median(np.concatenate(misses_at_start), axis=0)
+    for sight, miss in zip(sights, misses_at_start, strict=True):
+        limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
+        plausible[sight.index] = ~((np.linalg.norm(miss - median_miss, axis=1) > limit) | sight.behind(start))
+    if 2 * plausible.sum() <= points.count:
+        plausible[:] = True
     _refuse_unidentifiable(points, start[free], names, plausible)
     fit = _best_fit(points, plausible)
     slopes = fit.points.slopes(fit.free, fit.used)
@@ -237,11 +245,30 @@ def solve_boresight(
             code="control-points-misfit",
         )
     roll, pitch, heading, height, clock = fit.points.parameters(fit.free).tolist()
+    covariance = xr.DataArray(
+        np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64),
+        dims=("parameter", "other_parameter"),
+        coords={"parameter": names, "other_parameter": names},
+        attrs={
+            "long_name": "Covariance of the camera's mounting",
+            "parameter_units": ", ".join(_UNITS[name] for name in names),
+        },
+    )
+    labels = control_points["name"].values if "name" in control_points.variables else [""] * points.count
+    residuals = xr.Dataset(
+        {
+            "miss": (
+                "point",
+                np.linalg.norm(misses, axis=1),
+                {"units": "1", "long_name": "Distance [pixel]"},
+            ),
+            "outlier": ("point", ~fit.used, {"long_name": "Left out"}),
+        },
+        coords={"point": [str(label) or str(number) for number, label in enumerate(labels)]},
+    )
     return BoresightSolution(
-        (roll, pitch, heading), height, clock,
-        _labelled(np.asarray(variance * np.linalg.inv(slopes.T @ slopes), np.float64), names),
-        _residuals(control_points, misses, fit.used), float(np.sqrt(variance)), condition,
-    )  # fmt: skip
+        (roll, pitch, heading), height, clock, covariance, residuals, float(np.sqrt(variance)), condition
+    )
 
 
 def _checked_names(solve: Sequence[str], points: xr.Dataset) -> list[str]:
@@ -279,7 +306,7 @@ def _sightings(
     lines: xr.Dataset | Mapping[str, xr.Dataset],
     points: xr.Dataset,
     navigation: xr.Dataset | Mapping[str, xr.Dataset] | None,
-    lever_arm: tuple[float, float, float],
+    lever_arm: tuple[float, ...],
     camera: Any,
     convention: Convention | None,
     crs: Any,
@@ -309,15 +336,76 @@ def _sightings(
     sights = []
     for name, line, index in parts:
         if index.size:
-            has_many = navigation is not None and not isinstance(navigation, xr.Dataset)
-            record: Any = navigation.get(name) if has_many and navigation is not None else navigation
+            record: Any = (
+                navigation
+                if navigation is None or isinstance(navigation, xr.Dataset)
+                else navigation.get(name)
+            )
             fields = {field: points[field].values[index].astype(np.float64) for field in _FIELDS}
-            sight = sightings_of(
+            sights.append(sightings_of(
                 line, fields, index, navigation=record, convention=convention, camera=camera,
                 lever_arm=lever_arm, crs=crs, clock=float(start[4]),
-            )  # fmt: skip
-            sights.append(sight)
+            ))  # fmt: skip
     return sights
+
+
+@dataclass(frozen=True)
+class Misses:
+    """Residuals of all points as a function of the free parameters.
+
+    Of tie points, the first half is seen by one line of a pair, the second half by the other.
+    """
+
+    sights: list[Sightings]
+    start: Floats  #: start values of all five parameters
+    free: list[int]  #: positions in `PARAMETERS` of the solved parameters
+    count: int
+    white: list[Floats]  #: matrices that convert the misses of each sighting to pixels of picking
+    height: Floats | None  #: (point,): of tie points, height of the ground above the ellipsoid [m]
+
+    def parameters(self, free: Floats) -> Floats:
+        """Return all five parameters."""
+        parameters = self.start.copy()
+        parameters[self.free] = free
+        return parameters
+
+    def misses(self, free: Floats) -> Floats:
+        """Return misses of all points (point, 2) [pixel of picking]; of ties from their mean position."""
+        parameters, misses = self.parameters(free), np.zeros((self.count, 2))
+        sights = self.sights
+        if self.height is not None:
+            positions = np.zeros((self.count, 3))
+            for sight in sights:
+                positions[sight.index] = sight.hits(parameters, self.height)
+            means = np.tile(positions.reshape(2, -1, 3).mean(axis=0), (2, 1))
+            sights = [replace(sight, ground=means[sight.index]) for sight in sights]
+        for sight, white in zip(sights, self.white, strict=True):
+            misses[sight.index] = np.einsum("nij,nj->ni", white, sight.misses(parameters))
+        return misses
+
+    def distances(self, free: Floats) -> Floats:
+        """Return the length of the misses (point,) [pixel of picking]; of ties the larger one for both."""
+        distances = np.linalg.norm(self.misses(free), axis=1)
+        return distances if self.height is None else np.tile(distances.reshape(2, -1).max(axis=0), 2)
+
+    def whitened(self, free: Floats) -> Misses:
+        """Return the misses with whitening computed at these parameters."""
+        parameters = self.parameters(free)
+        return replace(self, white=[sight.whitening(parameters) for sight in self.sights])
+
+    def slopes(self, free: Floats, used: Bools) -> Floats:
+        """Return derivatives of the misses of points that are used (2 point, parameter)."""
+        columns = []
+        for k, parameter in enumerate(self.free):
+            step = np.zeros(free.size)
+            step[k] = STEPS[PARAMETERS[parameter]]
+            change = self.misses(free + step) - self.misses(free - step)
+            columns.append(change[used].ravel() / (2.0 * step[k]))
+        return np.stack(columns, axis=1)
+
+    def lengths(self, free: Floats, used: Bools) -> Floats:
+        """Return the length of the misses per unit of a parameter, for fixed ground points (parameter,)."""
+        return np.asarray(np.linalg.norm(replace(self, height=None).slopes(free, used), axis=0))
 
 
 class _Fit(NamedTuple):
@@ -350,37 +438,11 @@ def _fit(
     return np.asarray(solution.x * units)
 
 
-def _plausible(points: Misses) -> Bools:
-    # Return which points have misses that a mounting or a clock offset can explain.
-    start, plausible = points.start, np.ones(points.count, bool)
-    misses = [sight.misses(start) for sight in points.sights]
-    median_miss = np.median(np.concatenate(misses), axis=0)
-    for sight, miss in zip(points.sights, misses, strict=True):
-        limit = RULES.blunder_fields * max(sight.field_of_view, 0.5)
-        plausible[sight.index] = ~((np.linalg.norm(miss - median_miss, axis=1) > limit) | sight.behind(start))
-    return plausible if 2 * plausible.sum() > points.count else np.ones(points.count, bool)
-
-
 def _best_fit(points: Misses, plausible: Bools) -> _Fit:
     if PARAMETERS.index("clock") not in points.free:
         return _robust_fit(points, points.start[points.free], plausible)
     # the clock is the last free parameter
-    fits = [_robust_fit(points, start, plausible) for start in _clock_candidates(points, plausible)]
-    best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
-    for rival in rest:
-        is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
-        if is_distinct and not rival.median_miss > RULES.rival_ratio * best.median_miss:
-            raise SchemaError(
-                f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points equally: "
-                f"residuals {best.median_miss:.2f} and {rival.median_miss:.2f} px",
-                mend="add points, or leave 'clock' out of solve=",
-                code="clock-ambiguous",
-            )
-    return best._replace(points=points.whitened(best.free))
-
-
-def _clock_candidates(points: Misses, plausible: Bools) -> list[Floats]:
-    # Return start values: the best clock offsets of the search, with the other parameters fitted to them.
+    # start values: the best clock offsets of the search, with the other parameters fitted to them
     starts, medians = [], []
     for clock in points.start[4] + np.array(RULES.clock_search_s):
         # misses of all clock offsets have the whitening of the start values
@@ -397,7 +459,19 @@ def _clock_candidates(points: Misses, plausible: Bools) -> list[Floats]:
     padded = np.pad(medians, 1, constant_values=np.inf)
     lowest = [k for k, median in enumerate(medians) if median <= min(padded[k], padded[k + 2])]
     candidates = [k for k in lowest if medians[k] <= RULES.candidate_ratio * min(medians)]
-    return [starts[k] for k in sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]]
+    candidates = sorted(candidates, key=lambda k: medians[k])[: RULES.max_clock_candidates]
+    fits = [_robust_fit(points, starts[k], plausible) for k in candidates]
+    best, *rest = sorted(fits, key=lambda fit: fit.median_miss)
+    for rival in rest:
+        is_distinct = abs(rival.free[-1] - best.free[-1]) > RULES.same_clock_s
+        if is_distinct and not rival.median_miss > RULES.rival_ratio * best.median_miss:
+            raise SchemaError(
+                f"clocks {best.free[-1]:+.3f} and {rival.free[-1]:+.3f} s fit these control points equally: "
+                f"residuals {best.median_miss:.2f} and {rival.median_miss:.2f} px",
+                mend="add points, or leave 'clock' out of solve=",
+                code="clock-ambiguous",
+            )
+    return best._replace(points=points.whitened(best.free))
 
 
 def _robust_fit(points: Misses, free: Floats, plausible: Bools) -> _Fit:
@@ -463,25 +537,3 @@ def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used:
         )
     problems.raise_if_any()
     return condition
-
-
-def _labelled(covariance: Floats, names: list[str]) -> xr.DataArray:
-    units = ", ".join(_UNITS[name] for name in names)
-    return xr.DataArray(
-        covariance,
-        dims=("parameter", "other_parameter"),
-        coords={"parameter": names, "other_parameter": names},
-        attrs={"long_name": "Covariance of the camera's mounting", "parameter_units": units},
-    )
-
-
-def _residuals(points: xr.Dataset, misses: Floats, used: Bools) -> xr.Dataset:
-    labels = [str(n) for n in points["name"].values] if "name" in points.variables else [""] * used.size
-    distance = {"units": "1", "long_name": "Distance [pixel]"}
-    return xr.Dataset(
-        {
-            "miss": ("point", np.linalg.norm(misses, axis=1), distance),
-            "outlier": ("point", ~used, {"long_name": "Left out"}),
-        },
-        coords={"point": [name or str(k) for k, name in enumerate(labels)]},
-    )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
+from hyperpaint.base.arrays import Array, Floats, Floats32
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
 
@@ -36,11 +36,21 @@ def picture_of(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
         name = next((name for name in _CUBES if name in line.variables), None)
         if name is None:
             raise SchemaError(
-                f"this line has no picture: {', '.join(_CUBES)}", mend="give image=", code="picture-missing"
+                f"this line has no picture: {', '.join(_CUBES)}", mend="pass image=", code="picture-missing"
             )
         image = line[name]
         if BAND in image.dims:
-            image = image.isel({BAND: _bands(line)}).mean(BAND, dtype=np.float32)
+            # the mean of some bands spread over the wavelengths
+            bands = np.arange(line.sizes[BAND])
+            if "wavelength" in line.variables:
+                wavelength = np.asarray(line["wavelength"].values, np.float64)
+                is_inside = (wavelength >= _WAVELENGTHS[0]) & (wavelength <= _WAVELENGTHS[1])
+                if "good" in line.variables:
+                    is_inside &= np.asarray(line["good"].values, bool)
+                bands = np.flatnonzero(is_inside) if is_inside.any() else bands
+            positions = np.linspace(0, bands.size - 1, min(_MAX_BANDS, bands.size))
+            bands = bands[np.unique(np.round(positions).astype(np.int64))]
+            image = image.isel({BAND: bands}).mean(BAND, dtype=np.float32)
     sizes = {dim: line.sizes[dim] for dim in (ALONG_TRACK, CROSS_TRACK) if dim in line.sizes}
     if set(image.dims) != {ALONG_TRACK, CROSS_TRACK} or any(image.sizes[d] != n for d, n in sizes.items()):
         raise SchemaError(
@@ -48,18 +58,6 @@ def picture_of(line: xr.Dataset, image: xr.DataArray | None) -> Floats32:
         )
     values: Any = image.transpose(ALONG_TRACK, CROSS_TRACK).values
     return np.asarray(values, np.float32)
-
-
-def _bands(line: xr.Dataset) -> Ints:
-    chosen = np.arange(line.sizes[BAND])
-    if "wavelength" in line.variables:
-        wavelength = np.asarray(line["wavelength"].values, np.float64)
-        is_inside = (wavelength >= _WAVELENGTHS[0]) & (wavelength <= _WAVELENGTHS[1])
-        if "good" in line.variables:
-            is_inside &= np.asarray(line["good"].values, bool)
-        chosen = np.flatnonzero(is_inside) if is_inside.any() else chosen
-    positions = np.linspace(0, chosen.size - 1, min(_MAX_BANDS, chosen.size))
-    return np.asarray(chosen[np.unique(np.round(positions).astype(np.int64))])
 
 
 @dataclass(frozen=True)
@@ -103,66 +101,52 @@ def row_motion(picture: Array) -> RowMotion | None:
     integer shift is refined by the Gauss-Newton method. Both rows are moved by half the shift, so that both
     are smoothed equally.
     """
+    from scipy.ndimage import uniform_filter1d
+
     rows, columns = picture.shape
     zones = int(np.clip(columns // RULES.zone_columns, RULES.min_zones, RULES.max_zones))
     width = (columns - 2 * REACH) // zones
     if width < RULES.min_columns or rows < 2:
         return None
     starts = REACH + width * np.arange(zones)
-    levelled = _without_slant(picture)
-    fine_structure = _fine_structure(levelled)
+    # logarithms without the gains of columns
+    values = np.asarray(picture, np.float64)
+    is_positive = np.isfinite(values) & (values > 0.0)
+    floor = np.quantile(values[is_positive], 0.001) if is_positive.any() else 1.0
+    levelled = np.log(np.where(is_positive, np.maximum(values, floor), floor))
+    levelled -= np.median(levelled, axis=0)
+    # without slow changes: a long slanted edge looks like a shift between rows; small structures have edges
+    # on every side
+    fine = levelled - uniform_filter1d(levelled, RULES.level_columns, axis=1, mode="nearest")
+    power = uniform_filter1d(fine**2, 2 * RULES.level_columns + 1, axis=1, mode="nearest")
+    fine /= np.sqrt(np.maximum(power, 0.0)) + 0.1 * np.sqrt(power.mean()) + _FLAT
     shift, unlikeness = np.full((rows - 1, zones), np.nan), np.full((rows - 1, zones), np.nan)
     structure, weight = np.zeros(REACH + 1), 0.0
     for first in range(0, rows - 1, RULES.block_rows):
         stop = min(first + RULES.block_rows, rows - 1)
-        before, after = levelled[first:stop], levelled[first + 1 : stop + 1]
+        block, next_block = slice(first, stop), slice(first + 1, stop + 1)
         for zone, start in enumerate(starts):
             window = slice(int(start), int(start) + width)
-            variance = after[:, window].var(axis=1) + before[:, window].var(axis=1)
+            variance = levelled[next_block, window].var(axis=1) + levelled[block, window].var(axis=1)
             has_contrast = variance > _FLAT
             if not has_contrast.any():
                 continue
-            zone_shift = _shift(
-                fine_structure[first:stop][has_contrast],
-                fine_structure[first + 1 : stop + 1][has_contrast],
-                window,
-            )
-            difference = _difference(before[has_contrast], after[has_contrast], zone_shift, window)
-            shift[first:stop, zone][has_contrast] = zone_shift
-            unlikeness[first:stop, zone][has_contrast] = difference / variance[has_contrast]
-            own_structure = _own_structure(before[has_contrast], window) / variance[has_contrast, None]
+            variance = variance[has_contrast]
+            before, after = (levelled[rows_of][has_contrast] for rows_of in (block, next_block))
+            zone_shift = _shift(fine[block][has_contrast], fine[next_block][has_contrast], window)
+            shift[block, zone][has_contrast] = zone_shift
+            # mean square difference after moving both rows by half the shift
+            half = np.where(np.isnan(zone_shift), 0.0, zone_shift) / 2
+            square = ((_moved(after, window, -half) - _moved(before, window, half)) ** 2).mean(axis=1)
+            unlikeness[block, zone][has_contrast] = np.where(np.isnan(zone_shift), np.nan, square) / variance
+            # mean square difference of rows with themselves at lags of 0 to `REACH` columns (row, lag)
+            at_lags = (before[:, window.start + lag : window.stop + lag] for lag in range(REACH + 1))
+            squares = [((other - before[:, window]) ** 2).mean(axis=1) for other in at_lags]
+            own_structure = np.stack(squares, axis=1) / variance[:, None]
             is_valid = np.isfinite(own_structure).all(axis=1)
             structure += own_structure[is_valid].sum(axis=0)
             weight += float(is_valid.sum())
     return RowMotion(shift, unlikeness, structure / weight, starts + (width - 1) / 2) if weight else None
-
-
-def _without_slant(picture: Array) -> Floats:
-    # Return the logarithm without the gains of columns.
-    values = np.asarray(picture, np.float64)
-    is_positive = np.isfinite(values) & (values > 0.0)
-    floor = np.quantile(values[is_positive], 0.001) if is_positive.any() else 1.0
-    logs = np.log(np.where(is_positive, np.maximum(values, floor), floor))
-    logs -= np.median(logs, axis=0)
-    return np.asarray(logs)
-
-
-def _fine_structure(rows: Floats) -> Floats:
-    # Remove slow changes: a long slanted edge looks like a shift between rows; small structures have edges
-    # on every side.
-    from scipy.ndimage import uniform_filter1d
-
-    level = rows - uniform_filter1d(rows, RULES.level_columns, axis=1, mode="nearest")
-    power = uniform_filter1d(level**2, 2 * RULES.level_columns + 1, axis=1, mode="nearest")
-    contrast = np.sqrt(np.maximum(power, 0.0)) + 0.1 * np.sqrt(power.mean()) + _FLAT
-    return np.asarray(level / contrast)
-
-
-def _difference(before: Floats, after: Floats, shift: Floats, window: slice) -> Floats:
-    # Return the mean square difference (row,) after shifting both rows by half the shift.
-    finite_shift = np.where(np.isnan(shift), 0.0, shift)
-    difference = _moved(after, window, -finite_shift / 2) - _moved(before, window, finite_shift / 2)
-    return np.where(np.isnan(shift), np.nan, (difference**2).mean(axis=1))
 
 
 def _shift(before: Floats, after: Floats, window: slice) -> Floats:
@@ -201,12 +185,3 @@ def _moved(rows: Floats, window: slice, shift: Floats) -> Floats:
     last = rows.shape[1] - 1
     taps = (np.take_along_axis(rows, np.clip(columns + k - 1, 0, last), axis=1) for k in range(4))
     return np.asarray(sum(w * tap for w, tap in zip(weights, taps, strict=True)))
-
-
-def _own_structure(rows: Floats, window: slice) -> Floats:
-    # Return the mean square difference of rows with themselves at lags of 0 to `REACH` columns (row, lag).
-    structure = np.zeros((rows.shape[0], REACH + 1))
-    for lag in range(1, REACH + 1):
-        other = rows[:, window.start + lag : window.stop + lag]
-        structure[:, lag] = ((other - rows[:, window]) ** 2).mean(axis=1)
-    return structure

@@ -15,9 +15,8 @@ from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, require
-from hyperpaint.geometry.georeference import PinholeCamera
 from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
-from hyperpaint.geometry.georeference.cameras import look_angles
+from hyperpaint.geometry.georeference.cameras import PinholeCamera, look_angles
 from hyperpaint.geometry.georeference.poses import (
     NAVIGATION_TIME,
     POSE,
@@ -64,11 +63,11 @@ class View:
     right: Floats
     forward: Floats
     step: Floats  #: (zone,): change of ``right`` from a column to the next
-    boresight: tuple[float, float, float]  #: Roll, pitch, heading of the camera in the body [degree]
-    lever_arm: tuple[float, float, float]  #: Forward, right, down [m]
+    boresight: tuple[float, ...]  #: Roll, pitch, heading of the camera in the body [degree]
+    lever_arm: tuple[float, ...]  #: Forward, right, down [m]
     ground: float  #: Height of the ground above the ellipsoid [m]
 
-    def motion(self, poses: Floats, *, boresight: tuple[float, float, float] | None = None) -> Motion:
+    def motion(self, poses: Floats, *, boresight: tuple[float, ...] | None = None) -> Motion:
         """Return the motion that follows from poses (6, line); NaN without a pose."""
         north, east = local_metres(poses[0], poses[1])
         body = matrices(quaternions(*poses[3:]))
@@ -115,31 +114,6 @@ def course_of(poses: Floats) -> float:
     if located.size < 2:
         return float("nan")
     return float(np.degrees(np.arctan2(east[located[-1]], north[located[-1]])) % 360.0)
-
-
-def recorded_poses(line: xr.Dataset, navigation: xr.Dataset | None, crs: Any = None) -> Recorded:
-    """Return the record of a line's poses; units are ignored.
-
-    Raises
-    ------
-    SchemaError
-        Variables are missing.
-    """
-    source = line if navigation is None else navigation
-    dim = ALONG_TRACK if navigation is None else NAVIGATION_TIME
-    line_times = require(line, ["time"], "a check of navigation")["time"].values
-    missing = [name for name in (*POSE, *(() if navigation is None else (NAVIGATION_TIME,)))
-               if name not in source.variables or source[name].dims != (dim,)]  # fmt: skip
-    if missing:
-        subject = "this line" if navigation is None else "this navigation record"
-        raise SchemaError(
-            f"{subject} has no {', '.join(missing)} ({dim})",
-            mend="give navigation=hp.open_navigation(...)",
-            code="variable-missing",
-        )
-    times = line_times if navigation is None else source[NAVIGATION_TIME].values
-    columns = {name: np.asarray(source[name].values, np.float64) for name in POSE}
-    return Recorded(times.astype("datetime64[ns]"), columns, line_times.astype("datetime64[ns]"), crs)
 
 
 # --- inputs of a check -------------------------------------------------------------------------
@@ -200,15 +174,13 @@ def setting_of(
     declared = convention_of_line(line, navigation, convention)
     if declared.stamp_reference is None:
         declared = declared.replace(stamp_reference=line.attrs.get("convention_stamp_reference"))
-    if ground is None:
-        located_ground = line.attrs.get("ground")
-        if not isinstance(located_ground, int | float):
-            raise SchemaError(
-                "the height of the ground is missing",
-                mend="give ground= [m above the ellipsoid]",
-                code="ground-height-missing",
-            )
-        ground = float(located_ground)
+    ground = line.attrs.get("ground") if ground is None else float(ground)
+    if not isinstance(ground, int | float):
+        raise SchemaError(
+            "the height of the ground is missing",
+            mend="give ground= [m above the ellipsoid]",
+            code="ground-height-missing",
+        )
     first = max((line.sizes[ALONG_TRACK] - MAX_LINES) // 2, 0)
     selected = slice(first, min(first + MAX_LINES, line.sizes[ALONG_TRACK])) if lines is None else lines
     part = line.isel({ALONG_TRACK: selected})
@@ -223,17 +195,29 @@ def setting_of(
             expected="at least 64 columns",
             code="picture-narrow",
         )
-    roll, pitch, heading = (float(angle) for angle in boresight)
-    forward, right, down = (float(length) for length in lever_arm)
     tangents = look_angles(line, camera, Convention(column_order="left_to_right"))
     right_tangents, forward_tangents = (np.tan(np.radians(np.asarray(angles))) for angles in tangents)
     look_right, look_forward, step = (
         np.interp(observed.centres, np.arange(right_tangents.size), values)
         for values in (right_tangents, forward_tangents, np.gradient(right_tangents))
     )
-    lever_arm_m = (forward, right, down)
-    view = View(look_right, look_forward, step, (roll, pitch, heading), lever_arm_m, float(ground))
-    recorded = recorded_poses(part, navigation, crs)
+    arm, turn = tuple(map(float, lever_arm)), tuple(map(float, boresight))
+    view = View(look_right, look_forward, step, turn, arm, float(ground))
+    # poses as recorded, whatever their units
+    source, dim = (part, ALONG_TRACK) if navigation is None else (navigation, NAVIGATION_TIME)
+    line_times = require(part, ["time"], "a check of navigation")["time"].values
+    names = POSE if navigation is None else (*POSE, NAVIGATION_TIME)
+    missing = [name for name in names if name not in source.variables or source[name].dims != (dim,)]
+    if missing:
+        subject = "this line" if navigation is None else "this navigation record"
+        raise SchemaError(
+            f"{subject} has no {', '.join(missing)} ({dim})",
+            mend="give navigation=hp.open_navigation(...)",
+            code="variable-missing",
+        )
+    times = line_times if navigation is None else source[NAVIGATION_TIME].values
+    columns = {name: np.asarray(source[name].values, np.float64) for name in POSE}
+    recorded = Recorded(times.astype("datetime64[ns]"), columns, line_times.astype("datetime64[ns]"), crs)
     steps = np.diff(recorded.line_times.astype(np.int64)) / 1e9
     exposure = float(np.median(part["exposure_time"].values)) if "exposure_time" in part.variables else np.nan
     # a table of look angles has signs, which define the order of columns

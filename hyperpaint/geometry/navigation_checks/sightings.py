@@ -45,7 +45,7 @@ class Sightings:
     forward: Floats  #: (point,): tangents of the column
     right: Floats
     step: Floats  #: (point, 2): change of both tangents from a column to the next
-    lever_arm: tuple[float, float, float]  #: Forward, right, down [m]
+    lever_arm: tuple[float, ...]  #: Forward, right, down [m]
     index: Ints  #: (point,): numbers of the points among the points of all lines
     field_of_view: float  #: Distance between the outermost columns [tangent]
     _cache: dict[tuple[float, float], Floats] = field(default_factory=dict, repr=False)
@@ -141,7 +141,7 @@ def sightings_of(
     navigation: xr.Dataset | None,
     convention: Convention | None,
     camera: Any,
-    lever_arm: tuple[float, float, float],
+    lever_arm: tuple[float, ...],
     crs: Any,
     clock: float,
 ) -> Sightings:
@@ -200,7 +200,7 @@ def sightings_of(
     if is_missing.any():
         raise SchemaError(
             f"points {index[is_missing].tolist()} are on lines without time or pose",
-            mend="look at gaps of the record",
+            mend="check the record for gaps",
             code="pose-missing",
         )
     return sightings

@@ -4,8 +4,3 @@ A located line comes in, a map on dask goes out; for workflows and the accessor.
 the survey of all lines), `indexing` (pixel and values at a cell), `tiling` (the graph, and the variables of
 the map), `mapping` (`orthorectify`).
 """
-
-from .grids import MapGrid
-from .mapping import map_report, orthorectify
-
-__all__ = ["MapGrid", "map_report", "orthorectify"]

@@ -7,17 +7,18 @@ the flight.
 from __future__ import annotations
 
 import math
-import uuid
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import dask.array as da
 import numpy as np
+from dask.base import tokenize
 from dask.callbacks import Callback
 from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.arrays import Array, Floats, Progress
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.errors import Problems, SchemaError
 
 # smallest and largest distance to the right, then down, from the anchor of axes [m]
 Box = tuple[float, float, float, float]
@@ -45,10 +46,14 @@ class Axes:
         (a, b), (c, d) = self.right, self.down
         return a * e + b * n, c * e + d * n
 
-    def moved(self, x: float, y: float) -> Axes:
-        """Return axes with the anchor moved to the right and down [m]."""
+    def point(self, x: Any, y: Any) -> tuple[Any, Any]:
+        """Return east and north of points to the right of, and down from, the anchor [m]."""
         (a, b), (c, d) = self.right, self.down
-        return Axes(self.right, (self.anchor[0] + x * a + y * c, self.anchor[1] + x * b + y * d))
+        return self.anchor[0] + x * a + y * c, self.anchor[1] + x * b + y * d
+
+
+#: Axes of a map with north up, whose cells start at whole multiples of their size.
+NORTH = Axes((1.0, 0.0), (0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -68,7 +73,7 @@ class MapGrid:
 
     Examples
     --------
-    >>> grid = MapGrid(north_axes(), 2.0, first=(-50, 10), shape=(30, 20))
+    >>> grid = MapGrid(NORTH, 2.0, first=(-50, 10), shape=(30, 20))
     >>> grid.transform
     (20.0, 2.0, 0.0, 100.0, 0.0, -2.0)
     """
@@ -86,9 +91,7 @@ class MapGrid:
         return (east, size * a, size * c, north, size * b, size * d)
 
     def _place(self, row: Any, col: Any) -> tuple[Any, Any]:
-        (a, b), (c, d) = self.axes.right, self.axes.down
-        y, x = (self.first[0] + row) * self.gsd, (self.first[1] + col) * self.gsd
-        return self.axes.anchor[0] + x * a + y * c, self.axes.anchor[1] + x * b + y * d
+        return self.axes.point((self.first[1] + col) * self.gsd, (self.first[0] + row) * self.gsd)
 
     def centres(self, rows: slice, cols: slice) -> tuple[Floats, Floats]:
         """Return east and north of the centres of cells (row, col) [m]."""
@@ -100,39 +103,6 @@ class MapGrid:
         """Transform from map coordinates to cells, see `hyperpaint.kernels.inverse_map`."""
         east, north = self._place(0.5, 0.5)
         return np.concatenate([[east, north], np.array([*self.axes.right, *self.axes.down]) / self.gsd])
-
-
-def north_axes() -> Axes:
-    """Return axes of a map with north up, whose cells start at whole multiples of their size."""
-    return Axes((1.0, 0.0), (0.0, 0.0))
-
-
-def flight_axes(left: Floats, right: Floats) -> Axes:
-    """Return axes along a flight, with the direction of flight up.
-
-    Parameters
-    ----------
-    left, right : (line, 2)
-        East and north of either end of lines in the order of flight [m].
-
-    Notes
-    -----
-    The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide has
-    no direction; the normal of the lines is used instead.
-    """
-    middles = (left + right) / 2
-    _, spread, directions = np.linalg.svd(middles - middles.mean(axis=0), full_matrices=False)
-    displacement = middles[-1] - middles[0]
-    flight = directions[0]
-    if len(middles) < 3 or not spread[0] > _MIN_ELONGATION * spread[1]:
-        across = (right - left).mean(axis=0)
-        flight = np.array([-across[1], across[0]])
-        if not np.hypot(*flight) > 0.0:
-            flight = np.array([0.0, 1.0])
-    if flight @ displacement < 0.0:
-        flight = -flight
-    heading = math.atan2(flight[0], flight[1])
-    return Axes((math.cos(heading), -math.sin(heading)), (float(middles[0, 0]), float(middles[0, 1])))
 
 
 def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
@@ -148,11 +118,33 @@ def covering(axes: Axes, gsd: float, box: Box, *, whole: bool) -> MapGrid:
     return MapGrid(axes, gsd, first, shape)
 
 
-def box_of(axes: Axes, bounds: Any) -> Box:
-    """Return the box of the axes around bounds of the map: west, south, east, north [m]."""
-    west, south, east, north = (float(edge) for edge in bounds)
-    x, y = axes.along(np.array([west, west, east, east]), np.array([south, north, south, north]))
-    return float(x.min()), float(x.max()), float(y.min()), float(y.max())
+def check_cells(problems: Problems, gsd: Any, tile: Any) -> None:
+    """Add the faults of the edge of a cell [m], None for the default, and of the cells of a tile's side."""
+    if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
+        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
+    if not (isinstance(tile, int | np.integer) and tile > 0):
+        problems.add(
+            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
+        )
+
+
+Place = tuple[int, int]  # row and column of a tile
+
+
+def tile_array(
+    label: str,
+    tasks: Mapping[Any, Any],
+    chunks: tuple[tuple[int, ...], ...],
+    dtype: Any,
+    sources: Sequence[da.Array],
+    options: Any = None,
+    shared: Mapping[str, Any] | None = None,
+) -> da.Array:
+    """Return tasks by the place of their chunk as an array; its name is a hash of sources and options."""
+    name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
+    layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
+    graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
+    return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
 
 # --- the survey of all lines ---------------------------------------------------------------------------
@@ -187,22 +179,47 @@ class Survey:
 
 
 def direction_of_flight(east: da.Array, north: da.Array) -> Axes:
-    """Return axes along the flight, from some lines spread evenly over it.
+    """Return axes along the flight, with its direction up, from some lines spread evenly over it.
 
     Raises
     ------
     SchemaError
         No line has a ground position.
+
+    Notes
+    -----
+    The direction is the longest axis of the middles of the lines. A track that is hardly longer than wide has
+    no direction; the normal of the lines is used instead.
     """
     count = east.shape[0]
     sampled_lines = np.unique(np.linspace(0, count - 1, _DIRECTION_LINES).astype(int))
+    first_lines = np.cumsum((0, *east.chunks[0]))
     for lines in (sampled_lines, np.arange(count)):  # all lines, if the sampled lines have no pose
-        ends = _ends_of(east, north, lines)
+        # east and north of the first and last located pixel of every line (line, 2, 2)
+        slabs = np.searchsorted(first_lines, lines, side="right") - 1
+        needed_slabs = np.unique(slabs)
+        surveyed = _computed_survey(east, north, [[slab] for slab in needed_slabs.tolist()], NORTH, None)
+        rows = [
+            table[lines[slabs == slab] - first_lines[slab], 4:8]
+            for slab, (table, _) in zip(needed_slabs, surveyed, strict=True)
+        ]
+        ends = np.concatenate(rows).reshape(-1, 2, 2)
+        ends = ends[np.isfinite(ends).all(axis=(1, 2))]
         if len(ends):
             break
-    if not len(ends):
+    else:
         raise _nothing_located()
-    return flight_axes(ends[:, 0], ends[:, 1])
+    left, right = ends[:, 0], ends[:, 1]
+    middles = (left + right) / 2
+    _, spread, directions = np.linalg.svd(middles - middles.mean(axis=0), full_matrices=False)
+    flight = directions[0]
+    if len(middles) < 3 or not spread[0] > _MIN_ELONGATION * spread[1]:
+        across = (right - left).mean(axis=0)
+        flight = np.array([-across[1], across[0]]) if np.hypot(*across) > 0.0 else np.array([0.0, 1.0])
+    if flight @ (middles[-1] - middles[0]) < 0.0:
+        flight = -flight
+    heading = math.atan2(flight[0], flight[1])
+    return Axes((math.cos(heading), -math.sin(heading)), (float(middles[0, 0]), float(middles[0, 1])))
 
 
 def survey_lines(east: da.Array, north: da.Array, axes: Axes, progress: Progress | None) -> Survey:
@@ -236,40 +253,24 @@ def _nothing_located() -> SchemaError:
     )
 
 
-def _ends_of(east: da.Array, north: da.Array, lines: Array) -> Floats:
-    # Return east and north of the first and last located pixel of lines (line, 2, 2).
-    edges = np.cumsum((0, *east.chunks[0]))
-    slabs = np.searchsorted(edges, lines, side="right") - 1
-    needed_slabs = np.unique(slabs)
-    groups = [[slab] for slab in needed_slabs.tolist()]
-    surveyed = _computed_survey(east, north, groups, Axes((1.0, 0.0), (0.0, 0.0)), None)
-    rows = [
-        table[lines[slabs == slab] - edges[slab], 4:8]
-        for slab, (table, _) in zip(needed_slabs, surveyed, strict=True)
-    ]
-    ends = np.concatenate(rows).reshape(-1, 2, 2)
-    return np.asarray(ends[np.isfinite(ends).all(axis=(1, 2))])
-
-
 def _computed_survey(
     east: da.Array, north: da.Array, groups: list[list[int]], axes: Axes, progress: Progress | None
 ) -> list[Any]:
     # Survey groups of consecutive slabs; progress is reported where the scheduler supports it.
     # One array holds all tasks: a collection per slab would take longer than the survey.
-    name = f"look-{uuid.uuid4().hex}"
-    layer = {
-        (name, k): (
+    tasks = {
+        (k,): (
             _survey_of_slabs,
             *([(positions.name, slab, 0) for slab in group] for positions in (east, north)),
             axes,
         )
         for k, group in enumerate(groups)
     }
-    graph = HighLevelGraph.from_collections(name, layer, dependencies=[east, north])
-    lazy = da.Array(graph, name, chunks=((1,) * len(groups),), meta=np.empty(0, object))
+    lazy = tile_array("survey", tasks, ((1,) * len(groups),), object, [east, north], (groups, axes))
     if progress is None:
         return list(lazy.compute())
-    pending, slabs = dict(zip(layer, groups, strict=True)), sum(map(len, groups))
+    pending = {(lazy.name, k): group for k, group in enumerate(groups)}
+    slabs = sum(map(len, groups))
 
     def report(key: Any, *_: Any) -> None:
         if pending.pop(key, None) is not None:
@@ -295,11 +296,9 @@ def _survey_of_slabs(easts: list[Floats], norths: list[Floats], axes: Axes) -> A
         look_at_lines(east, north, frame, out[start : start + len(east)])
         start += len(east)
     step = max(1, easts[0].shape[1] // _SAMPLED_COLUMNS)
-    sampled = np.stack(
-        [np.concatenate([part[:, ::step] for part in positions]) for positions in (easts, norths)]
-    )
-    next_columns = np.stack(
-        [np.concatenate([part[:, 1::step] for part in positions]) for positions in (easts, norths)]
+    sampled, next_columns = (
+        np.stack([np.concatenate([part[:, first::step] for part in parts]) for parts in (easts, norths)])
+        for first in (0, 1)
     )
     out[:, 8] = _medians(np.hypot(*(next_columns - sampled[:, :, : next_columns.shape[2]])))
     out[:-1, 9] = _medians(np.hypot(*np.diff(sampled, axis=1)))

@@ -61,13 +61,6 @@ class Reading:
     across: Floats
 
 
-def areas_between(survey: Survey) -> Floats:
-    """Return the areas between the ends of consecutive located lines (pair, 4, 2)."""
-    ends = survey.ends[np.isfinite(survey.ends).all(axis=(1, 2))]
-    before, after = ends[:-1], ends[1:]
-    return np.stack([before[:, 0], before[:, 1], after[:, 1], after[:, 0]], axis=1)
-
-
 def needed_slabs(
     survey: Survey, grid: MapGrid, chunks: Sequence[int], windows: Sequence[Sequence[Window]]
 ) -> dict[tuple[int, int], list[int]]:
@@ -163,27 +156,17 @@ def gaps_of(plan: Plan, rows: slice, cols: slice, index: TileIndex) -> Array:
 
 def reading_of(index: TileIndex, bilinear: bool) -> Reading:
     """Return the reading order of the pixels of a tile: the nearest pixels, or those before each place."""
+    positions = (index.line, index.sample) if bilinear else (index.nearest_line, index.nearest_sample)
     cells = np.flatnonzero(index.hits)
-    if not bilinear:
-        lines, columns = (part.ravel()[cells] for part in (index.nearest_line, index.nearest_sample))
-        order = np.argsort(lines, kind="stable")
-        no_fractions = np.zeros(0)
-        return Reading(
-            index.hits.shape,
-            cells[order],
-            *_as_int64(lines[order], columns[order]),
-            no_fractions,
-            no_fractions,
-        )
-    line, sample = index.line.ravel()[cells], index.sample.ravel()[cells]
+    line, sample = (part.ravel()[cells] for part in positions)
     order = np.argsort(line, kind="stable")
     line, sample = line[order], sample[order]
-    lines, columns = _as_int64(line, sample)
-    return Reading(index.hits.shape, cells[order], lines, columns, line - lines, sample - columns)
-
-
-def _as_int64(line: Array, sample: Array) -> tuple[Ints, Ints]:
-    return line.astype(np.int64), sample.astype(np.int64)
+    lines, columns = line.astype(np.int64), sample.astype(np.int64)
+    along, across = (
+        np.asarray(position - whole if bilinear else [], np.float64)
+        for position, whole in ((line, lines), (sample, columns))
+    )
+    return Reading(index.hits.shape, cells[order], lines, columns, along, across)
 
 
 # --- values of a tile ----------------------------------------------------------------------------------
@@ -199,9 +182,9 @@ def map_spectra(reading: Reading, starts: Sequence[int], slabs: Sequence[Array],
     dtype = np.asarray(empty).dtype
     out = np.empty((reading.shape[0] * reading.shape[1], bands), dtype)
     if reading.cells.size < len(out):
-        uncovered = np.ones(len(out), bool)
-        uncovered[reading.cells] = False
-        out[uncovered] = empty
+        is_uncovered = np.ones(len(out), bool)
+        is_uncovered[reading.cells] = False
+        out[is_uncovered] = empty
     buffer = np.empty((columns, bands), dtype)
     for slab, start, is_slab in _by_slab(reading, starts, slabs):
         pixel = reading.lines[is_slab] - start, reading.columns[is_slab]

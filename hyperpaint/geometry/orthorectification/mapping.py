@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -12,8 +13,8 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array, Progress
-from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import (
     ALONG_TRACK,
     BAND,
@@ -25,14 +26,13 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference import LOCATION_UNITS, locate
 from hyperpaint.geometry.georeference.geodesy import crs_of, grid_mapping_attrs
-from hyperpaint.geometry.georeference.locating import is_located, line_slabs
+from hyperpaint.geometry.georeference.locating import is_located, line_slabs, locate
+from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.io.store.computing import client_in_force
 
-from .grids import MapGrid, Survey, box_of, covering, direction_of_flight, north_axes, survey_lines
-from .indexing import RULES, Plan, areas_between, needed_slabs
-from .plausibility import swath_attrs
+from .grids import NORTH, check_cells, covering, direction_of_flight, survey_lines
+from .indexing import RULES, Plan, needed_slabs
 from .tiling import Tiles, in_memory, in_slabs, mapped, prepared, tile_windows
 
 _GRIDS = ("north", "flight")
@@ -179,9 +179,31 @@ def orthorectify(
             code="option-conflict",
         )
     line, names = prepared(line if is_located(line) else locate(line, **location), variables)
-    lines = _line_chunks(line, names)
+    lines = line_chunks(line, names)
     (east, north, *relief), crs = _positions(line, lines)
-    survey, cells = _survey_and_grid(east, north, gsd, grid, bounds, progress)
+    axes = direction_of_flight(east, north) if grid == "flight" else NORTH
+    survey = survey_lines(east, north, axes, progress)
+    size = survey.gsd if gsd is None else float(gsd)
+    if not size > 0.0:
+        raise SchemaError(
+            "the pixels have the same position, so the cell size is undefined",
+            mend="give gsd= [m]",
+            code="gsd-missing",
+        )
+    if grid == "flight":
+        # the centre of the first cell lies in the corner of the covered area
+        left, _, upper, _ = survey.box
+        x, y = left - size / 2, upper - size / 2
+        axes = replace(axes, anchor=axes.point(x, y))
+        survey = replace(survey, boxes=survey.boxes - np.array([x, x, y, y]))
+    box = survey.box
+    if bounds is not None:
+        west, south, east_end, north_end = (float(edge) for edge in bounds)
+        right, down = axes.along(
+            np.array([west, west, east_end, east_end]), np.array([south, north_end, south, north_end])
+        )
+        box = float(right.min()), float(right.max()), float(down.min()), float(down.max())
+    cells = covering(axes, size, box, whole=bounds is not None)
     rows, cols = cells.shape
     count = -(-rows // tile) * -(-cols // tile)
     if count > _MAX_TILES:
@@ -192,10 +214,17 @@ def orthorectify(
             code="map-too-large",
         )
     windows = tile_windows(cells.shape, tile)
-    stretch = max_stretch * max(1.0, survey.gsd / cells.gsd)
-    last = line.sizes[ALONG_TRACK] - 1
-    parallax = _MAX_PARALLAX_PX * survey.across
-    plan = Plan(cells, RULES.index(multi_hit), stretch, last, parallax, areas_between(survey))
+    # the areas between the ends of consecutive located lines (pair, 4, 2)
+    ends = survey.ends[np.isfinite(survey.ends).all(axis=(1, 2))]
+    between = np.stack([ends[:-1, 0], ends[:-1, 1], ends[1:, 1], ends[1:, 0]], axis=1)
+    plan = Plan(
+        cells,
+        RULES.index(multi_hit),
+        max_stretch * max(1.0, survey.gsd / cells.gsd),
+        line.sizes[ALONG_TRACK] - 1,
+        _MAX_PARALLAX_PX * survey.across,
+        between,
+    )
     slabs = needed_slabs(survey, cells, lines, windows)
     tiles = Tiles.of(plan, windows, slabs, (east, north, *relief), bilinear=method == "bilinear")
     rectified = _dataset(line, names, tiles, lines, crs)
@@ -217,33 +246,19 @@ def _check(
     gsd: Any, grid: Any, method: Any, multi_hit: Any, max_stretch: Any, tile: Any, bounds: Any
 ) -> None:
     problems = Problems("this line cannot be orthorectified", SchemaError)
-    for name, value, choices in (
-        ("grid", grid, _GRIDS),
-        ("method", method, _METHODS),
-        ("multi_hit", multi_hit, RULES),
-    ):
-        if value not in choices:
-            problems.add(
-                f"{name} {value!r:.60}", expected=" or ".join(map(repr, choices)), code="choice-unknown"
-            )
-    if gsd is not None and not (np.ndim(gsd) == 0 and 0.0 < gsd < np.inf):
-        problems.add(f"gsd {gsd!r:.60}", expected="a length above 0 [m]", code="value-out-of-range")
+    one_of(grid, _GRIDS, "grid", problems=problems)
+    one_of(method, _METHODS, "method", problems=problems)
+    one_of(multi_hit, RULES, "multi_hit", problems=problems)
+    check_cells(problems, gsd, tile)
     if not 1.0 <= max_stretch < np.inf:
         problems.add(
             f"max_stretch {max_stretch!r:.60}",
             expected="a number of cells from 1 on",
             code="value-out-of-range",
         )
-    if not (isinstance(tile, int | np.integer) and tile > 0):
-        problems.add(
-            f"tile {tile!r:.60}", expected="a whole number of cells above 0", code="value-out-of-range"
-        )
     if bounds is not None:
         edges = np.asarray(bounds, np.float64)
-        is_valid = (
-            edges.shape == (4,) and np.isfinite(edges).all() and edges[0] < edges[2] and edges[1] < edges[3]
-        )
-        if not is_valid:
+        if not (edges.shape == (4,) and np.isfinite(edges).all() and (edges[:2] < edges[2:]).all()):
             problems.add(
                 f"bounds {bounds!r:.80}",
                 expected="west, south, east, north [m], in this order",
@@ -252,8 +267,8 @@ def _check(
     problems.raise_if_any()
 
 
-def _line_chunks(line: xr.Dataset, names: Sequence[str]) -> tuple[int, ...]:
-    # Return the chunks of the cube, else of the positions.
+def line_chunks(line: xr.Dataset, names: Sequence[str] = ()) -> tuple[int, ...]:
+    """Return the chunks of the cube among variables, else of the positions, along the track."""
     cubes = [name for name in names if BAND in line[name].dims]
     for name in (*cubes, "east"):
         if line[name].chunks is not None:
@@ -281,43 +296,17 @@ def _positions(line: xr.Dataset, lines: tuple[int, ...]) -> tuple[list[da.Array]
         relief = [height, np.tan(np.radians(zenith))]
     positions = [in_slabs(coordinate, lines).astype(np.float64) for coordinate in coordinates.values()]
     is_lazy = any(coordinate.chunks is not None for coordinate in coordinates.values())
-    # over relief nothing is saved: the same tasks compute the heights, which are not kept
-    return [*(_in_memory_if_small(positions) if is_lazy and not relief else positions), *relief], crs
-
-
-def _in_memory_if_small(positions: list[da.Array]) -> list[da.Array]:
-    # Compute the positions of a short line once, and keep them in memory (eager).
-    if sum(position.nbytes for position in positions) > _MAX_KEPT_BYTES or client_in_force() is not None:
-        return positions
-    arrays = [np.empty(position.shape) for position in positions]
-    da.store(positions, arrays, lock=False)
-    names = (f"kept-{position.name}" for position in positions)
-    return [
-        in_memory(*named, position.chunks)
-        for named, position in zip(zip(arrays, names, strict=True), positions, strict=True)
-    ]
-
-
-def _survey_and_grid(
-    east: da.Array, north: da.Array, gsd: float | None, kind: str, bounds: Any, progress: Progress | None
-) -> tuple[Survey, MapGrid]:
-    axes = direction_of_flight(east, north) if kind == "flight" else north_axes()
-    survey = survey_lines(east, north, axes, progress)
-    size = survey.gsd if gsd is None else float(gsd)
-    if not size > 0.0:
-        raise SchemaError(
-            "the pixels have the same position, so the cell size is undefined",
-            mend="give gsd= [m]",
-            code="gsd-missing",
-        )
-    if kind == "flight":
-        # the centre of the first cell lies in the corner of the covered area
-        left, _, upper, _ = survey.box
-        x, y = left - size / 2, upper - size / 2
-        axes = axes.moved(x, y)
-        survey = replace(survey, boxes=survey.boxes - np.array([x, x, y, y]))
-    box = survey.box if bounds is None else box_of(axes, bounds)
-    return survey, covering(axes, size, box, whole=bounds is not None)
+    is_small = sum(position.nbytes for position in positions) <= _MAX_KEPT_BYTES
+    # The positions of a short line are computed once, and kept in memory (eager). Over relief nothing is
+    # saved: the same tasks compute the heights, which are not kept.
+    if is_lazy and not relief and is_small and client_in_force() is None:
+        arrays = [np.empty(position.shape) for position in positions]
+        da.store(positions, arrays, lock=False)
+        positions = [
+            in_memory(array, f"kept-{position.name}", position.chunks)
+            for array, position in zip(arrays, positions, strict=True)
+        ]
+    return [*positions, *relief], crs
 
 
 def _dataset(
@@ -423,3 +412,57 @@ def map_report(made: xr.Dataset) -> dict[str, float]:
         "multiple": int(multiple),
         "most_hits": int(max_hits),
     }
+
+
+# --- plausibility of the swath -------------------------------------------------------------------------
+
+
+# camera above the ground; heights above the sea differ by up to 106 m from heights above the ellipsoid
+MIN_HEIGHT_M, MAX_HEIGHT_M = 5.0, 10_000.0
+MIN_SWATH_M, MAX_SWATH_M = 4.0, 10_000.0  # full swath of a camera: at least two cars side by side
+MAX_ASPECT = 5.0  # longer over shorter side of a pixel; frame rates are set for square pixels
+WHOLE_CAMERA_COLUMNS = 200  # narrower lines are crops or examples, whose swath is not checked
+
+
+def swath_attrs(line: xr.Dataset, across: float, along: float) -> dict[str, float]:
+    """Return attributes of a map: ``swath``, ``height_above_ground`` [m] and ``pixel_aspect``, if known.
+
+    Takes a located line and the median distances of its columns and lines [m]. Warns (`PaintWarning`) about
+    implausible values.
+    """
+    attrs = {"swath": across * line.sizes[CROSS_TRACK], "pixel_aspect": along / across}
+    ground = line.attrs.get("ground")
+    if isinstance(ground, float | int) and "altitude" in line.variables:
+        altitude = line["altitude"].values
+        attrs["height_above_ground"] = float(np.median(altitude[np.isfinite(altitude)])) - ground
+    attrs = {name: float(value) for name, value in attrs.items() if np.isfinite(value)}
+    is_complete = line.sizes[CROSS_TRACK] >= WHOLE_CAMERA_COLUMNS
+    texts = []
+    height = attrs.get("height_above_ground", MIN_HEIGHT_M)
+    if not MIN_HEIGHT_M <= height <= MAX_HEIGHT_M:
+        texts.append(
+            f"the camera is {height:.4g} m above the ground, expected {MIN_HEIGHT_M:g} to {MAX_HEIGHT_M:g} m "
+            "(ground is above the ellipsoid, not above the sea)"
+        )
+    swath = attrs.get("swath", MIN_SWATH_M)
+    if is_complete and not MIN_SWATH_M <= swath <= MAX_SWATH_M:
+        texts.append(f"the swath is {swath:.3g} m wide, expected {MIN_SWATH_M:g} to {MAX_SWATH_M:g} m")
+    aspect = attrs.get("pixel_aspect", 1.0)
+    if is_complete and not 1 / MAX_ASPECT <= aspect <= MAX_ASPECT:
+        texts.append(
+            f"pixels are {aspect:.3g} times as long as wide, expected {1 / MAX_ASPECT:g} to {MAX_ASPECT:g}"
+        )
+    if texts:
+        name = line.attrs.get("name", "this line")
+        warnings.warn(
+            PaintWarning(f"{name}: {'; '.join(texts)}; check ground and camera", code="swath-implausible"),
+            stacklevel=3,
+        )
+    return attrs
+
+
+def describe_swath(attrs: dict[Any, Any]) -> str:
+    """Return the attributes of `swath_attrs` as one line of text."""
+    units = {"height_above_ground": "{:.1f} m above the ground", "swath": "swath {:.1f} m"}
+    units["pixel_aspect"] = "pixels {:.2f} times as long as wide"
+    return ", ".join(text.format(attrs[name]) for name, text in units.items() if name in attrs)

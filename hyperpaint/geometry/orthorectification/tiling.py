@@ -6,7 +6,7 @@ A task reads only the slabs of lines that cover its tile.
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,6 @@ import dask.array as da
 import numpy as np
 import xarray as xr
 from dask.base import tokenize
-from dask.highlevelgraph import HighLevelGraph
 
 from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import Problems, SchemaError
@@ -22,7 +21,7 @@ from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK, CUBE, Quality
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.radiometry.spectral_axis import to_nominal
 
-from .grids import MapGrid
+from .grids import MapGrid, Place, tile_array
 from .indexing import (
     Plan,
     Window,
@@ -33,8 +32,6 @@ from .indexing import (
     plane_values,
     reading_of,
 )
-
-Place = tuple[int, int]  # row and column of a tile
 
 
 def tile_windows(shape: tuple[int, int], tile: int) -> list[list[Window]]:
@@ -53,9 +50,8 @@ class Tiles:
     #: The `TileIndex` of every tile, lazy, as an array with one object per tile, and its gaps (row, col)
     index: da.Array
     gap: da.Array
-    nearest: (
-        da.Array
-    )  #: The `Reading` of every tile: of the nearest pixels, and of the pixels before positions
+    #: The `Reading` of every tile: of the nearest pixels, and of the pixels before positions
+    nearest: da.Array
     before: da.Array
     bilinear: bool  #: Whether values are interpolated
 
@@ -79,11 +75,11 @@ class Tiles:
             read = [[(of.name, slab, 0) for slab in slabs[place]] for of in places]
             tasks[place] = (index_tile, key, rows, cols, first, *read)
         single = ((1,) * len(windows), (1,) * len(windows[0]))
-        index = _array("map-index", tasks, single, object, places, plan, shared)
+        index = tile_array("map-index", tasks, single, object, places, plan, shared)
         gaps = {p: (gaps_of, key, *window, (index.name, *p)) for p, window in _tiles_of(windows)}
-        gap = _array("map-gap", gaps, _chunks(windows), np.bool_, [index], plan, shared)
+        gap = tile_array("map-gap", gaps, _chunks(windows), np.bool_, [index], plan, shared)
         nearest, before = (
-            _array(
+            tile_array(
                 "map-reading",
                 {place: (reading_of, (index.name, *place), between) for place, _ in _tiles_of(windows)},
                 single,
@@ -97,7 +93,7 @@ class Tiles:
 
     def part(self, name: str, dtype: Any) -> da.Array:
         tasks = {place: (getattr, (self.index.name, *place), name) for place, _ in _tiles_of(self.windows)}
-        return _array(f"map-{name}", tasks, _chunks(self.windows), dtype, [self.index])
+        return tile_array(f"map-{name}", tasks, _chunks(self.windows), dtype, [self.index])
 
     def cube(self, cube: da.Array, empty: Any) -> da.Array:
         """Return spectra (row, col, band) of a cube (line, band, column) in chunks of the slabs.
@@ -121,13 +117,18 @@ class Tiles:
         return self._tile_array("map-nearest", nearest_values, self.index, values, (of_lines, empty))
 
     def centres(self) -> tuple[da.Array, da.Array]:
-        coordinates = []
-        for part, name in enumerate(("east", "north")):
-            tasks = {place: (_centres, self.grid, *window, part) for place, window in _tiles_of(self.windows)}
-            coordinates.append(
-                _array(f"map-{name}", tasks, _chunks(self.windows), np.float64, [], (self.grid,))
+        east, north = (
+            tile_array(
+                f"map-{name}",
+                {place: (_centres, self.grid, *window, part) for place, window in _tiles_of(self.windows)},
+                _chunks(self.windows),
+                np.float64,
+                [],
+                (self.grid,),
             )
-        return coordinates[0], coordinates[1]
+            for part, name in enumerate(("east", "north"))
+        )
+        return east, north
 
     def _tile_array(
         self,
@@ -154,7 +155,7 @@ class Tiles:
                 inputs = [[self.starts[slab] for slab in needed], blocks]
             tasks[key] = (function, (index_array.name, *place), *inputs, *options)
         chunks = (*_chunks(self.windows), *((size,) for size in bands))
-        return _array(label, tasks, chunks, dtype, [index_array, source], options)
+        return tile_array(label, tasks, chunks, dtype, [index_array, source], options)
 
 
 def _chunks(windows: list[list[Window]]) -> tuple[tuple[int, ...], ...]:
@@ -168,22 +169,6 @@ def _tiles_of(windows: list[list[Window]]) -> Iterator[tuple[Place, Window]]:
 
 def _centres(grid: MapGrid, rows: slice, cols: slice, part: int) -> Array:
     return grid.centres(rows, cols)[part]
-
-
-def _array(
-    label: str,
-    tasks: Mapping[Any, Any],
-    chunks: tuple[tuple[int, ...], ...],
-    dtype: Any,
-    sources: Sequence[da.Array],
-    options: Any = None,
-    shared: Mapping[str, Any] | None = None,
-) -> da.Array:
-    # the name of the array is a hash of the inputs
-    name = f"{label}-{tokenize([source.name for source in sources], chunks, str(dtype), options)}"
-    layer = {(name, *place): task for place, task in tasks.items()} | dict(shared or {})
-    graph = HighLevelGraph.from_collections(name, layer, dependencies=list(sources))
-    return da.Array(graph, name, chunks=chunks, meta=np.empty((0,) * len(chunks), dtype))
 
 
 # --- variables of the map, and values of empty cells ---------------------------------------------------
@@ -235,7 +220,15 @@ def prepared(line: xr.Dataset, variables: Iterable[str] | None) -> tuple[xr.Data
             expected = "numbers" if BAND in line[name].dims else "numbers, flags or times"
             problems.add(f"{name!r} is {line[name].dtype}", expected=f"{expected}", code="type-wrong")
     problems.raise_if_any()
-    line = _as_native(line, names)
+    # compare .str: numpy treats types of either byte order as equal
+    native = {name: _native(line[name].dtype) for name in names}
+    converted = {
+        name: line[name].astype(dtype)
+        for name, dtype in native.items()
+        if dtype is not None and dtype.str != line[name].dtype.str
+    }
+    coords = {name: converted.pop(name) for name in native if name in line.coords and name in converted}
+    line = line.assign(converted).assign_coords(coords)
     spectra = [name for name in names if name in _PRODUCTS]
     if spectra and "wavelength_shift" in line.variables:
         line = line.assign({name: to_nominal(line)[name] for name in spectra})
@@ -247,17 +240,6 @@ def _native(dtype: np.dtype[Any]) -> np.dtype[Any] | None:
     if dtype.kind == "f":
         return np.dtype(np.float64 if dtype.itemsize > 4 else np.float32)
     return dtype.newbyteorder("=") if dtype.kind in "biuM" else None
-
-
-def _as_native(line: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    native = {name: _native(line[name].dtype) for name in names}
-    # compare .str: numpy treats types of either byte order as equal
-    names_to_convert = [
-        name for name, dtype in native.items() if dtype is not None and dtype.str != line[name].dtype.str
-    ]
-    converted = {name: line[name].astype(native[name]) for name in names_to_convert}
-    coords = {name: converted.pop(name) for name in names_to_convert if name in line.coords}
-    return line.assign(converted).assign_coords(coords)
 
 
 def empty_value(name: str, dtype: np.dtype[Any]) -> Any:
@@ -280,30 +262,33 @@ def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[in
     """Return the variables of a `prepared` line on a map, by new name; ``lines`` is the number per slab."""
     variables = {}
     for name in names:
-        values = _on_map(line[name], name, tiles, lines)
+        source = line[name]
+        if BAND in source.dims:
+            is_mixed = tiles.bilinear and source.dtype.kind != "f"
+            empty = empty_value(name, np.dtype(np.float32) if is_mixed else source.dtype)
+            values = tiles.cube(in_slabs(source.transpose(*CUBE), lines), empty)
+        else:
+            source = source.astype("datetime64[ns]") if source.dtype.kind == "M" else source
+            empty = empty_value(name, source.dtype)
+            kind = "bilinear" if source.dtype.kind == "f" and name not in _WRAPPING else "nearest"
+            if "flag_masks" in source.attrs or name == "quality":
+                kind = "flags"
+            values = (
+                tiles.plane(in_slabs(source.transpose(*_PIXEL), lines), kind, empty)
+                if source.ndim == 2
+                else tiles.row_or_column(
+                    source.chunk({source.dims[0]: -1}).data, source.dims == (ALONG_TRACK,), empty
+                )
+            )
         attrs = {key: value for key, value in line[name].attrs.items() if key != "grid_mapping"}
-        dims = ("y", "x", BAND)[: values.ndim]
-        array = xr.DataArray(values, dims=dims, attrs={**attrs, "grid_mapping": "spatial_ref"})
+        attrs["grid_mapping"] = "spatial_ref"
+        array = xr.DataArray(values, dims=("y", "x", BAND)[: values.ndim], attrs=attrs)
         if name == "quality":
-            array = label(array, name, **attrs, grid_mapping="spatial_ref")
+            array = label(array, name, **attrs)
         elif values.dtype.kind in "iu":
             array.attrs["empty_value"] = empty_value(name, values.dtype)
         variables[_RENAMED.get(name, name)] = array
     return variables
-
-
-def _on_map(array: xr.DataArray, name: str, tiles: Tiles, lines: tuple[int, ...]) -> Any:
-    if BAND in array.dims:
-        dtype = np.dtype(np.float32) if tiles.bilinear and array.dtype.kind != "f" else array.dtype
-        return tiles.cube(in_slabs(array.transpose(*CUBE), lines), empty_value(name, dtype))
-    array = array.astype("datetime64[ns]") if array.dtype.kind == "M" else array
-    empty = empty_value(name, array.dtype)
-    if array.ndim == 2:
-        kind = "bilinear" if array.dtype.kind == "f" and name not in _WRAPPING else "nearest"
-        if "flag_masks" in array.attrs or name == "quality":
-            kind = "flags"
-        return tiles.plane(in_slabs(array.transpose(*_PIXEL), lines), kind, empty)
-    return tiles.row_or_column(array.chunk({array.dims[0]: -1}).data, array.dims == (ALONG_TRACK,), empty)
 
 
 class _InMemory:

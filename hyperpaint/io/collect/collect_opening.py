@@ -1,4 +1,4 @@
-"""A whole collect as one tree: every flight line that a ``collect.toml`` names, opened lazily."""
+"""A collect as one tree: all flight lines of a ``collect.toml``, opened lazily."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class OpenedCollect:
 
     tree: xr.DataTree
     settings: Collect
-    members: Mapping[str, tuple[str, ...]]  # Names of the cubes of every line, by its group
+    members: Mapping[str, tuple[str, ...]]  #: Names of the cubes of every line, by the line's group.
 
     @property
     def cubes(self) -> dict[str, tuple[Path, ...]]:
@@ -57,7 +57,7 @@ def open_collect(
     chunks: Any = "auto",
     calibrate: Callable[[Path], xr.Dataset] | None = None,
 ) -> xr.DataTree:
-    """Open everything a ``collect.toml`` names, see `hyperpaint.open_collect`, which brings ``calibrate``."""
+    """Open all files of a ``collect.toml``; see `hyperpaint.open_collect`, which passes ``calibrate``."""
     options: Any = {"need_irradiance": need_irradiance, "chunks": chunks, "calibrate": calibrate}
     return open_with_settings(path, **options).tree
 
@@ -71,14 +71,15 @@ def open_with_settings(
     mount: Callable[[xr.Dataset, Mapping[str, Any]], xr.Dataset] | None = None,
     level: Callable[[xr.Dataset, xr.Dataset], xr.Dataset] | None = None,
 ) -> OpenedCollect:
-    """Open everything a ``collect.toml`` names, without reading a cube, together with its settings.
+    """Open all files of a ``collect.toml``, without reading a cube, together with its settings.
 
-    ``source``: the file, or its settings where it has been read and checked before; ``calibrate``: turns the
-    path of a lab sweep into a calibration; ``mount``: adds the table ``[geometry]`` to a line; ``level``:
-    converts the record of a light sensor on the aircraft, with its attitude, to level ground; the others: see
+    ``source``: the file, or its settings after `read_collect`; ``calibrate``: computes a calibration from the
+    path of a lab sweep; ``mount``: adds the table ``[geometry]`` to a line; ``level``: converts the record of
+    a light sensor on the aircraft, with its attitude, to level ground; for the other arguments see
     `hyperpaint.open_collect`.
 
-    Raises `CollectError`: The file, or a file it names, cannot be used; all problems of all files are listed.
+    Raises `CollectError`: The ``collect.toml``, or one of its files, cannot be used; all problems of all
+    files are listed.
     """
     path = source.path if isinstance(source, Collect) else Path(source)
     problems = Problems(f"{path} cannot be processed", CollectError)
@@ -122,19 +123,19 @@ def open_with_settings(
             irradiance = _levelled(irradiance, tuple(navigation.values()), collect, level)
     lines: dict[str, xr.Dataset] = {}
     for entry in collect.flightlines:
-        own, timing = Findings(str(entry.name)), entry.timing
+        line_findings, timing = Findings(str(entry.name)), entry.timing
         if isinstance(timing, Timing) and isinstance(timing.nav, Path):
             nav = navigation.get(timing.nav)
             timing = Unavailable.REPORTED if nav is None else replace(timing, nav=nav)
-        parts: Any = {"calibration": calibration, "irradiance": irradiance, "chunks": chunks}
-        line = assemble(replace(entry, timing=timing, **parts), own)
+        shared: Any = {"calibration": calibration, "irradiance": irradiance, "chunks": chunks}
+        line = assemble(replace(entry, timing=timing, **shared), line_findings)
         if mount is not None and line.sizes:
-            with own.step():
+            with line_findings.step():
                 line = mount(line, collect.geometry)
         lines[str(entry.name)] = line
-        findings.errors += own.errors
+        findings.errors += line_findings.errors
     references = dict(_references(collect.references, findings))
-    # what several lines share is reported once
+    # equal errors of several lines are reported once
     errors = {str(error): error for error in findings.errors}
     problems.extend(
         error.problem if isinstance(error, PaintError) else Problem(text, code="input-unreadable")
@@ -142,36 +143,37 @@ def open_with_settings(
     )
     problems.raise_if_any()
     groups: dict[str, xr.Dataset] = {"/": xr.Dataset(attrs={"name": collect.name, "source": path.name})}
-    joined = dict(_joined(collect, lines, irradiance))
-    groups |= {f"/flightlines/{name}": flown.line for name, flown in joined.items()}
+    joined_lines = dict(_joined_lines(collect, lines, irradiance))
+    groups |= {f"/flightlines/{name}": joined.line for name, joined in joined_lines.items()}
     if isinstance(irradiance, xr.Dataset):
         groups["/irradiance"] = irradiance
     if isinstance(calibration, xr.Dataset):
         groups["/calibration"] = calibration
     groups |= {f"/references/{name}": dataset for name, dataset in references.items()}
-    members = {f"flightlines/{name}": flown.members for name, flown in joined.items()}
+    members = {f"flightlines/{name}": joined.members for name, joined in joined_lines.items()}
     return OpenedCollect(xr.DataTree.from_dict(groups), collect, members)
 
 
-def _joined(
+def _joined_lines(
     collect: Collect, lines: Mapping[str, xr.Dataset], irradiance: Any
 ) -> Iterator[tuple[str, JoinedLine]]:
-    # The lines by their names; cubes of one table become one line where the recording goes on.
+    # Yield the lines with their names; cubes of one table become one line where the recording continues
     record = irradiance if isinstance(irradiance, xr.Dataset) else None
-    flights = {names[0]: (names, wanted) for names, wanted in collect.flights if names}
-    inside = {name for names, _ in flights.values() for name in names[1:]}
+    # cubes of a table, and its id, by the first cube
+    flights = {cubes[0]: (cubes, line_id) for cubes, line_id in collect.flights if cubes}
+    later_cubes = {name for cubes, _ in flights.values() for name in cubes[1:]}
     for name, line in lines.items():
-        if name not in flights and name not in inside:
+        if name not in flights and name not in later_cubes:
             yield name, JoinedLine(line, (name,))
         if name in flights:
-            names, wanted = flights[name]
-            parts = list(join_lines({member: lines[member] for member in names}, record))
-            for part in parts:
-                if part.interruption:
-                    message = f"{part.members[0]} is a separate flight line: {part.interruption}"
+            cubes, line_id = flights[name]
+            joined_lines = list(join_lines({cube: lines[cube] for cube in cubes}, record))
+            for joined in joined_lines:
+                if joined.interruption:
+                    message = f"{joined.members[0]} is a separate flight line: {joined.interruption}"
                     warnings.warn(PaintWarning(message, code="recording-interrupted"), stacklevel=4)
-                name_of_part = wanted if wanted and len(parts) == 1 else part.members[0]
-                yield name_of_part, replace(part, line=part.line.assign_attrs(name=name_of_part))
+                joined_name = line_id if line_id and len(joined_lines) == 1 else joined.members[0]
+                yield joined_name, replace(joined, line=joined.line.assign_attrs(name=joined_name))
 
 
 def _levelled(
@@ -185,7 +187,7 @@ def _levelled(
     if level is None or not dated:
         raise CollectError(
             '[irradiance] mount = "aircraft" without the attitude of the aircraft in UTC',
-            mend="name nav files that hold a date, or level the record by hyperpaint.light.level_irradiance",
+            mend="state nav files with a date, or level the record by hyperpaint.light.level_irradiance",
             code="attitude-missing",
         )
     columns = {
@@ -198,28 +200,27 @@ def _levelled(
 
 
 def _references(entries: tuple[ReferenceEntry, ...], findings: Findings) -> Iterator[tuple[str, xr.Dataset]]:
-    # Open the files of each field spectrometer: one instrument has one set of wavelengths.
+    # Open the files of each field spectrometer, which must have one set of wavelengths
     for entry in entries:
-        if not entry.files:  # reported before
+        if not entry.files:  # their fault is reported already
             continue
         with findings.step():
             opened = open_spectra(entry.files)
             if len(opened) > 1:
                 raise CollectError(
                     f"[[references]] {entry.instrument!r}: files of {len(opened)} kinds of instruments",
-                    mend="give each its own [[references]]",
+                    mend="write one [[references]] for each instrument",
                     code="instrument-mixed",
                 )
             label = {} if entry.group == entry.instrument else {"instrument_name": entry.instrument}
             yield entry.group, opened[0].assign_attrs(label)
 
 
-# ----------------------------------------------------------------------------------------------------------
-# Cubes of one flight as one line, where the recording continues from one to the next.
+# --- cubes of one flight as one line, where the recording continues from cube to cube ----------------------
 
 
-#: Maximum time from the last line of a cube to the first of the next within one recording [line periods]:
-#: one lost frame is bridged, as in the navigation.
+#: Maximum time from the last line of a cube to the first line of the next cube of a recording, in line
+#: periods: one lost frame is allowed, as in the navigation.
 MAX_STEP_PERIODS = 2.5
 
 
@@ -228,19 +229,19 @@ class JoinedLine:
     """A line of one or more cubes."""
 
     line: xr.Dataset
-    members: tuple[str, ...]  #: Ids of its cubes; the first names it
-    interruption: str = ""  #: Why it does not continue the line before
+    members: tuple[str, ...]  #: Ids of its cubes; the first is the name of the line.
+    interruption: str = ""  #: Reason why it does not continue the previous line.
 
 
 def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -> Iterator[JoinedLine]:
-    """Yield the lines that cubes of one flight make, in their order.
+    """Yield the lines that cubes of one flight form, in their order.
 
     Parameters
     ----------
     lines
-        Id to the line of each cube, in the order of recording.
+        Line of each cube by its id, in the order of recording.
     irradiance
-        The whole record, from which each line takes the part that covers it, or None.
+        The complete irradiance record, which is cut to every line; or None.
     """
     groups: list[list[str]] = []
     reasons: list[str] = []
@@ -255,53 +256,57 @@ def join_lines(lines: Mapping[str, xr.Dataset], irradiance: xr.Dataset | None) -
         yield JoinedLine(_concatenated([lines[name] for name in members], irradiance), tuple(members), reason)
 
 
-def _interruption(lines: Mapping[str, xr.Dataset], before: str, name: str) -> str:
-    first, second = lines[before], lines[name]
-    apart = _apart(first, second)
-    if apart is None:
-        return f"the times of {before} or {name} are not known"
-    step, period = apart
+def _interruption(lines: Mapping[str, xr.Dataset], previous_name: str, name: str) -> str:
+    # Reason why a cube does not continue the recording of the previous cube; empty where it does
+    previous, line = lines[previous_name], lines[name]
+    times = _step_and_period(previous, line)
+    if times is None:
+        return f"the times of {previous_name} or {name} are unknown"
+    step, period = times
     if not np.timedelta64(0, "ns") < step <= MAX_STEP_PERIODS * period:
-        seconds, usual = step / np.timedelta64(1, "s"), period / np.timedelta64(1, "s")
-        return f"{name} begins {seconds:.3g} s after {before} ended, where lines are {usual:.3g} s apart"
-    if set(first.variables) != set(second.variables):
+        step_s, period_s = step / np.timedelta64(1, "s"), period / np.timedelta64(1, "s")
         return (
-            f"{name} and {before} differ in {sorted(map(str, set(first.variables) ^ set(second.variables)))}"
+            f"{name} begins {step_s:.3g} s after the end of {previous_name}, at a line period of "
+            f"{period_s:.3g} s"
         )
+    if set(previous.variables) != set(line.variables):
+        names = sorted(map(str, set(previous.variables) ^ set(line.variables)))
+        return f"{name} and {previous_name} differ in {names}"
     different = [
         str(key)
-        for key, variable in first.variables.items()
+        for key, variable in previous.variables.items()
         if not {ALONG_TRACK, IRRADIANCE_TIME} & set(variable.dims)
-        and not variable.equals(second.variables[key])
+        and not variable.equals(line.variables[key])
     ]
-    return f"{name} and {before} differ in {', '.join(different)}" if different else ""
+    return f"{name} and {previous_name} differ in {', '.join(different)}" if different else ""
 
 
-def _apart(first: xr.Dataset, second: xr.Dataset) -> tuple[np.timedelta64, np.timedelta64] | None:
-    # The time from the last line of a cube to the first of the next, and from line to line.
-    times, after = (line["time"].values.astype("datetime64[ns]") for line in (first, second))
+def _step_and_period(previous: xr.Dataset, line: xr.Dataset) -> tuple[np.timedelta64, np.timedelta64] | None:
+    # Time from the last line of a cube to the first line of the next, and the line period
+    previous_times, times = (cube["time"].values.astype("datetime64[ns]") for cube in (previous, line))
     # lines of lost frames are blank, without a time
-    timed, timed_after = (np.flatnonzero(~np.isnat(values)) for values in (times, after))
-    if timed.size < 2 or not timed_after.size:
+    previous_timed, timed = (np.flatnonzero(~np.isnat(values)) for values in (previous_times, times))
+    if previous_timed.size < 2 or not timed.size:
         return None
-    period = np.median(np.diff(times[timed]).astype(np.int64) / np.diff(timed)).astype("timedelta64[ns]")
-    blank = int(times.size - 1 - timed[-1] + timed_after[0])
-    return after[timed_after[0]] - times[timed[-1]] - blank * period, period
+    periods = np.diff(previous_times[previous_timed]).astype(np.int64) / np.diff(previous_timed)
+    period = np.median(periods).astype("timedelta64[ns]")
+    blank = int(previous_times.size - 1 - previous_timed[-1] + timed[0])
+    return times[timed[0]] - previous_times[previous_timed[-1]] - blank * period, period
 
 
-def _frames_between(first: xr.Dataset, second: xr.Dataset) -> int:
-    # The number of frames lost between two cubes: by frame number if it continues, else by time.
-    by_number = int(second["frame"].values[0]) - int(first["frame"].values[-1]) - 1
+def _lost_frames(previous: xr.Dataset, line: xr.Dataset) -> int:
+    # Number of frames lost between two cubes: by frame number if it continues, else by time
+    by_number = int(line["frame"].values[0]) - int(previous["frame"].values[-1]) - 1
     if 0 <= by_number < MAX_STEP_PERIODS:
         return by_number
-    apart = _apart(first, second)
-    return 0 if apart is None else max(0, round(float(apart[0] / apart[1])) - 1)
+    times = _step_and_period(previous, line)
+    return 0 if times is None else max(0, round(float(times[0] / times[1])) - 1)
 
 
-def _blank_lines(before: xr.Dataset, count: int) -> xr.Dataset:
-    # Blank lines for lost frames, without time and place; frame numbers continue.
-    blank = before.isel({ALONG_TRACK: [-1] * count})
-    for name, variable in before.variables.items():
+def _blank_lines(previous: xr.Dataset, count: int) -> xr.Dataset:
+    # Blank lines for frames lost after a cube, without time and position; frame numbers continue
+    blank = previous.isel({ALONG_TRACK: [-1] * count})
+    for name, variable in previous.variables.items():
         filled = blank[name]
         if ALONG_TRACK not in variable.dims or name == "exposure_time":
             continue
@@ -319,12 +324,13 @@ def _blank_lines(before: xr.Dataset, count: int) -> xr.Dataset:
 def _concatenated(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.Dataset:
     if len(lines) == 1:
         return lines[0]
-    lost = [_frames_between(*pair) for pair in itertools.pairwise(lines)]
-    bare = [line.drop_dims(IRRADIANCE_TIME, errors="ignore").drop_vars(ALONG_TRACK) for line in lines]
-    for place in reversed(np.flatnonzero(lost)):
-        bare.insert(place + 1, _blank_lines(bare[place], lost[place]))
+    lost = [_lost_frames(*pair) for pair in itertools.pairwise(lines)]
+    # without irradiance and line numbers, which are added to the joined line
+    pieces = [line.drop_dims(IRRADIANCE_TIME, errors="ignore").drop_vars(ALONG_TRACK) for line in lines]
+    for number in reversed(np.flatnonzero(lost)):
+        pieces.insert(number + 1, _blank_lines(pieces[number], lost[number]))
     joined: xr.Dataset = xr.concat(
-        bare,
+        pieces,
         ALONG_TRACK,
         data_vars="minimal",
         coords="minimal",
@@ -332,9 +338,9 @@ def _concatenated(lines: list[xr.Dataset], irradiance: xr.Dataset | None) -> xr.
         join="override",
         combine_attrs="override",
     )
-    joined = with_numbers(joined)  # they count on from cube to cube
-    # the tasks that one cube would have been read in
-    for name, variable in bare[0].variables.items():
+    joined = with_numbers(joined)
+    # chunks as of a single cube
+    for name, variable in pieces[0].variables.items():
         if variable.chunks is not None and ALONG_TRACK in variable.dims:
             joined[name] = joined[name].chunk({ALONG_TRACK: variable.chunksizes[ALONG_TRACK][0]})
     if irradiance is not None:

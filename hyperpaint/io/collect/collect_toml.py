@@ -19,8 +19,11 @@ from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.headwall import cube_number, frame_index_beside, navigation_beside
 from hyperpaint.io.flightline.timing import Timing, utc_of
 
+#: Keys of a flight line's files beside its cube.
 _SIDE_FILES = ("frame_index", "nav", "gps_time")
+#: Keys of [camera] that describe its clock.
 _CLOCK = ("stamp", "clock_offset_s", "time_scale", "gps_leap_seconds")
+#: Keys of [navigation].
 _CONVENTION = (
     "roll_positive", "pitch_positive", "heading_positive", "heading_reference", "euler_order",
     "height_reference", "column_order", "declination", "geoid_undulation", "grid_crs",
@@ -28,7 +31,7 @@ _CONVENTION = (
 
 
 def _is_width(value: Any) -> bool:
-    # Whether a value is a positive number, or pairs of wavelength and value.
+    # Whether a value is a positive number, or a list of pairs of numbers
     if not isinstance(value, list):
         return is_number(value) and value > 0
     pairs = (isinstance(pair, list) and len(pair) == 2 and all(map(is_number, pair)) for pair in value)
@@ -36,9 +39,9 @@ def _is_width(value: Any) -> bool:
 
 
 def _is_span(value: Any) -> bool:
-    # Whether a value is the first index and the index after the last.
-    is_whole = isinstance(value, list) and [type(index) for index in value] == [int, int]
-    return is_whole and 0 <= value[0] < value[1] < 2**31
+    # Whether a value is a list of the first index and the index after the last
+    is_int_pair = isinstance(value, list) and [type(index) for index in value] == [int, int]
+    return is_int_pair and 0 <= value[0] < value[1] < 2**31
 
 
 def _text(name: str, doc: str, **options: Any) -> Fact:
@@ -56,7 +59,8 @@ def _choice(name: str, doc: str, *choices: str, **options: Any) -> Fact:
 _STAMPS = ("start", "mid", "end")
 _HEIGHTS = ("ellipsoid", "geoid")
 _SPAN: Any = {
-    "kind": "own", "accepts": _is_span, "phrase": "two whole numbers, the first and the one after the last",
+    "kind": "own", "accepts": _is_span,
+    "phrase": "two whole numbers: the first index, and the index after the last",
     "needed": True, "example": [70, 84],
 }  # fmt: skip
 _EXPOSURE: Any = {"unit": "ms", "least": 0, "above": True, "example": 5.0}
@@ -65,102 +69,145 @@ _EXPOSURE: Any = {"unit": "ms", "least": 0, "above": True, "example": 5.0}
 SCHEMA: Mapping[str, Facts] = {
     "collect": by_key([
         _text("name", "name of the collect; by default the name of its folder"),
-        _text("description", "free text"),
+        _text("description", "description of the collect, a free text"),
     ]),
     "camera": by_key([
-        Fact(name="bit_depth", kind="whole", doc="bits of the converter", least=1, most=16, example=12),
-        _number("saturation_count", "count of a full element; by default from bit_depth", unit="count",
-                least=0, above=True),
-        _number("exposure_time_ms", "exposure; by default from settings.txt or the header", **_EXPOSURE),
-        _number("frame_period_ms", "time from line to line, for lines without a frame index", **_EXPOSURE),
+        Fact(name="bit_depth", kind="whole", doc="number of bits of the camera's analogue-digital converter",
+             least=1, most=16, example=12),
+        _number("saturation_count", "count at which a detector element is saturated; by default from the "
+                "calibration, or 2^bit_depth - 1", unit="count", least=0, above=True),
+        _number("exposure_time_ms",
+                "exposure time of a line; by default from settings.txt or the header of the "
+                "cube", **_EXPOSURE),
+        _number("frame_period_ms", "time from the start of a line to the start of the next line; for cubes "
+                "without a frame index", **_EXPOSURE),
         _choice("stamp", "instant of the exposure that the time stamp of a frame marks", *_STAMPS,
                 default="end"),
-        _number("clock_offset_s", "lag of the navigation clock: UTC = stamp + clock_offset_s", unit="s"),
-        _choice("time_scale", "scale of the time stamps", "utc", "gps", default="utc"),
-        Fact(name="gps_leap_seconds", kind="whole", doc="GPS time minus UTC", unit="s", least=-100, most=100,
+        _number("clock_offset_s", "correction added to the time stamps of the navigation: UTC = stamp + "
+                "clock_offset_s", unit="s"),
+        _choice("time_scale", "time scale of the time stamps of the navigation", "utc", "gps", default="utc"),
+        Fact(name="gps_leap_seconds", kind="whole",
+             doc="GPS time minus UTC; for time_scale = \"gps\"",
+             unit="s", least=-100, most=100,
              example=18),
-        _number("fwhm_nm", "full width at half maximum of the bands, where no file states it", unit="nm",
+        _number("fwhm_nm", "full width at half maximum of the bands, if no file states it", unit="nm",
                 least=0, above=True),
-        _text("radiance_units", "units of a cube of radiance, where its header does not state them"),
-        _choice("quantity", "quantity of a cube, where its header does not state it", "counts", "radiance"),
+        _text("radiance_units", "units of a cube of radiance, if its header does not state them"),
+        _choice("quantity",
+                "physical quantity of the cubes, if their headers do not state it",
+                "counts", "radiance"),
     ]),
     "navigation": by_key(facts_of(Convention)[name] for name in _CONVENTION),
     "geometry": by_key([
-        _number("ground", "height of level ground above the ellipsoid; or dem", unit="m", example=160.0),
-        _text("dem", "raster of heights of the ground", example="dsm.tif"),
-        _choice("dem_heights", "zero of the heights in that raster", *_HEIGHTS),
-        _number("geoid", "height of the geoid above the ellipsoid, for a raster above the geoid", unit="m"),
-        _number("fov_deg", "angle between the outer edges of the columns; or look_angle", unit="degree",
-                least=0, above=True, example=22.3),
-        _text("look_angle", "file of the look angle of every column", example="angles.txt"),
+        _number("ground",
+                "height of level ground above the ellipsoid; an alternative to dem",
+                unit="m", example=160.0),
+        _text("dem", "raster file of ground heights; an alternative to ground", example="dsm.tif"),
+        _choice("dem_heights", "surface from which the heights in the raster dem are measured", *_HEIGHTS),
+        _number("geoid", "height of the geoid above the ellipsoid; for dem_heights = \"geoid\"", unit="m"),
+        _number("fov_deg", "angle between the outer edges of the first and last column; an alternative to "
+                "look_angle", unit="degree", least=0, above=True, example=22.3),
+        _text("look_angle",
+              "file with the look angle of every column; an alternative to fov_deg",
+              example="angles.txt"),
         Fact(name="boresight_deg", kind="numbers", length=3, unit="degree", default=[0.0, 0.0, 0.0],
-             doc="roll, pitch and heading of the camera in the platform"),
+             doc="mounting angles of the camera on the platform: roll, pitch and heading"),
         Fact(name="lever_arm_m", kind="numbers", length=3, unit="m", default=[0.0, 0.0, 0.0],
-             doc="vector from the antenna to the camera: forward, right, down"),
+             doc="vector from the navigation antenna to the camera: forward, right and down"),
     ]),
     "calibration": by_key([
-        _text("path", "calibration, as hyperpaint calibrate makes it", example="calibration.zarr"),
-        _text("sweep", "lab sweep, calibrated at opening, in place of path", example="lab/sweep.zarr"),
+        _text("path",
+              "calibration file, written by hyperpaint calibrate; an alternative to sweep",
+              example="calibration.zarr"),
+        _text("sweep",
+              "file of a lab sweep, from which the calibration is computed; an alternative to path",
+              example="lab/sweep.zarr"),
     ]),
     "dark": by_key([
-        Fact(name="cubes", kind="texts", doc='dark cubes, or "none", or "calibration"', needed=True,
+        Fact(name="cubes", kind="texts", needed=True,
+             doc='files of the dark cubes; "none" for no dark, "calibration" for the dark of the calibration',
              example=["dark/raw_0.hdr"]),
     ]),
     "irradiance": by_key([
-        Fact(name="files", kind="texts", doc="files of the sky spectrometer: .asd, text or csv", needed=True,
-             example="asd/*.asd"),
-        _text("quantity", "quantity of the record, where its files do not state it", example="irradiance"),
-        _number("utc_offset_h", "clock of the logging PC minus UTC; by default from the files", unit="h",
+        Fact(name="files", kind="texts", needed=True,
+             doc="files of the irradiance spectrometer: .asd, text exports or csv", example="asd/*.asd"),
+        _text("quantity", "physical quantity in the spectrometer files, if they do not state it",
+              example="irradiance"),
+        _number("utc_offset_h",
+                "time zone of the logging computer: local time minus UTC; by default from the "
+                "files", unit="h",
                 example=-5.0),
-        _number("clock_offset_s", "lag of that clock: UTC = stamp - utc_offset_h + clock_offset_s", unit="s",
+        _number("clock_offset_s", "correction added to the time stamps of the spectrometer: UTC = stamp - "
+                "utc_offset_h + clock_offset_s", unit="s",
                 example=37.25),
-        _choice("stamp", "instant of an average that its time stamp marks", *_STAMPS, example="end"),
+        _choice("stamp",
+                "instant of a scan of the spectrometer that its time stamp marks",
+                *_STAMPS, example="end"),
         Fact(name="fwhm_nm", kind="own", accepts=_is_width, unit="nm", example=3.0,
              phrase="a positive number, or a list of pairs [wavelength, value]",
-             doc="width of the channels; by default the usual width of an ASD"),
-        _number("max_gap_s", "longest gap of the record that is interpolated", unit="s", least=0, above=True),
-        _number("clock_uncertainty_s", "uncertainty of clock_offset_s", unit="s", least=0,
-                example=0.5),
-        _text("units", "units of the record, where its files do not state them"),
-        _number("averaging_s", "length of an average", unit="s"),
-        Fact(name="calibration", kind="table", doc="calibration files of the instrument"),
-        _choice("mount", "aircraft for a sensor that leans with the camera; the navigation levels its record",
+             doc="full width at half maximum of the spectrometer channels; by default the width of an ASD "
+             "spectrometer"),
+        _number("max_gap_s", "longest time between two spectra across which irradiance is interpolated; by "
+                "default 2.5 times the median interval", unit="s", least=0, above=True),
+        _number("clock_uncertainty_s",
+                "largest possible error of clock_offset_s",
+                unit="s", least=0, example=0.5),
+        _text("units", "units of the values in the spectrometer files, if they do not state them"),
+        _number("averaging_s", "duration of a scan of the spectrometer; by default from the files", unit="s"),
+        Fact(name="calibration", kind="table",
+             doc="calibration files of the spectrometer, by their kind, such as \"lamp\""),
+        _choice("mount",
+                "place of the irradiance sensor; on the aircraft, its tilt is corrected with the navigation",
                 "ground", "aircraft", default="ground"),
     ]),
     "alignment": by_key([
-        _choice("apply", "correction of camera and record by solar lines in flight; auto: where significant",
+        _choice("apply",
+                "when to correct the wavelengths of camera and irradiance record from solar lines; auto: if "
+                "their difference is significant",
                 *ALIGNMENTS, default="auto"),
     ]),
     "flightlines": by_key([
-        _text("id", "name of the line; by default the name of its cube", example="raw_0"),
-        _text("cube", "header of the cube, a pattern of cubes, or their folder", needed=True,
-              example="flight/raw_0.hdr"),
-        _text("frame_index", "time stamps of the frames; by default beside the cube",
+        _text("id", "name of the flight line; by default the name of its cube", example="raw_0"),
+        _text("cube", "header file of the cube, a pattern of several header files, or their folder",
+              needed=True, example="flight/raw_0.hdr"),
+        _text("frame_index", "file of the time stamps of the frames; by default in the folder of the cube",
               example="flight/frameIndex_0.txt"),
-        _text("nav", "navigation; by default beside the cube", example="flight/imu_gps.txt"),
-        _text("gps_time", "file of GPS times of the frames"),
-        Fact(name="date", kind="time", doc="date of the flight, for a frame index with the time of day"),
-        Fact(name="start_time", kind="time", doc="UTC of the first line, for cubes without a frame index",
+        _text("nav", "navigation file; by default in the folder of the cube",
+              example="flight/imu_gps.txt"),
+        _text("gps_time", "file of the GPS times of the frames"),
+        Fact(name="date", kind="time",
+             doc="date of the flight; for a frame index that states only the time of day"),
+        Fact(name="start_time", kind="time", doc="UTC of the first line; for cubes without a frame index",
              example="2021-07-20T17:00:00Z"),
-        _number("exposure_time_ms", "exposure of this line", **_EXPOSURE),
-        _number("frame_period_ms", "time from line to line of this line", **_EXPOSURE),
-        Fact(name="keep_whole_lines", kind="flag", default=False, doc="open the whole lines of a cut file"),
+        _number("exposure_time_ms",
+                "exposure time of this flight line; by default from [camera]",
+                **_EXPOSURE),
+        _number("frame_period_ms",
+                "time between scan lines of this flight line; by default from [camera]",
+                **_EXPOSURE),
+        Fact(name="keep_whole_lines", kind="flag", default=False,
+             doc="whether to open the complete lines of a truncated cube"),
     ]),
     "references": by_key([
         _text("instrument", "name of the field spectrometer", needed=True),
-        Fact(name="files", kind="texts", doc="its files", needed=True, example="svc/*.sig"),
+        Fact(name="files", kind="texts", doc="files of the field spectrometer", needed=True,
+             example="svc/*.sig"),
     ]),
     "panels": by_key([
-        _text("line", "flight line that sees the panel", needed=True),
-        Fact(name="along_track", doc="lines of the panel", **_SPAN),
-        Fact(name="cross_track", doc="columns of the panel", **_SPAN),
-        _number("reflectance", "reflectance of the panel, such as 0.5 for 50 %; or certificate", least=0,
-                above=True, most=1.2, example=0.5),
-        _text("certificate", "file of its measured reflectance", example="panel.csv"),
-        _number("uncertainty", "relative standard uncertainty of that, such as 0.02 for 2 %", least=0, most=1,
-                below=True, default=0.0),
+        _text("line", "id of the flight line that shows the panel", needed=True),
+        Fact(name="along_track", doc="lines that show the panel", **_SPAN),
+        Fact(name="cross_track", doc="columns that show the panel", **_SPAN),
+        _number("reflectance",
+                "reflectance of the panel, such as 0.5 for 50 %; an alternative to certificate",
+                least=0, above=True, most=1.2, example=0.5),
+        _text("certificate",
+              "file of the certified reflectance of the panel; an alternative to reflectance",
+              example="panel.csv"),
+        _number("uncertainty", "relative standard uncertainty of the panel reflectance, such as 0.02 for 2 %",
+                least=0, most=1, below=True, default=0.0),
         Fact(name="tilt", kind="numbers", length=2, unit="degree", example=[2.0, 180.0],
-             doc="angle and azimuth of its normal, where it is not level"),
+             doc="tilt of the panel: angle of its normal from the vertical, and azimuth of the normal, "
+             "clockwise from north; by default level"),
     ]),
 }  # fmt: skip
 
@@ -174,7 +221,7 @@ class IrradianceEntry:
 
     files: tuple[Path, ...]
     options: Mapping[str, Any] = field(default_factory=dict)
-    on_aircraft: bool = False  # Whether the sensor leans with the camera
+    on_aircraft: bool = False  #: Whether the sensor is mounted on the aircraft and leans with it.
 
 
 @dataclass(frozen=True)
@@ -186,7 +233,7 @@ class ReferenceEntry:
 
     @property
     def group(self) -> str:
-        """Name of the group that they go to: the instrument's, blanks as underscores.
+        """Name of the group of these spectra: the instrument's name with underscores for blanks.
 
         Examples
         --------
@@ -198,12 +245,12 @@ class ReferenceEntry:
 
 @dataclass(frozen=True)
 class PanelEntry:
-    """One ``[[panels]]``: place and reflectance of a panel."""
+    """One ``[[panels]]``: position and reflectance of a panel."""
 
-    line: str  # Its flight line
-    along_track: tuple[int, int]
-    cross_track: tuple[int, int]
-    reflectance: float | Path  # Or the file of its certificate
+    line: str  #: Id of the flight line.
+    along_track: tuple[int, int]  #: First line of the panel, and the one after its last.
+    cross_track: tuple[int, int]  #: First column of the panel, and the one after its last.
+    reflectance: float | Path  #: Reflectance, or the file of its certificate.
     uncertainty: float
     tilt: tuple[float, float] | None
 
@@ -212,20 +259,19 @@ class PanelEntry:
 class Collect:
     """Content of a ``collect.toml``; its paths are absolute and exist."""
 
-    path: Path  # The file
+    path: Path  #: The ``collect.toml``.
     name: str
-    flightlines: tuple[FlightlineInputs, ...]  # Their calibration and irradiance are still to be opened
-    calibration: Path | Unavailable | None  # None where it is neither needed nor named
-    irradiance: IrradianceEntry | None  # None where it is neither needed nor named
-    clock: Timing  # Clocks of the table [camera]
-    nav: tuple[Path, ...]  # Navigation files, each once; the lines of one flight share them
+    flightlines: tuple[FlightlineInputs, ...]  #: Inputs of every cube, without calibration and irradiance.
+    calibration: Path | Unavailable | None  #: None without a table.
+    irradiance: IrradianceEntry | None  #: None without a table.
+    clock: Timing  #: Clock settings of the table [camera].
+    nav: tuple[Path, ...]  #: Distinct navigation files; the lines of a flight share a file.
     references: tuple[ReferenceEntry, ...]
     panels: tuple[PanelEntry, ...]
-    sweep: Path | None  # Lab sweep to calibrate in place of a ``calibration``
-    # Ground [m above the ellipsoid] or dem (a path), and the mounting of the camera in the platform
-    geometry: Mapping[str, Any]
-    alignment: Alignment  # When differences between camera and record are corrected
-    # Names of cubes of one table, a pattern or a folder, in their order, with the id that the table gives
+    sweep: Path | None  #: Lab sweep to calibrate in place of a ``calibration``.
+    geometry: Mapping[str, Any]  #: Table [geometry]: ground or dem, and the mounting of the camera.
+    alignment: Alignment  #: When differences between camera and record are corrected.
+    #: Names of the cubes of each table with a pattern or a folder, in their order, and the table's id.
     flights: tuple[tuple[tuple[str, ...], str | None], ...]
 
 
@@ -233,8 +279,8 @@ class Collect:
 
 
 class _Reader(TableReader):
-    # Reads a collect's tables, of which one may be a word.
-    outside = True  # files of camera and spectrometer are often copied to different folders
+    # Reader of a collect's tables; `dark` may be a word instead of a table
+    outside = True  # files may lie outside the collect's folder
 
     def __init__(self, path: Path, raw: Mapping[str, Any], problems: Problems) -> None:
         word = raw["dark"].get("cubes") if isinstance(raw.get("dark"), dict) else raw.get("dark")
@@ -247,7 +293,6 @@ class _Reader(TableReader):
         self.flights: list[tuple[tuple[str, ...], str | None]] = []
 
     def section(self, name: str, value: Any, extra: str = "") -> list[dict[str, Any]]:
-        # The dark may be a word instead of a table.
         if name == "dark":
             if value in ("none", "calibration"):
                 return []
@@ -259,23 +304,23 @@ class _Reader(TableReader):
 
 
 def _seconds(key: str, *tables: Mapping[str, Any]) -> float | None:
-    # Seconds from the milliseconds of the first table that has them.
+    # Value of the first table that has a key in milliseconds, in seconds
     return next((float(f"{table[key] / 1000:.12g}") for table in tables if key in table), None)
 
 
 def _camera(reader: _Reader) -> dict[str, Any]:
-    # The inputs that all flight lines share.
+    # Inputs common to all flight lines
     table = reader.one("camera")
-    same = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
+    keys = ("bit_depth", "saturation_count", "fwhm_nm", "radiance_units", "quantity")
     convention = values(reader.one("navigation"))
-    return {key: table[key] for key in same if key in table} | {
+    return {key: table[key] for key in keys if key in table} | {
         "dark": _dark(reader),
         "convention": convention,
     }
 
 
 def _calibration(reader: _Reader) -> tuple[Path | Unavailable | None, Path | None]:
-    # The paths of a calibration and of a lab sweep, of which there is one at most.
+    # Paths of the calibration and of the lab sweep; at most one of them may be stated
     table = reader.one("calibration")
     reader.exclude("[calibration]", table, "path", "sweep")
     path = reader.path("[calibration]", "path", table.get("path"))
@@ -283,7 +328,7 @@ def _calibration(reader: _Reader) -> tuple[Path | Unavailable | None, Path | Non
     if reader.tables["calibration"] and not table["?"] & {"path", "sweep"}:
         reader.problems.add(
             "[calibration] path is missing",
-            mend="name a calibration, or a lab sweep (sweep)",
+            mend="state path= of a calibration, or sweep= of a lab sweep",
             code="key-missing",
         )
     if path is None and sweep is None and table["?"]:
@@ -322,41 +367,41 @@ def _irradiance(reader: _Reader) -> IrradianceEntry | None:
 def _cubes(
     reader: _Reader, number: int, table: Mapping[str, Any], shared: Mapping[str, Any]
 ) -> Iterator[FlightlineInputs | None]:
-    # The cubes of one ``[[flightlines]]``: one, or those of a pattern or a folder in their order.
-    place = f"[[flightlines]] {number + 1}"
+    # Inputs of the cubes of one ``[[flightlines]]``: one cube, or those of a pattern or a folder in order
+    subject = f"[[flightlines]] {number + 1}"
     if "cube" not in table:
         if "cube" not in table["?"]:
             reader.problems.add(
-                f"{place} cube is missing", mend="name the header of a cube", code="key-missing"
+                f"{subject} cube is missing", mend="name the header of a cube", code="key-missing"
             )
         return
     text = table["cube"]
-    is_folder = os.path.isdir(reader.folder / text)  # False for names too long for a path as well
+    is_folder = os.path.isdir(reader.folder / text)  # False also for names too long for a path
     if not (is_folder or is_pattern(text)):
-        yield _flightline(reader, place, table, reader.path(place, "cube", text), shared)
+        yield _flightline(reader, subject, table, reader.path(subject, "cube", text), shared)
         return
-    files = reader.files(place, "cube", f"{text.rstrip('/')}/*.hdr" if is_folder else text)
+    files = reader.files(subject, "cube", f"{text.rstrip('/')}/*.hdr" if is_folder else text)
     headers = [path for path in files if path.suffix.lower() == ".hdr"] or list(files)
     headers.sort(key=lambda path: (path.parent, cube_number(path) or 0, path.name))
-    if "id" in table and not reader.is_name(place, "id", table["id"]):
+    if "id" in table and not reader.is_name(subject, "id", table["id"]):
         return
-    # with an id, cubes of other folders may have the same names
+    # the id distinguishes cubes with equal names in different folders
     prefix = f"{table['id']}_" if "id" in table else ""
     names = tuple(prefix + path.name.split(".")[0] for path in headers)
     reader.flights.append((names, table.get("id")))
     for name, cube in zip(names, headers, strict=True):
-        yield _flightline(reader, place, {**table, "id": name}, cube, shared)
+        yield _flightline(reader, subject, {**table, "id": name}, cube, shared)
 
 
 def _flightline(
-    reader: _Reader, place: str, table: Mapping[str, Any], cube: Path | None, shared: Mapping[str, Any]
+    reader: _Reader, subject: str, table: Mapping[str, Any], cube: Path | None, shared: Mapping[str, Any]
 ) -> FlightlineInputs | None:
     camera = reader.one("camera")
     name = table.get("id", Path(table["cube"]).name.split(".")[0])
-    reader.is_name(place, "id", name)
-    before = len(reader.problems)
+    reader.is_name(subject, "id", name)
+    problem_count = len(reader.problems)
     table = _with_files_beside(table, cube)
-    paths: dict[str, Any] = {key: reader.path(place, key, table.get(key)) for key in _SIDE_FILES}
+    paths: dict[str, Any] = {key: reader.path(subject, key, table.get(key)) for key in _SIDE_FILES}
     if paths["nav"] is not None:
         reader.nav[paths["nav"]] = None
     start = table.get("start_time")
@@ -364,26 +409,26 @@ def _flightline(
         try:
             start = utc_of(start, "start_time")
         except TimeError as error:
-            reader.problems.add_error(place, error)
+            reader.problems.add_error(subject, error)
     stated = table["?"]
-    period = "frame_period_ms" in stated or "frame_period_ms" in reader.one("camera")["?"]
+    has_period = "frame_period_ms" in stated or "frame_period_ms" in reader.one("camera")["?"]
     by_index = "frame_index" in stated and stated & {"nav", "start_time", "gps_time", "date"}
-    if not by_index and not ("start_time" in stated and period):
+    if not by_index and not ("start_time" in stated and has_period):
         sources = sorted(stated & {"frame_index", "nav", "start_time"})
-        sources += ["frame_period_ms"] if period else []
+        sources += ["frame_period_ms"] if has_period else []
         reader.problems.add(
-            f"{place} no line times: found {', '.join(sources) or 'nothing'}",
+            f"{subject} no line times: found {', '.join(sources) or 'nothing'}",
             expected="frame_index and nav, or start_time and frame_period_ms",
             code="line-times-missing",
         )
     if "date" in stated and reader.clock.clock_offset_s is None:
         reader.problems.add(
-            f"{place} date without [camera] clock_offset_s",
+            f"{subject} date without [camera] clock_offset_s",
             mend="state clock_offset_s: UTC = computer clock + clock_offset_s",
             code="clock-offset-missing",
         )
     timing: Timing | Unavailable = Unavailable.REPORTED
-    if len(reader.problems) == before:
+    if len(reader.problems) == problem_count:
         timing = replace(
             reader.clock,
             **paths,
@@ -407,14 +452,14 @@ def _flightline(
 
 
 def _with_files_beside(table: Mapping[str, Any], cube: Path | None) -> Mapping[str, Any]:
-    # The table with the frame index and the navigation beside the cube, where it names none.
+    # The table completed by the frame index and the navigation beside the cube, where it states none
     stated = table["?"]
     if cube is None or not os.path.isdir(cube.parent) or stated & {"frame_index", "start_time"}:
         return table
-    beside = {"frame_index": frame_index_beside(cube)}
+    files = {"frame_index": frame_index_beside(cube)}
     if not stated & {"nav", "gps_time", "date"}:
-        beside["nav"] = navigation_beside(cube)
-    paths = {key: str(path.absolute()) for key, path in beside.items() if path is not None}
+        files["nav"] = navigation_beside(cube)
+    paths = {key: str(path.absolute()) for key, path in files.items() if path is not None}
     return {**table, **paths, "?": stated | set(paths)}
 
 
@@ -422,17 +467,17 @@ def _flightlines(reader: _Reader) -> tuple[FlightlineInputs, ...]:
     tables, shared = reader.tables["flightlines"], _camera(reader)
     if not tables:
         reader.problems.add(
-            "no [[flightlines]]", mend="name the cube of at least one flight line", code="flightline-missing"
+            "no [[flightlines]]", mend="state the cube of at least one flight line", code="flightline-missing"
         )
     candidates = (_cubes(reader, number, table, shared) for number, table in enumerate(tables))
     entries = [entry for entry in itertools.chain.from_iterable(candidates) if entry is not None]
-    # compared as on file systems that ignore case; cubes of a pattern may become one line with the table's id
+    # in lower case, as some file systems ignore case; joined cubes of a pattern have the id of their table
     names = [str(entry.name).lower() for entry in entries]
-    names += [wanted.lower() for members, wanted in reader.flights if members and wanted]
+    names += [line_id.lower() for cubes, line_id in reader.flights if cubes and line_id]
     for name in sorted({name for name in names if names.count(name) > 1}):
         reader.problems.add(
-            f"[[flightlines]] id {name!r} is given to {names.count(name)} lines",
-            mend="give each table its own id: cubes of a pattern are then called <id>_<name of the cube>",
+            f"[[flightlines]] {names.count(name)} lines have the id {name!r}",
+            mend="give each table a unique id: cubes of a pattern are then called <id>_<name of the cube>",
             code="name-duplicate",
         )
     return tuple(entries)
@@ -451,57 +496,61 @@ def _geometry(reader: _Reader) -> dict[str, Any]:
     return arguments
 
 
-def _note_absent(reader: _Reader, place: str, name: str, table: Mapping[str, Any]) -> None:
+def _note_missing_keys(reader: _Reader, subject: str, name: str, table: Mapping[str, Any]) -> None:
     for key, fact in SCHEMA[name].items():
         if fact.needed and key not in table["?"]:
-            reader.problems.add(f"{place} {key} is missing", mend=f"state the {fact.doc}", code="key-missing")
+            reader.problems.add(
+                f"{subject} {key} is missing", mend=f"state the {fact.doc}", code="key-missing"
+            )
 
 
 def _references(reader: _Reader) -> tuple[ReferenceEntry, ...]:
     entries: list[ReferenceEntry] = []
     for number, table in enumerate(reader.tables["references"]):
-        place = f"[[references]] {number + 1}"
-        _note_absent(reader, place, "references", table)
+        subject = f"[[references]] {number + 1}"
+        _note_missing_keys(reader, subject, "references", table)
         if "instrument" not in table or "files" not in table:
             continue
         name = table["instrument"]
         group = ReferenceEntry(name, ()).group
         if group.lower() in (entry.group.lower() for entry in entries):
             reader.problems.add(
-                f"{place} instrument {name!r} has a table already",
-                mend="list all its files in one",
+                f"{subject} instrument {name!r} has another table, too",
+                mend="list all its files in one table",
                 code="name-duplicate",
             )
-        elif reader.is_name(place, "instrument", group, "blanks, "):
-            entries.append(ReferenceEntry(name, reader.files(place, "files", table["files"])))
+        elif reader.is_name(subject, "instrument", group, "blanks, "):
+            entries.append(ReferenceEntry(name, reader.files(subject, "files", table["files"])))
     return tuple(entries)
 
 
 def _panels(reader: _Reader) -> Iterator[PanelEntry]:
-    needed = ("line", "along_track", "cross_track")
+    position_keys = ("line", "along_track", "cross_track")
     for number, table in enumerate(reader.tables["panels"]):
-        place = f"[[panels]] {number + 1}"
-        _note_absent(reader, place, "panels", table)
-        reader.exclude(place, table, "reflectance", "certificate")
+        subject = f"[[panels]] {number + 1}"
+        _note_missing_keys(reader, subject, "panels", table)
+        reader.exclude(subject, table, "reflectance", "certificate")
         if not {"reflectance", "certificate"} & table["?"]:
             reader.problems.add(
-                f"{place} reflectance is missing",
-                mend="state it, or the file of a certificate",
+                f"{subject} reflectance is missing",
+                mend="state reflectance=, or certificate= with the file of a certificate",
                 code="key-missing",
             )
-        factor = reader.path(place, "certificate", table.get("certificate")) or table.get("reflectance")
-        if factor is None or not set(needed) <= set(table):
+        reflectance = reader.path(subject, "certificate", table.get("certificate")) or table.get(
+            "reflectance"
+        )
+        if reflectance is None or not set(position_keys) <= set(table):
             continue
-        along, across = (tuple(table[key]) for key in needed[1:])
+        along, across = (tuple(table[key]) for key in position_keys[1:])
         tilt = tuple(table["tilt"]) if "tilt" in table else None
-        yield PanelEntry(table["line"], along, across, factor, table.get("uncertainty", 0.0), tilt)
+        yield PanelEntry(table["line"], along, across, reflectance, table.get("uncertainty", 0.0), tilt)
 
 
 def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> Collect:
-    """Return the valid part of a ``collect.toml``, so that the files that it names can be checked as well.
+    """Return the valid part of a ``collect.toml``, so that its valid files can be checked, too.
 
-    ``path``: the file; ``problems``: takes the faults; ``need_irradiance``: false where only radiance is
-    wanted. The fault of an `Unavailable` input has been noted.
+    ``path``: the file; ``problems``: takes the faults, also those of inputs that are `Unavailable` in the
+    result; ``need_irradiance``: False if only radiance will be computed.
 
     Raises `CollectError`: The file cannot be read, or is not TOML.
     """
@@ -536,10 +585,10 @@ def parse_collect(path: Path, problems: Problems, *, need_irradiance: bool) -> C
 
 
 def read_collect(path: str | os.PathLike[str], *, need_irradiance: bool = True) -> Collect:
-    """Read and check a ``collect.toml``; the files that it names are located, not opened.
+    """Read and check a ``collect.toml``; its files are located, not opened.
 
-    ``path``: the file; paths in it are relative to its folder; ``need_irradiance``: false where only radiance
-    is wanted.
+    ``path``: the file; paths in it are relative to its folder; ``need_irradiance``: False if only radiance
+    will be computed.
 
     Raises `CollectError`: Not TOML (with the line), unknown keys, wrong types or values, missing keys or
     files; all problems are listed.

@@ -92,7 +92,11 @@ class EnviArray(BackendArray):
             vector_shape = tuple(-1 if axis == self.band_axis else 1 for axis in range(3))
             bands = positions[self.band_axis]
             values = self.scaling.apply(values, lambda vector: vector[bands].reshape(vector_shape))
-        shape = [size for size, index in zip(values.shape, key, strict=True) if not _is_integer(index)]
+        shape = [
+            size
+            for size, index in zip(values.shape, key, strict=True)
+            if not isinstance(index, int | np.integer)
+        ]
         return values.reshape(shape)
 
     def _read(self, positions: list[Ints]) -> Array:
@@ -107,9 +111,12 @@ class EnviArray(BackendArray):
             # complete successive planes of the file are read in one piece
             planes, rows, columns = indices
             _, height, width = self.file_shape
-            is_slab = self.axes == (0, 1, 2) and bool((np.diff(planes) == 1).all())
-            is_slab = is_slab and np.array_equal(rows, np.arange(height))
-            if is_slab and np.array_equal(columns, np.arange(width)):
+            if (
+                self.axes == (0, 1, 2)
+                and (np.diff(planes) == 1).all()
+                and np.array_equal(rows, np.arange(height))
+                and np.array_equal(columns, np.arange(width))
+            ):
                 self._fill(file, int(planes[0]) * height * width, samples.reshape(-1))
                 if not self.stored.isnative:
                     samples.byteswap(inplace=True)
@@ -137,13 +144,13 @@ class EnviArray(BackendArray):
         lines = (planes[:, np.newaxis] * self.file_shape[1] + rows).ravel()
         first, last = int(samples[0]), int(samples[-1])
         gaps = np.diff(lines) * columns - (last - first + 1)
-        lines_a_box = max(1, _MAX_BOX_BYTES // (columns * self.stored.itemsize))
+        lines_per_box = max(1, _MAX_BOX_BYTES // (columns * self.stored.itemsize))
         is_break = (gaps * self.stored.itemsize > _MAX_GAP_BYTES) | (
-            np.diff((lines - lines[0]) // lines_a_box) != 0
+            np.diff((lines - lines[0]) // lines_per_box) != 0
         )
         is_break |= np.diff(lines) < 0  # a plane that is repeated
         edges = [0, *(np.flatnonzero(is_break) + 1).tolist(), len(lines)]
-        places = np.unravel_index(np.arange(len(lines)), out.shape[:2])
+        plane_and_row = np.unravel_index(np.arange(len(lines)), out.shape[:2])
         columns_kept = _selector(samples)
         for start, stop in itertools.pairwise(edges):
             first_line = int(lines[start])
@@ -151,7 +158,7 @@ class EnviArray(BackendArray):
             buffer_part = buffer.reshape(-1)[first : (len(buffer) - 1) * columns + last + 1]
             self._fill(file, first_line * columns + first, buffer_part)
             rows = buffer if stop - start == 1 else buffer[_selector(lines[start:stop] - first_line)]
-            out[places[0][start:stop], places[1][start:stop]] = rows[:, columns_kept]
+            out[plane_and_row[0][start:stop], plane_and_row[1][start:stop]] = rows[:, columns_kept]
 
     def _fill(self, file: io.FileIO, first: int, out: Array) -> None:
         # Read samples from number `first` on into contiguous memory, without conversion.
@@ -170,12 +177,8 @@ class EnviArray(BackendArray):
             done += count
 
 
-def _is_integer(index: object) -> bool:
-    return isinstance(index, int | np.integer)
-
-
 def _positions(index: Any, size: int) -> Ints:
-    if _is_integer(index):
+    if isinstance(index, int | np.integer):
         return np.array([index], dtype=np.int64)
     if isinstance(index, slice):
         return np.arange(*index.indices(size), dtype=np.int64)

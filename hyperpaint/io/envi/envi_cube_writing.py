@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -19,8 +19,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.base.facts import documented
-from hyperpaint.base.schema import ALONG_TRACK, BAND, CROSS_TRACK
+from hyperpaint.base.facts import documented, one_of
+from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.maps.map_grids import (
@@ -30,16 +30,15 @@ from hyperpaint.io.maps.map_grids import (
     grid_of,
     nearest_bands,
     product_of,
-    stored_float,
+    storable,
 )
 
-from .envi_grammar import braced
+from .envi_grammar import FILE_AXES, braced
 
 Interleave = Literal["bil", "bip", "bsq"]
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
 _CODES = {"uint8": 1, "int16": 2, "int32": 3, "float32": 4, "float64": 5, "uint16": 12, "uint32": 13}
-_AXES: Mapping[str, str] = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _SCALE = 10_000
 _IGNORE = 65_535
 # Size of the pieces in which an array in memory is written [byte].
@@ -115,11 +114,8 @@ def write_envi(
     if grid is not None and grid.mirrored:
         cube, grid = cube.isel(y=slice(None, None, -1)), grid.flipped(cube.sizes["y"])
     order = interleave or ("bil" if grid is None and "y" not in cube.dims else "bip")
-    if order not in _AXES:
-        raise SchemaError(
-            f"interleave {order!r:.40}", expected="'bil', 'bip' or 'bsq'", code="choice-unknown"
-        )
-    stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in _AXES[order]])
+    one_of(order, FILE_AXES, "interleave")
+    stored = cube.transpose(*[dict(zip("lsb", cube.dims, strict=True))[axis] for axis in FILE_AXES[order]])
     header = _header(dataset, cube, order, grid)
     # names of data file and header
     data_path = header_path = Path(path)
@@ -142,11 +138,7 @@ def _stored_cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -
     # Return the array (line, sample, band) in its stored dtype, still lazy.
     cube = product_of(dataset, variable)
     name = str(cube.name)
-    if BAND not in cube.dims:
-        cube = cube.expand_dims(BAND, axis=-1)
-    cube = cube.transpose(*(("y", "x") if "y" in cube.dims else (ALONG_TRACK, CROSS_TRACK)), BAND)
-    if dtype not in (None, "float32", "uint16"):
-        raise SchemaError(f"dtype {dtype!r:.40}", expected="'float32' or 'uint16'", code="choice-unknown")
+    one_of(dtype or "float32", ("float32", "uint16"), "dtype")
     if dtype == "uint16" and cube.dtype.kind == "f":
         if name != "reflectance":
             raise SchemaError(
@@ -157,15 +149,7 @@ def _stored_cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -
             )
         scaled = (cube * np.float32(_SCALE)).round().clip(0, _IGNORE - 1).fillna(_IGNORE)
         return scaled.astype(np.uint16).assign_attrs(cube.attrs)
-    if cube.dtype.kind == "f" or dtype == "float32":
-        return cube.astype(np.float32 if dtype == "float32" else stored_float(cube), copy=False)
-    if cube.dtype == bool:
-        return cube.astype(np.uint8)
-    if cube.dtype.name not in _CODES:
-        raise SchemaError(
-            f"{name!r} is {cube.dtype}", expected=f"floats or one of {', '.join(_CODES)}", code="type-wrong"
-        )
-    return cube
+    return cube.astype(np.float32, copy=False) if dtype == "float32" else storable(cube)
 
 
 def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid | None) -> str:
@@ -195,36 +179,28 @@ def _header(dataset: xr.Dataset, cube: xr.DataArray, interleave: str, grid: Grid
         rows.append("data ignore value = nan")
     elif "data_ignore_value" in cube.attrs:
         rows.append(f"data ignore value = {cube.attrs['data_ignore_value']}")
+    axis = dataset.variables.get("wavelength")
     if BAND not in dataset[name].dims:
         rows.append(f"band names = {{{_printable(name)}}}")
-    else:
-        rows += _spectral_rows(dataset)
+    elif axis is not None and axis.dims == (BAND,):
+        wavelengths = axis.values.astype(np.float64)
+        if np.isfinite(wavelengths).all():
+            rows += [
+                "wavelength units = Nanometers",
+                f"wavelength = {braced(list(map(repr, wavelengths.tolist())))}",
+            ]
+            if (rgb_bands := nearest_bands(wavelengths, RGB_WAVELENGTHS)) is not None:
+                rows.append(f"default bands = {{{', '.join(str(band + 1) for band in rgb_bands)}}}")
+        for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
+            variable = dataset.variables.get(name)
+            if variable is None or variable.dims != (BAND,):
+                continue
+            if np.isfinite(variable.values.astype(np.float64)).all():
+                numbers = variable.values.astype(int if key == "bbl" else np.float64).tolist()
+                rows.append(f"{key} = {braced(list(map(repr, numbers)))}")
     if grid is not None:
         rows += [f"{key} = {{{value}}}" for key, value in envi_map_info(grid).items()]
     return "\n".join(rows) + "\n"
-
-
-def _spectral_rows(dataset: xr.Dataset) -> list[str]:
-    rows: list[str] = []
-    axis = dataset.variables.get("wavelength")
-    if axis is None or axis.dims != (BAND,):
-        return rows
-    wavelengths = axis.values.astype(np.float64)
-    if np.isfinite(wavelengths).all():
-        rows += [
-            "wavelength units = Nanometers",
-            f"wavelength = {braced(list(map(repr, wavelengths.tolist())))}",
-        ]
-        if (rgb_bands := nearest_bands(wavelengths, RGB_WAVELENGTHS)) is not None:
-            rows.append(f"default bands = {{{', '.join(str(band + 1) for band in rgb_bands)}}}")
-    for key, name in (("fwhm", "fwhm"), ("bbl", "good")):
-        variable = dataset.variables.get(name)
-        if variable is None or variable.dims != (BAND,):
-            continue
-        if np.isfinite(variable.values.astype(np.float64)).all():
-            numbers = variable.values.astype(int if key == "bbl" else np.float64).tolist()
-            rows.append(f"{key} = {braced(list(map(repr, numbers)))}")
-    return rows
 
 
 def _printable(text: str) -> str:
@@ -263,7 +239,11 @@ class _Target:
             for plane in range(block.shape[0]):
                 first = ((starts[0] + plane) * rows + starts[1]) * columns + starts[2]
                 for row, piece in enumerate([block[plane]] if has_full_rows else block[plane]):
-                    self._write(descriptor, piece, first + row * columns)
+                    view = piece.reshape(-1).view(np.uint8).data
+                    offset = (first + row * columns) * self.dtype.itemsize
+                    while len(view):
+                        count = os.pwrite(descriptor, view, offset)
+                        view, offset = view[count:], offset + count
             if block.shape[1:] == self.shape[1:] and hasattr(os, "posix_fadvise"):
                 # Linux starts to write these pages, so that the final flush is short
                 first_byte, size = starts[0] * rows * columns * self.dtype.itemsize, block.nbytes
@@ -274,13 +254,6 @@ class _Target:
             self.done += block.size
             if self.progress is not None:
                 self.progress(self.done, int(np.prod(self.shape)))
-
-    def _write(self, descriptor: int, piece: NDArray[Any], first: int) -> None:
-        view = piece.reshape(-1).view(np.uint8).data
-        offset = first * self.dtype.itemsize
-        while len(view):
-            count = os.pwrite(descriptor, view, offset)
-            view, offset = view[count:], offset + count
 
 
 def _fill_file(path: Path, stored: xr.DataArray, progress: Callable[[int, int], None] | None) -> None:

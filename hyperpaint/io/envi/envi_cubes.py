@@ -22,14 +22,14 @@ from xarray.core import indexing
 
 from hyperpaint.base import schema, units
 from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file
 
 from .envi_array import EnviArray, Scaling
+from .envi_grammar import FILE_AXES
 from .envi_header import EnviHeader, read_header
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
-# axes of the file, slowest first
-_FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
 # Headwall's recorder writes its name; its software adds the processing level
 _RAW = re.compile(r"\[headwall\b|\braw\b|\bdigital (?:numbers?|counts?)\b|\bcounts\b|\bdn\b", re.IGNORECASE)
@@ -53,7 +53,25 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     if not path.is_file():
         raise FileNotFoundError(f"no such file: {str(path)!r}")
     if path.suffix.lower() == ".hdr":
-        return path, _data_of(path)
+        bare_path = path.with_suffix("")
+        suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
+        candidates = _existing([bare_path]) or _existing(
+            [Path(f"{bare_path}{suffix}") for suffix in suffixes]
+        )
+        if not candidates:
+            raise FormatError(
+                f"ENVI header {str(path)!r} has no data file beside it",
+                expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
+                code="data-file-missing",
+            )
+        if len(candidates) > 1:
+            names = ", ".join(repr(candidate.name) for candidate in candidates)
+            raise FormatError(
+                f"ENVI header {str(path)!r} could belong to {names}",
+                mend="open the data file you mean",
+                code="data-file-ambiguous",
+            )
+        return path, candidates[0]
     header = _existing([Path(f"{path}{suffix}") for suffix in (".hdr", ".HDR")])
     header = header or _existing([path.with_suffix(suffix) for suffix in (".hdr", ".HDR")])
     if not header:
@@ -63,26 +81,6 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
             code="header-missing",
         )
     return header[0], path
-
-
-def _data_of(header: Path) -> Path:
-    bare_path = header.with_suffix("")
-    suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
-    candidates = _existing([bare_path]) or _existing([Path(f"{bare_path}{suffix}") for suffix in suffixes])
-    if not candidates:
-        raise FormatError(
-            f"ENVI header {str(header)!r} has no data file beside it",
-            expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
-            code="data-file-missing",
-        )
-    if len(candidates) > 1:
-        names = ", ".join(repr(path.name) for path in candidates)
-        raise FormatError(
-            f"ENVI header {str(header)!r} could belong to {names}",
-            mend="open the data file you mean",
-            code="data-file-ambiguous",
-        )
-    return candidates[0]
 
 
 def _existing(candidates: list[Path]) -> list[Path]:
@@ -144,11 +142,11 @@ def open_envi(
 
     Notes
     -----
-    A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) wins over Headwall's
-    ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance products.
-    Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word raw,
-    counts or DN in the description, by units of counts, or by a description of Headwall's recorder without
-    a level; scaled products of other software without such a word are ``values``.
+    A level in the description (``,RADIANCE``, ``,REFLECTANCE``: the last one counts) takes precedence over
+    Headwall's ``;Units`` comment, which sets the units of radiance and is known to stay behind in reflectance
+    products. Integers called reflectance without a scale are ``values``. Integers are ``counts`` by the word
+    raw, counts or DN in the description, by units of counts, or by a description of Headwall's recorder
+    without a level; scaled products of other software without such a word are ``values``.
 
     Examples
     --------
@@ -208,12 +206,13 @@ def open_envi(
     if lines != header.lines:
         doubts.append(f"{lines} whole lines are kept where the header says {header.lines}")
     if doubts:
-        text = f"{data_path.name}: {'; '.join(doubts)}"
-        warnings.warn(PaintWarning(text, code="header-doubtful"), stacklevel=2)
+        warnings.warn(
+            PaintWarning(f"{data_path.name}: {'; '.join(doubts)}", code="header-doubtful"), stacklevel=2
+        )
     # axes of the file, and of the array
     name, attrs = _quantity(header, quantity, unsaid, data_path)
     sizes = {"l": lines, "b": header.bands, "s": header.samples}
-    file_axes = _FILE_AXES[header.interleave]
+    file_axes = FILE_AXES[header.interleave]
     order = "lbs" if header.map_info is None else "lsb"
     dims = schema.CUBE if header.map_info is None else ("y", "x", "band")
     array = EnviArray(
@@ -256,11 +255,22 @@ def open_envi(
             y_attrs = {"standard_name": "latitude", "units": "degrees_north"}
         else:
             unit = {"meters": "m", "metres": "m", "feet": "ft", "degrees": "degree"}.get(info.units.lower())
-            x_attrs, y_attrs = ({"standard_name": f"projection_{axis}_coordinate"} for axis in "xy")
-            for axis_attrs in (x_attrs, y_attrs):
-                axis_attrs.update({"units": unit} if unit else {})
+            x_attrs, y_attrs = (
+                {"standard_name": f"projection_{axis}_coordinate", **({"units": unit} if unit else {})}
+                for axis in "xy"
+            )
         coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
-    return xr.Dataset({name: variable}, coords=coords, attrs=_attributes(header, data_path, lines))
+    line_attrs: dict[str, Any] = {"source": data_path.name, "envi_header": json.dumps(header.fields)}
+    if header.comments:
+        line_attrs["envi_comments"] = json.dumps(header.comments)
+    if header.notes:
+        line_attrs["envi_notes"] = "; ".join(header.notes)
+    if lines != header.lines:
+        line_attrs["lines_declared"] = header.lines
+    for key in ("map info", "coordinate system string"):
+        if header.map_info is not None and key in header.fields:
+            line_attrs[key.replace(" ", "_")] = header.fields[key]
+    return xr.Dataset({name: variable}, coords=coords, attrs=line_attrs)
 
 
 def _has_gain(header: EnviHeader) -> bool:
@@ -317,10 +327,8 @@ def _quantity(
     # Return the quantity of the samples, and its attributes; refuse a contradicting ``quantity``.
     declared, radiance_units = _declared_quantity(header)
     is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
-    if quantity not in (None, *_QUANTITIES):
-        raise FormatError(
-            f"quantity={quantity!r}", expected=f"one of {', '.join(_QUANTITIES)}", code="choice-unknown"
-        )
+    if quantity is not None:
+        one_of(quantity, _QUANTITIES, "quantity", error=FormatError)
     reason = mend = ""
     if quantity is not None and declared not in (None, quantity):
         reason, mend = f"its header says {declared}", "correct the header, or leave quantity= out"
@@ -360,8 +368,8 @@ def _declared_quantity(header: EnviHeader) -> tuple[str | None, str | None]:
     if level in ("reflectance", "radiance"):
         return level, radiance_units
     # raw counts, by units, description or level
-    count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
-    is_raw = count_units or _RAW.search(header.description[:10_000]) or level == "counts"
+    has_count_units = header.fields.get("data units", comment).strip().lower() in _COUNT_UNITS
+    is_raw = has_count_units or _RAW.search(header.description[:10_000]) or level == "counts"
     if is_integer and not _has_gain(header) and header.file_type in _CUBE_TYPES and is_raw:
         return "counts", None
     return None, None
@@ -383,17 +391,3 @@ def _scaling(header: EnviHeader, name: str) -> Scaling | None:
         gain=header.data_gain_values if has_gain else None,
         offset=header.data_offset_values if has_gain else None,
     )
-
-
-def _attributes(header: EnviHeader, path: Path, lines: int) -> dict[str, Any]:
-    attrs: dict[str, Any] = {"source": path.name, "envi_header": json.dumps(header.fields)}
-    if header.comments:
-        attrs["envi_comments"] = json.dumps(header.comments)
-    if header.notes:
-        attrs["envi_notes"] = "; ".join(header.notes)
-    if lines != header.lines:
-        attrs["lines_declared"] = header.lines
-    for key in ("map info", "coordinate system string"):
-        if header.map_info is not None and key in header.fields:
-            attrs[key.replace(" ", "_")] = header.fields[key]
-    return attrs

@@ -13,6 +13,8 @@ from dataclasses import dataclass, field
 
 from hyperpaint.base.errors import FormatError, Problems
 
+#: Axes of an interleave, slowest first: line, band, sample.
+FILE_AXES = {"bil": "lbs", "bip": "lsb", "bsq": "bls"}
 MAX_ENTRIES = 10_000
 _MAX_SHOWN = 20
 
@@ -59,8 +61,9 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
         line = line.strip()
         if line.startswith(";"):
             key, equals, value = line.lstrip("; \t").partition("=")
-            if equals:
-                _store_comment(scanned.comments, key.strip(), value.strip(), findings)
+            # the first of two values stays: processing steps repeat comments, and the cube must stay readable
+            if equals and scanned.comments.setdefault(key.strip(), value.strip()) != value.strip():
+                findings.note(f"comment {shown(key.strip())} is given twice: the first is kept", warn=True)
         elif line:
             key, equals, value = line.partition("=")
             key, value = " ".join(key.lower().split()), value.strip()
@@ -73,7 +76,16 @@ def scan(text: str, findings: HeaderFindings) -> Scanned:
             else:
                 if value.startswith("{"):
                     value = _closed(value, number, key, lines, findings)
-                _store(scanned.fields, key, value, f"line {number}", findings)
+                is_repeated = key in scanned.fields
+                before = scanned.fields.setdefault(key, value)
+                if before != value:
+                    findings.add(
+                        f"line {number}: {key!r} is given again as {shown(value)}, before as {shown(before)}",
+                        mend="delete the wrong one",
+                        code="key-repeated",
+                    )
+                elif is_repeated:
+                    findings.note(f"{key!r} is given twice, with the same value")
         entries += bool(line)
         if entries > MAX_ENTRIES or len(findings) >= _MAX_SHOWN:
             findings.add(
@@ -102,25 +114,6 @@ def _closed(
     if rest.strip():
         findings.note(f"{key!r}: text after its closing brace is ignored: {shown(rest.strip())}")
     return "\n".join([*parts, content]) + "}"
-
-
-def _store(fields: dict[str, str], key: str, value: str, source: str, findings: HeaderFindings) -> None:
-    if key not in fields:
-        fields[key] = value
-    elif fields[key] == value:
-        findings.note(f"{key!r} is given twice, with the same value")
-    else:
-        findings.add(
-            f"{source}: {key!r} is given again as {shown(value)}, before as {shown(fields[key])}",
-            mend="delete the wrong one",
-            code="key-repeated",
-        )
-
-
-def _store_comment(comments: dict[str, str], key: str, value: str, findings: HeaderFindings) -> None:
-    # Keep the first of two values: processing steps repeat comments, and the cube must stay readable.
-    if comments.setdefault(key, value) != value:
-        findings.note(f"comment {shown(key)} is given twice: the first is kept", warn=True)
 
 
 def braced(values: Sequence[str]) -> str:

@@ -20,7 +20,7 @@ from hyperpaint.base.errors import FormatError
 from hyperpaint.base.input_files import open_input
 from hyperpaint.io.files.reading import decoded_text
 
-from .envi_grammar import HeaderFindings, Scanned, bare, scan, shown
+from .envi_grammar import FILE_AXES, HeaderFindings, bare, scan, shown
 
 MAX_HEADER_BYTES = 4 * 2**20
 # The header of a library names every spectrum: about 400,000 of them.
@@ -40,7 +40,6 @@ _DTYPES = {
     "15": "u8",
 }
 _BYTE_ORDERS = {"0": "<", "1": ">"}
-_INTERLEAVES = ("bil", "bip", "bsq")
 
 # nm per unit; ENVI's own words first
 _NANOMETRES = {
@@ -174,10 +173,81 @@ def parse_header(text: str, name: str = "ENVI header") -> EnviHeader:
     """
     findings = HeaderFindings(name)
     scanned = scan(text, findings)
-    header = _interpret(scanned, findings) if scanned.fields else None
-    findings.raise_if_any()
-    if header is None:
+    if not scanned.fields:
+        findings.raise_if_any()
         raise FormatError(f"{name} cannot be used: it holds no 'key = value' line", code="empty-input")
+    reader = _Reader(scanned.fields, findings)
+    lines, samples, bands = (reader.integer(key, minimum=1) for key in ("lines", "samples", "bands"))
+    offset = reader.integer("header offset", minimum=0, default=0)
+    # type and order of the samples
+    code, order = reader.choice("data type", _DTYPES) or "u1", "<"
+    if "byte order" in reader.fields:
+        order = reader.choice("byte order", _BYTE_ORDERS) or "<"
+    elif np.dtype(code).itemsize > 1:
+        findings.note(
+            "no byte order: assumed little-endian; add 'byte order = 0' (big-endian: 1) to the header",
+            warn=True,
+        )
+    interleave = reader.choice("interleave", {name: name for name in FILE_AXES})
+    for key in ("major frame offsets", "minor frame offsets"):
+        text = reader.fields.get(key, "")
+        if set(bare(text)) - set("0, \t\n"):
+            findings.add(
+                f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported"
+            )
+    if reader.fields.get("file compression", "0") != "0":
+        findings.add(
+            "'file compression' is set",
+            mend="unpack the data file and set it to 0",
+            code="layout-unsupported",
+        )
+    # bands
+    is_library = "spectral library" in scanned.fields.get("file type", "").lower()
+    count, unit = (samples, "samples of a spectral library") if is_library else (bands, "bands")
+    names = _band_names(reader, bands)
+    wavelength, fwhm = _spectral_axis(reader, count, unit, names)
+    good = reader.numbers("bbl", count, unit)
+    if good is not None and not np.isin(good, (0.0, 1.0)).all():
+        findings.add(
+            "'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range"
+        )
+    scale = reader.number("reflectance scale factor")
+    if scale is not None and not (math.isfinite(scale) and scale > 0):
+        findings.add(
+            f"'reflectance scale factor' is {scale}", expected="a number above 0", code="value-out-of-range"
+        )
+    # integers stay integers: float64 cannot hold all 64-bit integers
+    text = bare(reader.fields.get("data ignore value", ""))
+    ignore: int | float | None
+    if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
+        ignore = int(text)
+    else:
+        ignore = reader.number("data ignore value")
+        if ignore is not None and ignore.is_integer() and abs(ignore) < 2**53:
+            ignore = int(ignore)
+    header = EnviHeader(
+        lines=lines,
+        samples=samples,
+        bands=bands,
+        header_offset=offset,
+        dtype=np.dtype(order + code),
+        interleave=interleave or "",
+        wavelength=wavelength,
+        fwhm=fwhm,
+        good=None if good is None else good == 1.0,
+        band_names=names,
+        data_ignore_value=ignore,
+        reflectance_scale_factor=scale,
+        data_gain_values=reader.numbers("data gain values", bands, "bands"),
+        data_offset_values=reader.numbers("data offset values", bands, "bands"),
+        map_info=_map_info(reader),
+        description=bare(scanned.fields.get("description", "")),
+        fields=scanned.fields,
+        comments=scanned.comments,
+        notes=tuple(findings.notes),
+        warnings=tuple(findings.warnings),
+    )
+    findings.raise_if_any()
     return header
 
 
@@ -221,12 +291,9 @@ class _Reader:
 
     def numbers(self, key: str, count: int, per: str) -> Floats | None:
         # Return a list with one finite number per band.
-        text = self.fields.get(key)
-        if text is None or not bare(text):
+        text = bare(self.fields.get(key, ""))
+        if not text or count < 1:  # no list, or a wrong count that is already noted
             return None
-        if count < 1:  # already noted
-            return None
-        text = bare(text)
         # counted before it is split: millions of values become objects only for a cube of that size
         size = sum(1 for _ in _ITEM.finditer(text))
         if size != count:
@@ -262,96 +329,20 @@ def _to_float(text: str) -> float:
     raise ValueError(f"{shown(text)} is not a number")
 
 
-def _interpret(scanned: Scanned, findings: HeaderFindings) -> EnviHeader:
-    reader = _Reader(scanned.fields, findings)
-    lines, samples, bands = (reader.integer(key, minimum=1) for key in ("lines", "samples", "bands"))
-    offset = reader.integer("header offset", minimum=0, default=0)
-    # type and order of the samples
-    code, order = reader.choice("data type", _DTYPES) or "u1", "<"
-    if "byte order" in reader.fields:
-        order = reader.choice("byte order", _BYTE_ORDERS) or "<"
-    elif np.dtype(code).itemsize > 1:
-        findings.note(
-            "no byte order: assumed little-endian; add 'byte order = 0' (big-endian: 1) to the header",
-            warn=True,
-        )
-    interleave = reader.choice("interleave", {name: name for name in _INTERLEAVES})
-    for key in ("major frame offsets", "minor frame offsets"):
-        text = reader.fields.get(key, "")
-        if set(bare(text)) - set("0, \t\n"):
-            findings.add(
-                f"{key!r} is {shown(text)}: padded lines are not supported", code="layout-unsupported"
-            )
-    if reader.fields.get("file compression", "0") != "0":
-        findings.add(
-            "'file compression' is set",
-            mend="unpack the data file and set it to 0",
-            code="layout-unsupported",
-        )
-    # bands
-    is_library = "spectral library" in scanned.fields.get("file type", "").lower()
-    count, unit = (samples, "samples of a spectral library") if is_library else (bands, "bands")
-    names = _band_names(reader, bands)
-    wavelength, fwhm = _spectral_axis(reader, count, unit, names)
-    good = reader.numbers("bbl", count, unit)
-    if good is not None and not np.isin(good, (0.0, 1.0)).all():
-        findings.add(
-            "'bbl' holds values other than 0 (bad band) and 1 (good band)", code="value-out-of-range"
-        )
-    scale = reader.number("reflectance scale factor")
-    if scale is not None and not (math.isfinite(scale) and scale > 0):
-        findings.add(
-            f"'reflectance scale factor' is {scale}", expected="a number above 0", code="value-out-of-range"
-        )
-    # integers stay integers: float64 cannot hold all 64-bit integers
-    text = bare(reader.fields.get("data ignore value", ""))
-    ignore: int | float | None
-    if re.fullmatch(r"[-+]?[0-9]{1,20}", text):
-        ignore = int(text)
-    else:
-        ignore = reader.number("data ignore value")
-        if ignore is not None and ignore.is_integer() and abs(ignore) < 2**53:
-            ignore = int(ignore)
-    return EnviHeader(
-        lines=lines,
-        samples=samples,
-        bands=bands,
-        header_offset=offset,
-        dtype=np.dtype(order + code),
-        interleave=interleave or "",
-        wavelength=wavelength,
-        fwhm=fwhm,
-        good=None if good is None else good == 1.0,
-        band_names=names,
-        data_ignore_value=ignore,
-        reflectance_scale_factor=scale,
-        data_gain_values=reader.numbers("data gain values", bands, "bands"),
-        data_offset_values=reader.numbers("data offset values", bands, "bands"),
-        map_info=_map_info(reader),
-        description=bare(scanned.fields.get("description", "")),
-        fields=scanned.fields,
-        comments=scanned.comments,
-        notes=tuple(findings.notes),
-        warnings=tuple(findings.warnings),
-    )
-
-
 def _band_names(reader: _Reader, bands: int) -> tuple[str, ...]:
-    text = bare(reader.fields.get("band names", ""))
-    if not text:
-        return ()
-    count = text.rstrip(", \t\n").count(",") + 1
-    if count > max(1000, 10 * bands):
+    text = bare(reader.fields.get("band names", "")).rstrip(", \t\n")
+    count = text.count(",") + 1
+    if text and count == bands:
+        return tuple(name.strip() for name in text.split(","))
+    if text and count > max(1000, 10 * bands):
         reader.findings.add(
             f"'band names' has {count} names for {bands} bands",
             mend="delete the list",
             code="length-mismatch",
         )
-        return ()
-    if count != bands:
+    elif text:
         reader.findings.note(f"'band names' has {count} names for {bands} bands: names ignored")
-        return ()
-    return tuple(name.strip() for name in text.rstrip(", \t\n").split(","))
+    return ()
 
 
 def _spectral_axis(

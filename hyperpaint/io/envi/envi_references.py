@@ -44,11 +44,13 @@ def slab_lines(ends: Sequence[int]) -> int:
     >>> slab_lines([2000]), slab_lines([2000, 4000, 5100]), slab_lines([2003])
     (40, 25, 32)
     """
-
-    def cost(lines: int) -> tuple[int, float]:
-        return len({end // lines for end in ends if end % lines}), abs(math.log(lines / CHUNK_LINES))
-
-    return min(range(MIN_SLAB_LINES, MAX_SLAB_LINES + 1), key=cost)
+    return min(
+        range(MIN_SLAB_LINES, MAX_SLAB_LINES + 1),
+        key=lambda lines: (
+            len({end // lines for end in ends if end % lines}),
+            abs(math.log(lines / CHUNK_LINES)),
+        ),
+    )
 
 
 def slab_offsets(lines: int, first: int, count: int, header_offset: int, line_bytes: int) -> Ints:

@@ -70,7 +70,7 @@ def check_place(
     with _errors_of(path):
         _recover(path)
     if store is not None and store.resolve() in (path.resolve(), *path.resolve().parents):
-        problems.add("the path is inside the store", mend="choose another path", code="path-inside-store")
+        problems.add("the path is in the store itself", mend="choose another path", code="path-inside-store")
     elif path.is_dir():
         problems.add(
             "the path is a folder", mend=f"name a file in it, such as {example}", code="path-is-folder"
@@ -179,13 +179,13 @@ def unwritable(place: Path, error: Exception) -> StoreError:
 
 
 @contextlib.contextmanager
-def _errors_of(place: Path) -> Iterator[None]:
+def _errors_of(path: Path) -> Iterator[None]:
     try:
         yield
     except PaintError:
         raise
     except OSError as error:
-        raise unwritable(place, error) from error
+        raise unwritable(path, error) from error
 
 
 def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, overwrite: bool) -> None:
@@ -196,7 +196,7 @@ def _refuse(targets: Sequence[Path], foreign: Callable[[Path], str] | None, *, o
                 raise StoreError(f"{target} is a folder", mend="choose another path", code="path-is-folder")
             if not target.is_symlink() and not is_plain_file(target):
                 raise StoreError(
-                    f"{target} is no plain file", mend="choose another path", code="file-not-plain"
+                    f"{target} is not a plain file", mend="choose another path", code="file-not-plain"
                 )
         elif target.is_symlink() or not target.is_dir():
             raise StoreError(
@@ -249,8 +249,11 @@ def _swap(targets: Sequence[Path], folders: dict[Path, Path]) -> None:
             os.link(target, _old(folders[target.parent], number))
     for folder, build in folders.items():
         real = os.path.realpath(folder)
-        places = [(os.path.relpath(os.path.realpath(each.parent), real), each.name) for each in targets]
-        (build / _JOURNAL).write_text(json.dumps(places))
+        journal = [
+            (os.path.relpath(os.path.realpath(target_path.parent), real), target_path.name)
+            for target_path in targets
+        ]
+        (build / _JOURNAL).write_text(json.dumps(journal))
         sync(build / _JOURNAL)
         sync(build)
     try:
@@ -341,8 +344,8 @@ def _journal(target: Path) -> list[Path]:
             raise ValueError
     except (ValueError, TypeError, RecursionError, OSError) as error:
         raise StoreError(
-            f"{path} is no journal that a writer left",
-            mend="look at it, then remove it",
+            f"{path} is not the journal of a writer",
+            mend="check its content, then remove it",
             code="staging-foreign",
         ) from error
     return targets

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import fnmatch
+import hashlib
 import itertools
 import os
 import re
@@ -16,7 +17,7 @@ from pathlib import Path
 import xarray as xr
 
 from hyperpaint.base.errors import FormatError
-from hyperpaint.base.input_files import input_path, is_plain_file, read_limited
+from hyperpaint.base.input_files import input_path, is_plain_file, open_input, read_limited
 
 # Longest text line [byte]: tables of spectra have about 12 bytes per cell.
 MAX_LINE_BYTES = 2**20
@@ -224,7 +225,7 @@ def matching_files(folder: Path, pattern: str, most: int = MAX_ENTRIES) -> list[
         nonlocal remaining
         remaining -= number
         if remaining < 0:
-            raise ValueError(f"more than {most} files and folders to count_entries at; name their folder")
+            raise ValueError(f"more than {most} files and folders to look at; name their folder")
 
     def entries(folder_path: str) -> list[os.DirEntry[str]]:
         count_entries(1)
@@ -255,3 +256,69 @@ def matching_files(folder: Path, pattern: str, most: int = MAX_ENTRIES) -> list[
     for part in filter(None, parts):
         paths = list(dict.fromkeys(path for base in paths for path in matches(base, part)))
     return sorted(Path(path) for path in paths)
+
+
+# --- cells of tables that spreadsheets open --------------------------------------------------------------
+
+
+#: Includes full-width signs, which spreadsheets treat like ASCII ones, and leading blanks, which they skip.
+_FORMULA = re.compile("'*(?:[\\t\\r]|\\s*[=+\\-@\uff1d\uff0b\uff0d\uff20])")
+
+
+def safe_cell(text: str) -> str:
+    """Return a text for a table, with an apostrophe before formulas; numbers are unchanged.
+
+    Examples
+    --------
+    >>> safe_cell("=cmd()"), safe_cell("-5.2"), safe_cell("- matt"), safe_cell("red")
+    ("'=cmd()", '-5.2', "'- matt", 'red')
+    """
+    return text if (_FORMULA.match(text) is None or number(text) is not None) else f"'{text}"
+
+
+def text_of_cell(cell: str) -> str:
+    """Return the original text of a cell made by `safe_cell`.
+
+    Examples
+    --------
+    >>> text_of_cell("'=cmd()"), text_of_cell("'red'"), text_of_cell(safe_cell("'=cmd()"))
+    ('=cmd()', "'red'", "'=cmd()")
+    """
+    return cell[1:] if cell.startswith("'") and _FORMULA.match(cell) else cell
+
+
+# --- digest of a cube ------------------------------------------------------------------------------------
+
+
+# Number of blocks read from a large file; 4 MiB in all, some milliseconds.
+SAMPLES = 256
+
+SAMPLE_BYTES = 16 * 1024
+
+
+def sampled_digest(path: Path) -> str:
+    """Return a digest of a file's size and of blocks spread evenly over it, first and last block included.
+
+    Files of up to `SAMPLES` blocks are read completely. In larger files rewritten content is detected, but a
+    change of a few bytes may be missed: `hyperpaint verify --inputs` reads all bytes. Name and time are
+    ignored: a copy has the same digest.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> for name in ("cube", "copy"):
+    ...     _ = (folder / name).write_bytes(bytes(1000))
+    >>> sampled_digest(folder / "cube") == sampled_digest(folder / "copy")
+    True
+    """
+    with open_input(path, "a cube") as file:
+        size = os.fstat(file.fileno()).st_size
+        digest = hashlib.sha256(f"{size} ".encode())
+        if size <= SAMPLES * SAMPLE_BYTES:
+            digest.update(file.read(SAMPLES * SAMPLE_BYTES))
+        else:
+            for block in range(SAMPLES):
+                file.seek((size - SAMPLE_BYTES) * block // (SAMPLES - 1))
+                digest.update(file.read(SAMPLE_BYTES))
+    return digest.hexdigest()[:32]

@@ -152,10 +152,10 @@ def table_of(path: Path, names: Sequence[str], rows: Iterable[tuple[int, list[st
 
 def name_rows(rows: Sequence[int] | NDArray[np.int64], row: str = "line") -> str:
     """Return ``"line 7"`` or ``"lines 7, 9, 11 ... (40 in all)"`` for a message; ``row``: noun for a row."""
-    listed = ", ".join(str(int(number)) for number in rows[:5])
+    rows_text = ", ".join(str(int(number)) for number in rows[:5])
     if len(rows) == 1:
-        return f"{row} {listed}"
-    return f"{row}s {listed}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
+        return f"{row} {rows_text}"
+    return f"{row}s {rows_text}" + (f" ... ({len(rows)} in all)" if len(rows) > 5 else "")
 
 
 def to_integers(table: Table, name: str) -> NDArray[np.int64]:

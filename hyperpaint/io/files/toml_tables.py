@@ -6,7 +6,6 @@ import difflib
 import itertools
 import os
 import re
-import stat
 import tomllib
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
@@ -103,21 +102,23 @@ class TableReader:
         """Return the name of a table in messages."""
         return f"[[{name}]] {number + 1}" if name in self.lists else f"[{name}]"
 
-    def _checked(self, place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    def _checked(self, table_place: str, name: str, table: Mapping[str, Any]) -> dict[str, Any]:
         valid: dict[str, Any] = {}
         facts = self.schema[name]
         for key, value in table.items():
             if key not in facts:
                 self.problems.add(
-                    f"{place} unknown key {key!r}", mend=suggestion(key, facts), code="key-unknown"
+                    f"{table_place} unknown key {key!r}", mend=suggestion(key, facts), code="key-unknown"
                 )
             elif value == UNKNOWN:
                 self.problems.add(
-                    f"{place} {key} is still {UNKNOWN!r}",
+                    f"{table_place} {key} is still {UNKNOWN!r}",
                     mend=f"fill in {facts[key].expected}",
                     code="value-unfilled",
                 )
-            elif facts[key].note(self.problems, f"{place} {key} = {shown(value)}", value, facts[key].mend):
+            elif facts[key].note(
+                self.problems, f"{table_place} {key} = {shown(value)}", value, facts[key].mend
+            ):
                 valid[key] = value
         valid["?"] = set(table)
         return valid
@@ -210,8 +211,4 @@ def _anchored(pattern: str) -> tuple[str, str]:
 
 def _is_special(path: Path) -> bool:
     # Return whether a path names a pipe or device: reading it would block or never end.
-    try:
-        mode = path.stat().st_mode
-    except OSError:
-        return False
-    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+    return os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path))

@@ -1,4 +1,4 @@
-"""Calibration stores (`radiance_gain` and spectral axis of an imager), and the lab sweeps behind them."""
+"""Calibration stores (`radiance_gain` and spectral axis of an imager), and lab sweeps."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ import xarray as xr
 
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, UnitsError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path
 from hyperpaint.base.schema import (
     BAND,
@@ -31,7 +32,7 @@ from hyperpaint.io.store import list_groups, load_group, open_unverified
 from hyperpaint.io.store.reader import is_zarr
 
 _ELEMENT = (BAND, CROSS_TRACK)
-#: Variables of the table that a calibration may hold, those it must hold first.
+#: Required and optional variables of a calibration; `hyperpaint.base.schema` has their units and dims.
 _REQUIRED = ("radiance_gain", "wavelength", "fwhm")
 _OPTIONAL = (
     "wavelength_shift",
@@ -45,8 +46,9 @@ _OPTIONAL = (
     "look_angle",
     "masked",
 )
-#: Further variables of a lab calibration; only their units and dims are checked.
-_OF_A_SWEEP = (
+#: Further variables of a lab calibration; only their units and dims are checked. In their names ``line`` is a
+#: lamp line.
+_SWEEP_RESULTS = (
     "radiance_gain_u_random",
     "radiance_gain_u_systematic",
     "wavelength_u",
@@ -76,7 +78,9 @@ _OF_A_SWEEP = (
     "out_of_band",
     "second_order",
 )
+#: Variables of tabulated line shapes.
 _TABULATED = ("srf_offset", "srf")
+#: Bounds of absolute values, with their units.
 _MAX_MAGNITUDES = {"wavelength_shift": (100.0, "nm"), "look_angle": (90.0, "degrees")}
 
 
@@ -90,8 +94,7 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
         (band, cross_track), ``wavelength`` (band) and ``fwhm`` (band) at its root, all with units; or such a
         Dataset.
     group
-        Group of the store that holds them; by default the root, or ``calibration`` where the root is a
-        collect.
+        Group of the calibration; by default the root, or ``calibration`` if the store is a collect.
 
     Returns
     -------
@@ -102,14 +105,14 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     Raises
     ------
     FormatError
-        The store cannot be read, or is not what its manifest names.
+        The store cannot be read, or differs from its manifest.
     SchemaError
         Variables, units or values are missing or impossible; all problems are listed.
 
     Warns
     -----
     PaintWarning
-        The line shape is not given, and taken to be Gaussian.
+        The line shape is not declared; a Gaussian is assumed.
 
     Examples
     --------
@@ -117,11 +120,11 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
     >>> gain = xr.DataArray([[1e-8, 1e-8]], dims=("band", "cross_track"))
     >>> gain.attrs["units"] = "uW cm-2 sr-1 nm-1 s count-1"
     >>> nm = {"units": "nm"}
-    >>> made = open_calibration(xr.Dataset(
+    >>> calibration = open_calibration(xr.Dataset(
     ...     {"radiance_gain": gain},
     ...     {"wavelength": ("band", [550.0], nm), "fwhm": ("band", [6.0], nm)},
     ...     {"srf_shape": "slit"}))
-    >>> float(made.radiance_gain[0, 0]), made.radiance_gain.units
+    >>> float(calibration.radiance_gain[0, 0]), calibration.radiance_gain.units
     (1.00...e-10, 'W m-2 sr-1 nm-1 s count-1')
     """
     if isinstance(source, xr.Dataset):
@@ -135,18 +138,18 @@ def open_calibration(source: Any, *, group: str | None = None) -> xr.Dataset:
 
 
 def _read(
-    source: Any, group: str | None, kind: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
+    source: Any, group: str | None, content: str, open_zarr: Callable[[Any, str | None], xr.Dataset]
 ) -> xr.Dataset:
-    # Open any Zarr, or load a netCDF file.
+    # Open a Zarr store, or load a netCDF file; `content` names it in messages
     zarr = is_zarr(source)
     is_path = isinstance(source, str | os.PathLike) and "://" not in os.fspath(source)
-    if is_path and not input_path(Path(source), f"a {kind} in a Zarr store or netCDF file").exists():
+    if is_path and not input_path(Path(source), f"a {content} in a Zarr store or netCDF file").exists():
         raise FormatError(
-            f"{source}: no such {kind}", expected="a Zarr store or a netCDF file", code="file-not-found"
+            f"{source}: no such {content}", expected="a Zarr store or a netCDF file", code="file-not-found"
         )
     try:
         return open_zarr(source, group) if zarr else load_netcdf(Path(source), group)
-    except Exception as error:  # numpy and the netCDF engines each have their own
+    except Exception as error:  # zarr and the netCDF engines raise errors of many classes
         hint = "" if zarr else "install for netCDF-4: python -m pip install h5netcdf"
         raise FormatError(
             f"{source}: not a readable Zarr store or netCDF file ({type(error).__name__}: {error!s:.200})",
@@ -158,19 +161,19 @@ def _read(
 def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.Dataset:
     """Return a calibration in the units, dims and dtypes of the table of variables, with all faults listed.
 
-    ``dataset``: see `open_calibration`; ``subject``: names it in messages.
+    ``dataset``: see `open_calibration`; ``subject``: its name in messages.
 
     Raises `SchemaError`: Variables, units or values are missing or impossible; all problems are listed.
 
-    Warns `PaintWarning`: The line shape is not given, and taken to be Gaussian.
+    Warns `PaintWarning`: The line shape is not declared; a Gaussian is assumed.
     """
     problems = Problems(f"{subject} cannot be used as calibration", SchemaError)
     shape = dataset.attrs.get("srf_shape")
-    wanted = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_OF_A_SWEEP) if name in dataset.variables)]
+    names = [*_REQUIRED, *(name for name in (*_OPTIONAL, *_SWEEP_RESULTS) if name in dataset.variables)]
     if shape == "tabulated" or "srf" in dataset.variables:
-        wanted += _TABULATED
+        names += _TABULATED
     arrays: dict[str, xr.DataArray] = {}
-    for name in wanted:
+    for name in names:
         try:
             arrays[name] = _variable(dataset, name)
         except (SchemaError, UnitsError) as error:
@@ -179,16 +182,16 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         finite = bool(np.isfinite(array.values).all())
         if name == "radiance_gain":
             gains = array.values[~np.isnan(array.values)]
-            bad = int((~np.isfinite(gains) | (gains <= 0)).sum())
+            unusable = int((~np.isfinite(gains) | (gains <= 0)).sum())
             if not gains.size:
                 problems.add(
                     "'radiance_gain' is NaN everywhere",
                     expected="a gain for the elements that are not bad",
                     code="not-finite",
                 )
-            elif bad:
+            elif unusable:
                 problems.add(
-                    f"'radiance_gain' is zero, negative or infinite in {bad} elements",
+                    f"'radiance_gain' is zero, negative or infinite in {unusable} elements",
                     expected="positive gains, and NaN for bad elements",
                     code="value-out-of-range",
                 )
@@ -205,7 +208,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
         elif name.startswith("radiance_gain_u_") or name in ("wavelength_u", "irradiance_u_systematic"):
             if (array.values < 0).any():
                 problems.add(
-                    f"{name!r} is negative in places",
+                    f"{name!r} has negative values",
                     expected="a standard uncertainty",
                     code="value-out-of-range",
                 )
@@ -217,12 +220,8 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
                 )
         elif name == "srf_offset" and not (finite and (np.diff(array.values) > 0).all()):
             problems.add("'srf_offset' does not increase strictly", code="axis-unordered")
-    if shape is not None and shape not in SRF_SHAPES:
-        problems.add(
-            f"attribute srf_shape {shape!r}",
-            expected=f"one of {', '.join(SRF_SHAPES)}",
-            code="choice-unknown",
-        )
+    if shape is not None:
+        one_of(shape, SRF_SHAPES, "attribute srf_shape", problems=problems)
     sizes = {name: size for name, size in dataset.sizes.items() if name in _ELEMENT}
     if any(size == 0 for size in sizes.values()):
         problems.add(f"sizes {sizes}", expected="at least one element", code="empty-input")
@@ -236,10 +235,11 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
             ),
             stacklevel=2,
         )
-    for other, array in dataset.data_vars.items():
-        in_table = str(other) in VARIABLES
+    # further variables of the elements are kept
+    for key, array in dataset.data_vars.items():
+        in_table = str(key) in VARIABLES
         if not in_table and array.ndim and set(array.dims) <= set(_ELEMENT) and array.dtype.kind in "fiu":
-            arrays[str(other)] = array
+            arrays[str(key)] = array
     coords = {
         name: arrays.pop(name) for name in list(arrays) if name in VARIABLES and VARIABLES[name].coordinate
     }
@@ -247,7 +247,7 @@ def check_calibration(dataset: xr.Dataset, subject: str = "this Dataset") -> xr.
 
 
 def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
-    # A variable in the units, dims and dtype of the table, without coordinates.
+    # A variable in the units, dims and dtype of the table, without coordinates
     spec = VARIABLES[name]
     if name not in dataset.variables:
         raise SchemaError(
@@ -269,26 +269,29 @@ def _variable(dataset: xr.Dataset, name: str) -> xr.DataArray:
         raise SchemaError(f"{name!r} has dtype {array.dtype}", expected=spec.dtype, code="type-wrong")
     array = array.transpose(*allowed[0])
     if spec.units and spec.units != "1":
-        # float64 until the factor is in, rounded once
+        # converted in float64, so that values are rounded once
         array = convert(array.astype(np.float64), spec.units, name)
     return label(array.astype(dtype_of(name)), name)
 
 
 def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[str, xr.DataArray]:
-    """Return the variables of a calibration that a line keeps; for radiance, line shape and look angles."""
+    """Return the variables of a calibration that a flight line needs.
+
+    A line of radiance needs only the line shape and the look angles.
+    """
     if calibration is None:
         return {}
-    dropped = {
+    excluded = {
         "dark_counts",
         "dark_exposure_time",
         "dark_bias",
         "dark_rate",
-        "flat_field",  # in the gain already
+        "flat_field",  # part of the gain
         "responsivity",
         "saturation_count",
     }
-    # the lines of a lab sweep stay with the calibration
-    dims_of_line = {
+    # variables of lamp lines and sweep steps have other dims
+    line_dims = {
         BAND,
         CROSS_TRACK,
         "srf_offset",
@@ -299,7 +302,7 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
     names = [
         str(name)
         for name, array in calibration.data_vars.items()
-        if name not in dropped and set(array.dims) <= dims_of_line
+        if name not in excluded and set(array.dims) <= line_dims
     ]
     if float(calibration.get("stray_light_u", 0.0)) >= MAX_STRAY_LIGHT_U:
         names = [name for name in names if not name.startswith("stray_light")]
@@ -309,7 +312,7 @@ def calibration_parts(calibration: xr.Dataset | None, is_counts: bool) -> dict[s
 
 
 def scale_attrs(calibration: xr.Dataset | None) -> dict[str, Any]:
-    """Return the attributes on linearity and absolute scale, for which the gain holds."""
+    """Return the attributes of a calibration on linearity and absolute scale."""
     names = ("linearity", "linearity_on", "absolute_scale")
     return {} if calibration is None else {k: calibration.attrs[k] for k in names if k in calibration.attrs}
 
@@ -323,24 +326,24 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
         A Zarr store, as of `open_calibration`, or netCDF file with the rows of
         `hyperpaint.base.schema.SWEEP_VARIABLES`.
     group
-        Group of the store that holds them; by default the root.
+        Group of the sweep; by default the root.
 
     Returns
     -------
     xarray.Dataset
-        Variables of the table; others, such as the truth of a simulated sweep, are left behind.
+        Variables of the table; others, such as the truth of a simulated sweep, are dropped.
 
     Raises
     ------
     FormatError
-        It cannot be read, or holds no counts of steps.
+        The file cannot be read, or has no counts of steps.
     """
-    # counts change from step to step only along one dim: a chunk of steps is all that is in memory
+    # in chunks of steps: the calibration processes few steps at a time
     opened = _read(path, group, "sweep", functools.partial(open_unverified, chunks={}))
     if "counts" not in opened.variables or STEP not in opened["counts"].dims:
-        held = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
+        variables = ", ".join(sorted(map(str, opened.variables))[:8]) or "nothing"
         raise FormatError(
-            f"{path}: holds {held}",
+            f"{path}: holds {variables}",
             expected="a lab sweep with 'counts' (step, band, cross_track)",
             code="counts-missing",
         )
@@ -351,9 +354,9 @@ def open_sweep(path: Any, *, group: str | None = None) -> xr.Dataset:
 def saturation_of(
     saturation_count: float | None, bit_depth: int, calibration: xr.Dataset | None
 ) -> xr.DataArray:
-    """Return ``saturation_count``: the argument, else the calibration's, else the converter's last count.
+    """Return ``saturation_count``: the argument, else that of the calibration, else 2^bit_depth - 1.
 
-    Raises `SchemaError`: The count or the converter's bits are out of range.
+    Raises `SchemaError`: The count or the bit depth is out of range.
     """
     if saturation_count is None and calibration is not None and "saturation_count" in calibration:
         return calibration["saturation_count"].reset_coords(drop=True)

@@ -1,4 +1,4 @@
-"""Dark references: cubes taken with the lens capped, averaged element by element."""
+"""Dark references: cubes recorded with a closed lens, averaged element by element."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from .timing import Timing, line_times, utc_of
 
 DARK_NONE = "none"
 _DARK_OF_CALIBRATION = "calibration"
-#: Smallest number of lines of a dark cube from which read noise is estimated.
-_NOISE_LINES = 16
+#: Minimum number of lines of a dark cube for an estimate of read noise.
+_MIN_NOISE_LINES = 16
 _ELEMENT = (BAND, CROSS_TRACK)
 
 
@@ -41,15 +41,16 @@ _ELEMENT = (BAND, CROSS_TRACK)
 class Dark:
     """Dark counts of a flight line."""
 
-    counts: xr.DataArray  # ``dark_counts`` ([dark_time,] band, cross_track) float32, [count]
-    exposures: tuple[float | None, ...]  # Seconds of each reference, None where unknown
-    # Spread over the lines (band, cross_track) without rounding noise, or None from too few lines
+    counts: xr.DataArray  #: ``dark_counts`` ([dark_time,] band, cross_track), float32 [count].
+    exposures: tuple[float | None, ...]  #: Exposure time of each reference [s]; None where unknown.
+    #: (band, cross_track): Standard deviation over the lines without quantisation noise [count]; None with
+    #: too few lines.
     read_noise: xr.DataArray | None
-    source: str  # Source of the counts
-    uncertainty: xr.DataArray | None = None  # Of the mean, from that spread (band, cross_track), or None
+    source: str  #: Source of the counts.
+    uncertainty: xr.DataArray | None = None  #: (band, cross_track): Standard uncertainty of the mean [count].
 
     def variables(self, *, needs_noise: bool) -> dict[str, xr.DataArray]:
-        """Return the variables that a flight line keeps."""
+        """Return the variables of a flight line, with ``needs_noise`` also the read noise."""
         variables = {"dark_counts": self.counts}
         exposures = [seconds for seconds in self.exposures if seconds is not None]
         if exposures and len(exposures) == len(self.exposures):
@@ -75,18 +76,17 @@ class _Reference:
 def open_dark(
     source: Any, timing: Timing, calibration: xr.Dataset | None, cube: xr.DataArray | None
 ) -> Dark | None:
-    """Open the dark references of a line.
+    """Open the dark references of a line; None where the cube or the calibration failed to open.
+
+    Several references with known times are stacked along ``dark_time``; otherwise they are averaged.
 
     ``source``: path or Dataset of a dark cube, or several; a Dataset with ``dark_counts``; ``"none"`` or
-    ``"calibration"``; ``timing``: clock settings of the flight, which hold for ``frameIndex_<N>.txt`` and
-    ``imu_gps.txt`` beside a dark cube; ``calibration``: of the camera, or None where it failed to open;
-    ``cube``: the line's counts, or None where they failed to open.
+    ``"calibration"``; ``timing``: clock settings of the flight, also for ``frameIndex_<N>.txt`` and
+    ``imu_gps.txt`` beside a dark cube; ``calibration``: calibration of the camera, or None if it failed to
+    open; ``cube``: counts of the line, or None if they failed to open.
 
-    Returns Dark or None: Several references whose times are known are kept along ``dark_time``; otherwise
-    they are averaged. None where the cube or the calibration failed to open.
-
-    Raises `SchemaError`: No dark was named, or one does not fit the cube. Raises `FormatError`: A file is not
-    a cube of raw counts.
+    Raises `SchemaError`: There is no dark, or a dark does not fit the cube. Raises `FormatError`: A file is
+    not a cube of raw counts.
     """
     if source is None or (isinstance(source, (list, tuple)) and not source):
         raise SchemaError(
@@ -104,21 +104,21 @@ def open_dark(
         zeros = label(xr.DataArray(np.zeros(shape, np.float32), dims=_ELEMENT), "dark_counts", dark="none")
         return Dark(zeros, (None,), None, DARK_NONE)
     if isinstance(source, str) and source == _DARK_OF_CALIBRATION:
-        return None if calibration is None else _given(calibration, shape, "the calibration")
+        return None if calibration is None else _from_dark_counts(calibration, shape, "the calibration")
     if isinstance(source, xr.Dataset) and "dark_counts" in source:
-        return _given(source, shape, "a Dataset")
-    several: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
-    return _combine([_reference(reference, timing, shape) for reference in several])
+        return _from_dark_counts(source, shape, "a Dataset")
+    sources: Sequence[Any] = source if isinstance(source, (list, tuple)) else [source]
+    return _combine([_reference(reference, timing, shape) for reference in sources])
 
 
-def _given(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
+def _from_dark_counts(dataset: xr.Dataset, shape: tuple[int, ...] | None, name: str) -> Dark:
     exposure = dataset.get("dark_exposure_time")
     names = ["dark_counts"] + ([] if exposure is None else ["dark_exposure_time"])
     arrays = require(dataset, names, "a dark correction")
     counts = arrays["dark_counts"].astype(dtype_of("dark_counts"))
     _check_shape(tuple(counts.sizes[dim] for dim in _ELEMENT), shape, f"dark_counts of {name}")
     if not np.isfinite(counts.values).any():
-        raise SchemaError(f"dark_counts of {name} are nowhere finite", code="not-finite")
+        raise SchemaError(f"dark_counts of {name} have no finite value", code="not-finite")
     times = counts.coords["dark_time"] if "dark_time" in counts.dims else None
     counts = label(counts.reset_coords(drop=True), "dark_counts")
     if times is not None:
@@ -133,7 +133,7 @@ def _check_shape(actual: tuple[int, ...], shape: tuple[int, ...] | None, name: s
         raise SchemaError(
             f"{name}: {actual[0]} bands x {actual[1]} columns",
             expected=f"{shape[0]} x {shape[1]}, as the cube",
-            mend="give the dark of this camera and binning",
+            mend="pass a dark of this camera with the same binning",
             code="grid-mismatch",
         )
 
@@ -146,9 +146,9 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
         path = Path(source)
         opened, name = open_envi(path, unsaid="counts"), path.name
     if "counts" not in opened:
-        held = ", ".join(map(str, opened.data_vars)) or "nothing"
+        variables = ", ".join(map(str, opened.data_vars)) or "nothing"
         raise FormatError(
-            f"{name}: holds {held}", expected="a dark cube of raw counts", code="counts-missing"
+            f"{name}: holds {variables}", expected="a dark cube of raw counts", code="counts-missing"
         )
     counts = opened["counts"]
     if set(counts.dims) == set(CUBE):
@@ -163,21 +163,21 @@ def _reference(source: Any, timing: Timing, shape: tuple[int, ...] | None) -> _R
             exposure = exposure_seconds(pairs, f"dark {name}: {file}")
             if exposure is not None:
                 break
-    return _Reference(name, frames, _time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure)
+    return _Reference(name, frames, _mid_time(opened, path, timing, counts.sizes[ALONG_TRACK]), exposure)
 
 
-def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
-    # UTC at the middle of a dark cube, None where unknown.
+def _mid_time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> np.datetime64 | None:
+    # UTC at the middle of a dark cube; None where unknown
     if "time" in opened.coords:
         stamps = opened["time"].values.astype("datetime64[ns]")
         stamps = stamps[~np.isnat(stamps)]
-        return _middle(stamps) if stamps.size else None
+        return _midpoint(stamps) if stamps.size else None
     if path is None:
         return None
     index = path.parent / f"frameIndex_{cube_number(path)}.txt"
     nav = path.parent / "imu_gps.txt"
     if index.is_file() and nav.is_file():
-        beside = Timing(
+        dark_timing = Timing(
             frame_index=index,
             nav=nav,
             stamp=timing.stamp,
@@ -186,8 +186,8 @@ def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> 
             gps_leap_seconds=timing.gps_leap_seconds,
         )
         try:
-            times = line_times(path, lines, beside).time
-            return _middle(times[~np.isnat(times)])
+            times = line_times(path, lines, dark_timing).time
+            return _midpoint(times[~np.isnat(times)])
         except PaintError as error:
             warnings.warn(
                 PaintWarning(f"dark {path.name}: time unknown; {error}", code="dark-time-unknown"),
@@ -197,20 +197,20 @@ def _time(opened: xr.Dataset, path: Path | None, timing: Timing, lines: int) -> 
     try:
         return None if stated is None else utc_of(str(stated), "acquisition time")
     except TimeError:
-        return None  # unusable without a zone
+        return None  # such as a time without a zone
 
 
-def _middle(times: NDArray[np.datetime64]) -> np.datetime64:
+def _midpoint(times: NDArray[np.datetime64]) -> np.datetime64:
     return np.datetime64(int((times[0].astype(np.int64) + times[-1].astype(np.int64)) // 2), "ns")
 
 
 def _combine(references: list[_Reference]) -> Dark:
-    # Stack references along time where all times are known, else average them.
-    noisy = [ref.frames for ref in references if ref.frames.lines >= _NOISE_LINES]
+    # Stack references along time where all times are known, else average them
+    long = [ref.frames for ref in references if ref.frames.lines >= _MIN_NOISE_LINES]
     noise = variance = None
-    if noisy:
-        weights = np.array([frames.lines - 1 for frames in noisy], np.float64)
-        variance = sum(w * frames.variance for w, frames in zip(weights, noisy, strict=True)) / weights.sum()
+    if long:
+        weights = np.array([frames.lines - 1 for frames in long], np.float64)
+        variance = sum(w * frames.variance for w, frames in zip(weights, long, strict=True)) / weights.sum()
         noise = _labelled(np.sqrt(np.maximum(variance - QUANTISATION_VARIANCE_COUNT2, 0.0)), "read_noise")
     else:
         variance = _variance_of_few([ref.frames for ref in references])
@@ -222,37 +222,37 @@ def _combine(references: list[_Reference]) -> Dark:
         counts = label(xr.DataArray(stack, dims=("dark_time", *_ELEMENT)), "dark_counts")
         stamps = np.array([ref.time for ref in references], "datetime64[ns]")
         counts = counts.assign_coords(dark_time=label(xr.DataArray(stamps, dims="dark_time"), "dark_time"))
-        fewest = min(ref.frames.lines for ref in references)
-        spread = None if variance is None else _labelled(np.sqrt(variance / fewest), "dark_counts_u_random")
-        return Dark(counts, tuple(ref.exposure for ref in references), noise, source, spread)
+        min_lines = min(ref.frames.lines for ref in references)
+        u = None if variance is None else _labelled(np.sqrt(variance / min_lines), "dark_counts_u_random")
+        return Dark(counts, tuple(ref.exposure for ref in references), noise, source, u)
     if len({ref.exposure for ref in references}) > 1:
-        shown = ", ".join(
+        exposures = ", ".join(
             f"{ref.name} {'unknown' if ref.exposure is None else f'{ref.exposure * 1e3:g} ms'}"
             for ref in references
         )
         raise SchemaError(
-            f"dark cubes of unknown times cannot be averaged, since their exposures differ: {shown}",
+            f"dark cubes of unknown times cannot be averaged, since their exposures differ: {exposures}",
             code="exposure-conflict",
         )
     lines = sum(ref.frames.lines for ref in references)
     total = sum((ref.frames.total for ref in references), np.zeros_like(references[0].frames.total))
     mean = (total / np.float64(lines)).astype(np.float32)
     if len(references) > 1:
-        source += "; averaged, their times being unknown"
-    spread = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
-    return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, spread)
+        source += "; averaged, since their times are unknown"
+    u = None if variance is None else _labelled(np.sqrt(variance / lines), "dark_counts_u_random")
+    return Dark(_labelled(mean, "dark_counts"), (references[0].exposure,), noise, source, u)
 
 
 def _variance_of_few(references: list[DarkFrames]) -> NDArray[np.float64] | None:
-    # The variance of a dark count (band, cross_track) from few lines; None from one line each.
-    # The variance of an element is shrunk to the mean of all with the weight of `_NOISE_LINES` lines.
-    several = [frames for frames in references if frames.lines > 1]
-    if not several:
+    # Variance of a dark count (band, cross_track) from few lines; None with one line in every reference.
+    # The variance of an element is shrunk to the mean variance, with the weight of `_MIN_NOISE_LINES` lines.
+    with_variance = [frames for frames in references if frames.lines > 1]
+    if not with_variance:
         return None
-    freedom = np.array([frames.lines - 1 for frames in several], np.float64)
-    squares = sum(k * frames.variance for k, frames in zip(freedom, several, strict=True))
+    freedom = np.array([frames.lines - 1 for frames in with_variance], np.float64)
+    squares = sum(k * frames.variance for k, frames in zip(freedom, with_variance, strict=True))
     pooled = float(np.sum(squares)) / (freedom.sum() * squares.size)
-    return np.asarray((squares + _NOISE_LINES * pooled) / (freedom.sum() + _NOISE_LINES))
+    return np.asarray((squares + _MIN_NOISE_LINES * pooled) / (freedom.sum() + _MIN_NOISE_LINES))
 
 
 def _labelled(values: NDArray[Any], name: str) -> xr.DataArray:

@@ -1,4 +1,4 @@
-"""One flight line from its instruments' files: counts and all inputs of their calibration, lazily."""
+"""A flight line from the files of its instruments: counts and all inputs of their calibration, lazily."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ type_path = str | os.PathLike[str]
 
 #: Difference between the wavelengths of header and calibration above which a warning is given [nm].
 _WAVELENGTH_TOLERANCE_NM = 0.5
+#: Count in the lines of dropped frames.
 BLANK_COUNT = np.uint16(65535)
 
 
@@ -107,9 +108,9 @@ def open_flightline(
         ENVI cube in sensor geometry (either file of the pair), or its Dataset: raw counts, or a vendor's
         radiance, which needs neither ``calibration`` nor ``dark``.
     frame_index
-        ``frameIndex_<N>.txt``. As many rows as lines: by row. As many lines as frames from first to last: by
-        number, missing frames being blank lines (``time`` NaT, ``counts`` 65535). An index of the whole
-        flight serves ``raw_<N>`` as well.
+        ``frameIndex_<N>.txt``, of this cube or of the complete flight. A cube with one line a row is matched
+        by row. A cube with one line a frame number is matched by number; lines of dropped frames are blank
+        (``time`` NaT, ``counts`` 65535).
     nav
         ``imu_gps.txt``: UTC, and position and attitude at mid exposure.
     dark
@@ -118,11 +119,11 @@ def open_flightline(
     calibration
         See `open_calibration`. Its wavelengths replace the header's.
     irradiance
-        From `open_irradiance`, or paths for it. Kept: the line +- 60 s, and at least the bracketing samples.
-        Without it no reflectance can be computed.
+        From `open_irradiance`, or its paths. The record is cut to the line +- 60 s, and at least the samples
+        around it. Without it no reflectance can be computed.
     exposure_time
-        Seconds, scalar or (along_track,); by default from ``settings.txt`` beside the cube, then from the
-        header's comment lines. Where they disagree the argument wins.
+        Seconds, scalar or (along_track,); by default from ``settings.txt`` beside the cube, else from the
+        comment lines of the header. The argument takes precedence.
     frame_period
         Seconds from line to line; with ``start_time`` it replaces ``frame_index`` and ``nav``.
     start_time
@@ -131,34 +132,34 @@ def open_flightline(
         For frame indices stamped by the recording computer: ``gps_time.txt``, or the day (``"2024-06-01"``),
         with ``nav_clock_offset_s``.
     stamp
-        What a line's time stamp marks.
+        Instant of the exposure that a line's time stamp marks.
     nav_clock_offset_s, time_scale, gps_leap_seconds
-        UTC = stamp of the navigation + offset [s]; ``"gps"`` takes leap seconds off, from a table unless
-        given.
+        UTC = stamp of the navigation + offset [s]; with ``"gps"`` less the leap seconds, by default from a
+        table.
     nav_max_gap_s
-        Longest interval of the navigation that is interpolated [s]; default 2.5 x the median, at least 0.1 s.
+        Maximum interval of the navigation that is interpolated [s]; by default 2.5 x the median, at least
+        0.1 s.
     convention
-        Known conventions of the angles and heights of ``nav`` and of the order of columns: fields of
-        `hyperpaint.Convention`, such as ``{"column_order": "left_to_right"}``. The others are as the
-        format is taken to mean them; the line's attribute ``navigation_assumed`` lists those.
+        Declared conventions of the angles and heights of ``nav`` and of the order of columns: fields of
+        `hyperpaint.Convention`, such as ``{"column_order": "left_to_right"}``. Usual meanings of the format
+        are assumed for the other fields, which the attribute ``navigation_assumed`` of the line lists.
     bit_depth, saturation_count
-        The converter is full at ``saturation_count``: as given, else as in the calibration, else
+        Count of a saturated element: ``saturation_count``, else that of the calibration, else
         ``2**bit_depth - 1``.
     radiance_units
-        Units of a radiance cube whose header does not say them.
+        Units of a radiance cube whose header does not state them.
     quantity
-        ``counts`` or ``radiance``: quantity of an ENVI cube whose header does not state it. By
-        default integers are counts where there is a ``dark``, and radiance where there are
-        ``radiance_units``.
+        ``counts`` or ``radiance``: quantity of an ENVI cube whose header does not state it. By default
+        integers are counts if ``dark`` is passed, and radiance if ``radiance_units`` is passed.
     fwhm_nm
-        Width of the bands [nm] where neither calibration nor header gives it.
+        Width of the bands [nm] if neither calibration nor header states it.
     chunks
         dask chunks of the cube: ``"auto"`` for 32 whole lines, None for no dask (except where units are
         converted or dropped lines blanked), else as for `xarray.Dataset.chunk`.
     name
         Name of the line; by default the cube's.
     keep_whole_lines
-        Open the whole lines of a file that was cut short.
+        Open the complete lines of a file that was cut short.
 
     Returns
     -------
@@ -169,13 +170,13 @@ def open_flightline(
     Raises
     ------
     FormatError
-        A file is damaged or of another kind.
+        A file is damaged or has another format.
     TimeError
         Line times are missing or contradictory, or navigation or irradiance does not cover the line.
     SchemaError, UnitsError
-        The calibration lacks something, or does not fit the cube.
+        The calibration is incomplete, or does not fit the cube.
     CollectError
-        Several of these; all are listed.
+        Several of these problems; all are listed.
 
     Warns
     -----
@@ -228,17 +229,17 @@ def open_flightline(
         keep_whole_lines=keep_whole_lines,
         convention=convention or {},
     )
-    shown = name or (source.name if isinstance(source, Path) else "from a Dataset")
-    findings = Findings(f"flight line {shown!r} cannot be opened")
+    subject = name or (source.name if isinstance(source, Path) else "from a Dataset")
+    findings = Findings(f"flight line {subject!r} cannot be opened")
     line = assemble(inputs, findings)
     findings.raise_if_any()
     return line
 
 
 def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
-    """Open every input, noting errors in ``findings``; return the line, empty after an error.
+    """Open every input, with errors added to ``findings``; return the line, empty after an error.
 
-    Steps whose input failed are left out, so that every problem is found once.
+    Steps whose input failed are skipped, so that every problem is reported once.
     """
     path = inputs.path
     on_disk = inputs.cube if isinstance(inputs.cube, Path) else None
@@ -275,27 +276,28 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
     irradiance: xr.Dataset | None = None
     with findings.step():
         irradiance = _irradiance(inputs, times)
-    meaning: dict[str, Any] = {}
+    convention_attrs: dict[str, Any] = {}
     with findings.step():
-        meaning = _navigation_attrs(inputs.convention, timing) if timing.nav is not None else {}
+        convention_attrs = _convention_attrs(inputs.convention, timing) if timing.nav is not None else {}
     saturation: xr.DataArray | None = None
     with findings.step():
         saturation = saturation_of(inputs.saturation_count, inputs.bit_depth, calibration)
     if findings.errors or cube is None or times is None:
         return xr.Dataset()
-    parts: dict[str, xr.DataArray] = {cube.name: _lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
+    variables: dict[str, xr.DataArray] = {cube.name: _lazy_cube(cube, times, inputs)}  # type: ignore[dict-item]
     attrs: dict[str, Any] = {"name": inputs.name or path.name.split(".")[0], "source": path.name}
     if exposure is not None:
         dims = (ALONG_TRACK,) if exposure.ndim else ()
-        parts["exposure_time"] = label(xr.DataArray(exposure, dims=dims), "exposure_time")
+        variables["exposure_time"] = label(xr.DataArray(exposure, dims=dims), "exposure_time")
         attrs["exposure_source"] = exposure_source
-    parts |= calibration_parts(calibration, is_counts)
+    variables |= calibration_parts(calibration, is_counts)
     if dark is not None and saturation is not None:
-        parts |= {"saturation_count": saturation, **dark.variables(needs_noise="read_noise" not in parts)}
+        variables["saturation_count"] = saturation
+        variables |= dark.variables(needs_noise="read_noise" not in variables)
         attrs["dark_source"] = dark.source
     if irradiance is not None:
-        parts |= {str(key): value for key, value in irradiance.data_vars.items()}
-    line = with_numbers(xr.Dataset(parts, _coordinates(opened, calibration, times, inputs, path)))
+        variables |= {str(key): value for key, value in irradiance.data_vars.items()}
+    line = with_numbers(xr.Dataset(variables, _coordinates(opened, calibration, times, inputs, path)))
     line = with_calibration_names(line)
     line.attrs = {
         **attrs,
@@ -306,7 +308,7 @@ def assemble(inputs: FlightlineInputs, findings: Findings) -> xr.Dataset:
         **scale_attrs(calibration if is_counts else None),
         "time_source": times.source,
         "stamp": timing.stamp,
-        **meaning,
+        **convention_attrs,
         "dropped_frames": times.dropped,
         **{key: opened.attrs[key] for key in ("envi_comments", "envi_notes") if key in opened.attrs},
         **inputs.attrs,
@@ -331,14 +333,14 @@ def _open_file(inputs: FlightlineInputs) -> xr.Dataset:
 
 
 def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
-    # ``counts`` or ``radiance`` in sensor geometry, with units.
+    # Variable ``counts`` or ``radiance`` in sensor geometry, with units
     path = inputs.path
     name = next((name for name in ("counts", "radiance") if name in opened), None)
     if name is None:
-        held = ", ".join(map(str, opened.data_vars)) or "nothing"
+        names = ", ".join(map(str, opened.data_vars)) or "nothing"
         if "values" in opened and opened["values"].dtype.kind in "iu":
             raise FormatError(
-                f"{path}: integers that neither header nor dark declares as counts",
+                f"{path}: integers of an undeclared quantity",
                 mend=(
                     "pass dark=, quantity='counts' (in collect.toml: quantity = \"counts\" in [camera]), "
                     "or radiance_units="
@@ -346,7 +348,7 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
                 code="quantity-ambiguous",
             )
         raise FormatError(
-            f"{path}: holds {held}",
+            f"{path}: holds {names}",
             expected="raw counts, or radiance with radiance_units",
             code="quantity-wrong",
         )
@@ -370,27 +372,27 @@ def _check_cube(opened: xr.Dataset, inputs: FlightlineInputs) -> xr.DataArray:
         if units is None:
             raise FormatError(
                 f"{path}: radiance without units",
-                mend="give radiance_units, for example 'mW cm-2 sr-1 um-1'",
+                mend="pass radiance_units, for example 'mW cm-2 sr-1 um-1'",
                 code="units-missing",
             )
         cube = cube.assign_attrs(units=units)
-        # a wrong unit is reported now, with the other problems
+        # raises for an unreadable unit now, so that it is listed with the other problems
         conversion_factor(str(units), VARIABLES[name].units)
     return cube if cube.dims == CUBE else cube.transpose(*CUBE)
 
 
 def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -> xr.DataArray:
-    # Chunk the cube, convert it, and blank its dropped lines, without reading samples.
+    # Chunk the cube, convert it, and blank its dropped lines, without reading samples
     name = str(cube.name)
     cube = cube.drop_vars(list(cube.coords)).drop_encoding()
     dropped = np.flatnonzero(~times.recorded)
     units = cube.attrs.get("units")
-    as_is = name == "counts" or (units == VARIABLES[name].units and cube.dtype == np.float32)
+    needs_conversion = name != "counts" and (units != VARIABLES[name].units or cube.dtype != np.float32)
     automatic = isinstance(inputs.chunks, str) and inputs.chunks == "auto"
     if not automatic and inputs.chunks is not None:
         cube = cube.chunk(inputs.chunks)
-    elif cube.chunks is None and (automatic or dropped.size or not as_is):
-        # without dask, converting or blanking would read the cube
+    elif cube.chunks is None and (automatic or dropped.size or needs_conversion):
+        # without dask, conversion and blanking would read the cube
         cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1})
     if name == "radiance":
         cube = convert(cube.astype(np.float32, copy=False), VARIABLES[name].units)
@@ -405,7 +407,7 @@ def _lazy_cube(cube: xr.DataArray, times: LineTimes, inputs: FlightlineInputs) -
 def _blank(
     block: NDArray[Any], dropped: NDArray[np.intp], block_info: Mapping[Any, Any] | None = None
 ) -> NDArray[Any]:
-    # A block of lines with its dropped lines blanked.
+    # A block of lines with its dropped lines blanked
     start, stop = (block_info or {})[0]["array-location"][0]
     inside = dropped[(dropped >= start) & (dropped < stop)] - start
     if inside.size:
@@ -431,7 +433,7 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
         if cube is not None and "wavelength" not in cube.coords:
             raise SchemaError(
                 f"{line}: no wavelengths in the header",
-                mend="give the calibration of this camera",
+                mend="pass the calibration of this camera",
                 code="wavelength-missing",
             )
         return None
@@ -440,7 +442,7 @@ def _calibration(inputs: FlightlineInputs, cube: xr.DataArray | None, *, require
     if cube is not None and any(cube.sizes[dim] != size for dim, size in gain.sizes.items()):
         raise SchemaError(
             f"{line} has {_shape(cube.sizes)}, the calibration {_shape(gain.sizes)}",
-            mend="give the calibration of this camera and binning",
+            mend="pass the calibration of this camera with the same binning",
             code="grid-mismatch",
         )
     return calibration
@@ -450,19 +452,19 @@ def _shape(sizes: Mapping[Any, int]) -> str:
     return f"{sizes[BAND]} bands x {sizes[CROSS_TRACK]} columns"
 
 
-def _navigation_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
-    declarable = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
-    if not set(declared) <= declarable:
-        wrong, right = (", ".join(sorted(names)) for names in (set(declared) - declarable, declarable))
+def _convention_attrs(declared: Mapping[str, Any], timing: Timing) -> dict[str, Any]:
+    # Attributes of the conventions of the navigation, with the names of assumed ones
+    accepted = {item.name for item in fields(Convention)} - {"angle_unit", "stamp_reference"}
+    if not set(declared) <= accepted:
         raise SchemaError(
-            f"convention has {wrong}",
-            expected=f"some of {right}",
-            mend="give angles in degree, and stamp= as an argument of its own",
+            f"convention has {', '.join(sorted(set(declared) - accepted))}",
+            expected=f"some of {', '.join(sorted(accepted))}",
+            mend="pass angles in degree, and stamp= as a separate argument",
             code="key-unknown",
         )
-    meant = Convention(**{"stamp_reference": timing.stamp, **declared})
+    convention = Convention(**{"stamp_reference": timing.stamp, **declared})
     assumed = [name for name in ASSUMED if name not in declared]
-    return {**meant.to_attrs(), **({"navigation_assumed": ", ".join(assumed)} if assumed else {})}
+    return {**convention.to_attrs(), **({"navigation_assumed": ", ".join(assumed)} if assumed else {})}
 
 
 # --- coordinates -------------------------------------------------------------------------------------------
@@ -482,7 +484,7 @@ def _coordinates(
     if "fwhm" not in coords and inputs.fwhm_nm is not None:
         coords["fwhm"] = label(xr.DataArray(np.full(opened.sizes[BAND], inputs.fwhm_nm), dims=BAND), "fwhm")
     if "wavelength" in coords and coords["wavelength"].size > 1 and "band_spacing" not in coords:
-        # kept with every band, so that a choice of bands still knows how wide the pixels are
+        # stored for every band, so that it remains after a selection of bands
         spacing = np.abs(np.gradient(coords["wavelength"].values))
         coords["band_spacing"] = label(xr.DataArray(spacing, dims=BAND), "band_spacing")
     if calibration is not None and "wavelength" in opened.coords:
@@ -492,11 +494,15 @@ def _coordinates(
                 f"{path.name}: wavelengths of header and calibration are up to {difference_nm:.3g} nm apart"
             )
             warnings.warn(
-                PaintWarning(f"{message}; those of the calibration are used", code="wavelength-conflict"),
+                PaintWarning(
+                    f"{message}; the wavelengths of the calibration are used", code="wavelength-conflict"
+                ),
                 stacklevel=4,
             )
-    along = {"time": times.time, "frame": times.frame, **times.place}
-    coords |= {name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in along.items()}
+    line_values = {"time": times.time, "frame": times.frame, **times.pose}
+    coords |= {
+        name: label(xr.DataArray(values, dims=ALONG_TRACK), name) for name, values in line_values.items()
+    }
     return coords
 
 

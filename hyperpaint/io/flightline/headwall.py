@@ -1,8 +1,8 @@
 """Side files of a Headwall flight folder: settings, frame index, header comments, dark cubes.
 
-A flight is many cubes ``raw_<N>``, N the number of the cube's first frame; the frame numbers of
-``frameIndex_<N>.txt`` are absolute. No vendor description of these files is public: the variants read here
-are those that public code writes or reads (Nano-Hyperspec with APX-15, its older software, TERRA-REF).
+A flight consists of cubes ``raw_<N>``, where N is the number of the cube's first frame; the frame numbers of
+``frameIndex_<N>.txt`` are absolute. The vendor publishes no description of these files: the supported
+variants are from public code (Nano-Hyperspec with APX-15, its older software, TERRA-REF).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.text_tables import Table, name_rows, read_table, read_text, to_integers
 
 _MAX_FRAME = 1 << 40
-_SECOND = 1_000_000
-_DAY = 86_400 * _SECOND
+_SECOND_US = 1_000_000
+_DAY_US = 86_400 * _SECOND_US
 _TIME_OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?: +(\d{1,6})|\.(\d{1,6})\d*)?")
 _EXPOSURE = re.compile(r"(?:exposure|integration)(?: time)? *\(([^()]*)\)", re.IGNORECASE)
 _CUBE_NUMBER = re.compile(r"raw_(\d{1,12})", re.IGNORECASE)
@@ -38,9 +38,9 @@ _IMU_GPS = re.compile(r".*imu.*gps.*\.txt", re.IGNORECASE)
 
 
 def read_settings(path: str | Path) -> dict[str, str]:
-    """Read ``settings.txt``: every ``key = value`` line, blanks around both removed.
+    """Return the values of all lines ``key = value`` in ``settings.txt`` by key.
 
-    Raises `FormatError`: Unreadable, binary or too large.
+    Raises `FormatError`: The file is unreadable, binary or too large.
     """
     pairs = (line.partition("=") for line in read_text(Path(path)).split("\n"))
     return {key.strip(): value.strip() for key, sign, value in pairs if sign and key.strip()}
@@ -56,11 +56,11 @@ def find_settings(cube: Path) -> Path | None:
 
 
 def exposure_seconds(pairs: Mapping[str, str], source: str) -> float | None:
-    """Return the exposure [s] that ``Exposure (ms)`` or a like key states, None where there is none.
+    """Return the exposure [s] from ``Exposure (ms)`` or a similar key; None without such a key.
 
-    ``pairs``: from `read_settings`, or the comment lines of a header; ``source``: names them in messages.
+    ``pairs``: from `read_settings`, or the comment lines of a header; ``source``: their name in messages.
 
-    Raises `FormatError`: The value is not a positive number, or the keys contradict each other.
+    Raises `FormatError`: The value is not a positive number, or several keys contradict one another.
 
     Examples
     --------
@@ -156,11 +156,11 @@ def find_exposure(
                 PaintWarning(f"{name}: {words}; the first is used", code="exposure-conflict"), stacklevel=4
             )
         return np.array(value), source
-    # an unread header is another problem, not a missing exposure
+    # with an unreadable header, the exposure is not a problem of its own
     if required and opened.sizes:
         raise SchemaError(
             f"{name}: no exposure in settings.txt beside the cube, or in the comments of the header",
-            mend="give exposure_time= [s] (in collect.toml: exposure_time_ms)",
+            mend="pass exposure_time= [s] (in collect.toml: exposure_time_ms)",
             code="exposure-missing",
         )
     return None, ""
@@ -173,28 +173,28 @@ def find_exposure(
 class FrameIndex:
     """Frame numbers and time stamps of recorded lines."""
 
-    name: str  # File name, for messages
-    frame: NDArray[np.int64]  # Absolute frame numbers, strictly increasing, (row,)
-    stamp: NDArray[np.int64]  # Microseconds of the clock, strictly increasing, (row,)
-    # ``"instrument"``: the clock of ``Timestamp`` in ``imu_gps.txt``; ``"time of day"``: since midnight of
-    # the first row's day on the recording computer
+    name: str  #: File name, for messages.
+    frame: NDArray[np.int64]  #: (row,): Absolute frame numbers, strictly increasing.
+    stamp: NDArray[np.int64]  #: (row,): Microseconds of the clock, strictly increasing.
+    #: ``"instrument"``: the clock of ``Timestamp`` in ``imu_gps.txt``; ``"time of day"``: since midnight of
+    #: the first row's day on the recording computer.
     clock: Literal["instrument", "time of day"]
-    fitted: bool = False  # The file holds whole seconds; the stamps are fitted by a straight line
+    fitted: bool = False  #: Whether the stamps are from a straight line fit to whole seconds.
 
 
 def read_frame_index(path: str | Path) -> FrameIndex:
-    """Read ``frameIndex_<N>.txt`` with any of the three kinds of time stamps.
+    """Read ``frameIndex_<N>.txt`` with any of three kinds of time stamps.
 
     ``Timestamp`` in microseconds of the instrument's clock; or ``Time`` as ``HH:MM:SS <microseconds>`` of the
-    recording computer; or ``HH:MM:SS``: whole seconds, through which a straight line over the frame numbers
-    is laid, since a pushbroom records at a steady rate.
+    recording computer; or ``HH:MM:SS``, whole seconds, which are replaced by a straight line fit over the
+    frame numbers, since a pushbroom camera records at a steady rate.
 
-    Raises `FormatError`: Not a frame index, or cells that are not what the header says. Raises `TimeError`:
-    Stamps that repeat or run backwards, or whole seconds that no steady rate explains.
+    Raises `FormatError`: The file is not a frame index, or cells do not fit the header. Raises `TimeError`:
+    Stamps repeat or decrease, or whole seconds fit no steady rate.
     """
     table = read_table(path, "frame index", needs=["frame#"])
-    other = next((column for column in table.columns if column != "frame#"), "")
-    name = next((name for name in ("timestamp", "time") if name in table.columns), other)
+    second_column = next((column for column in table.columns if column != "frame#"), "")
+    name = next((name for name in ("timestamp", "time") if name in table.columns), second_column)
     if not name:
         raise FormatError(
             f"{path}: one column only", expected="'Frame#' and 'Timestamp' or 'Time'", code="column-missing"
@@ -202,9 +202,9 @@ def read_frame_index(path: str | Path) -> FrameIndex:
     frame = to_integers(table, "frame#")
     steps = np.flatnonzero(np.diff(frame) <= 0)
     if steps.size or frame[0] < 0 or frame[-1] > _MAX_FRAME:
-        wrong = table.rows[steps + 1] if steps.size else table.rows[:1]
+        rows = table.rows[steps + 1] if steps.size else table.rows[:1]
         raise FormatError(
-            f"{path}: frame numbers repeat, run backwards or are out of range in {name_rows(wrong)}",
+            f"{path}: frame numbers repeat, decrease or are out of range in {name_rows(rows)}",
             code="frame-unordered",
         )
     if ":" not in table.columns[name][0]:
@@ -213,17 +213,17 @@ def read_frame_index(path: str | Path) -> FrameIndex:
         return FrameIndex(table.name, frame, stamp, "instrument")
     stamp, whole_seconds = time_of_day(table, name)
     if whole_seconds and len(stamp) > 1:
-        return FrameIndex(table.name, frame, _straighten(frame, stamp, str(path)), "time of day", fitted=True)
+        return FrameIndex(table.name, frame, _fit_stamps(frame, stamp, str(path)), "time of day", fitted=True)
     check_increasing(stamp, table.rows, f"{path}: column {name!r}")
     return FrameIndex(table.name, frame, stamp, "time of day")
 
 
 def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject: str) -> None:
-    """Raise TimeError naming the rows whose stamp does not exceed the previous one."""
-    wrong = rows[1:][np.diff(stamp) <= 0]
-    if wrong.size:
+    """Raise a `TimeError` about the rows whose stamp does not exceed the previous stamp."""
+    faulty_rows = rows[1:][np.diff(stamp) <= 0]
+    if faulty_rows.size:
         raise TimeError(
-            f"{subject} repeats or runs backwards in {name_rows(wrong)}",
+            f"{subject} repeats or decreases in {name_rows(faulty_rows)}",
             mend="delete or reorder these rows",
             code="time-unordered",
         )
@@ -232,29 +232,30 @@ def check_increasing(stamp: NDArray[np.int64], rows: NDArray[np.int64], subject:
 def time_of_day(table: Table, name: str) -> tuple[NDArray[np.int64], bool]:
     """Return microseconds since midnight of the first row's day, and whether all are whole seconds."""
     micros_of_day = np.empty(len(table.rows), np.int64)
-    wrong: list[int] = []
-    whole = True
-    for place, cell in enumerate(table.columns[name]):
+    faulty_rows: list[int] = []
+    whole_seconds = True
+    for number, cell in enumerate(table.columns[name]):
         match = _TIME_OF_DAY.fullmatch(cell.strip())
         if match is None or int(match[1]) > 23 or int(match[2]) > 59 or int(match[3]) > 60:
-            wrong.append(int(table.rows[place]))
+            faulty_rows.append(int(table.rows[number]))
             continue
         hours, minutes, seconds, micros, fraction = match.groups()
-        whole = whole and micros is None and fraction is None
-        micros_of_day[place] = (int(hours) * 60 + int(minutes)) * 60 * _SECOND + int(seconds) * _SECOND
-        micros_of_day[place] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
-    if wrong:
+        whole_seconds = whole_seconds and micros is None and fraction is None
+        micros_of_day[number] = (int(hours) * 60 + int(minutes)) * 60 * _SECOND_US + int(seconds) * _SECOND_US
+        micros_of_day[number] += int(micros) if micros is not None else int((fraction or "0").ljust(6, "0"))
+    if faulty_rows:
         raise FormatError(
-            f"{table.name}: column {name!r} is unreadable in {name_rows(wrong)}",
+            f"{table.name}: column {name!r} is unreadable in {name_rows(faulty_rows)}",
             expected="'HH:MM:SS microseconds'",
             code="time-unreadable",
         )
-    # a step back by more than half a day is midnight
-    days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -_DAY // 2)])
-    return micros_of_day + days * _DAY, whole
+    # a decrease by more than half a day is midnight
+    days = np.concatenate([[0], np.cumsum(np.diff(micros_of_day) < -_DAY_US // 2)])
+    return micros_of_day + days * _DAY_US, whole_seconds
 
 
-def _straighten(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str) -> NDArray[np.int64]:
+def _fit_stamps(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str) -> NDArray[np.int64]:
+    # Stamps on a straight line over the frame numbers, fitted to whole seconds
     if len(np.unique(stamp)) < 3:
         raise TimeError(
             f"{subject}: fewer than three different whole seconds",
@@ -262,12 +263,12 @@ def _straighten(frame: NDArray[np.int64], stamp: NDArray[np.int64], subject: str
             code="frame-rate-unknown",
         )
     x = (frame - frame[0]).astype(np.float64)
-    y = (stamp - stamp[0]) + 0.5 * _SECOND  # a truncated second is half a second late on average
+    y = (stamp - stamp[0]) + 0.5 * _SECOND_US  # truncation reduces a stamp by half a second on average
     slope, offset = np.polyfit(x, y, 1)
-    if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND:
-        raise TimeError(f"{subject}: whole seconds that fit no steady frame rate", code="frame-rate-unknown")
-    straight: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
-    return straight
+    if slope <= 0 or np.abs(y - (offset + slope * x)).max() > 0.75 * _SECOND_US:
+        raise TimeError(f"{subject}: the whole seconds fit no steady frame rate", code="frame-rate-unknown")
+    fitted: NDArray[np.int64] = stamp[0] + np.round(offset + slope * x).astype(np.int64)
+    return fitted
 
 
 def cube_number(cube: Path) -> int | None:
@@ -279,15 +280,16 @@ def cube_number(cube: Path) -> int | None:
 def frame_index_beside(cube: Path) -> Path | None:
     """Return the last frame index in the folder of a cube that begins at or before its first frame."""
     matches = [match for path in cube.parent.iterdir() if (match := _FRAME_INDEX.fullmatch(path.name))]
-    numbers = {int(match[1] or 0): cube.with_name(match[0]) for match in matches}
-    first = cube_number(cube)
-    if first is None:
-        return next(iter(numbers.values())) if len(numbers) == 1 else None
-    return max(((number, path) for number, path in numbers.items() if number <= first), default=(0, None))[1]
+    files = {int(match[1] or 0): cube.with_name(match[0]) for match in matches}
+    first_frame = cube_number(cube)
+    if first_frame is None:
+        return next(iter(files.values())) if len(files) == 1 else None
+    earlier = ((number, path) for number, path in files.items() if number <= first_frame)
+    return max(earlier, default=(0, None))[1]
 
 
 def navigation_beside(cube: Path) -> Path | None:
-    """Return the only ``imu_gps.txt`` in the folder of a cube or the one above."""
+    """Return the only ``imu_gps.txt`` in the folder of a cube, or in the parent folder."""
     for folder in (cube.parent, cube.parent.parent):
         records = [path for path in folder.iterdir() if _IMU_GPS.fullmatch(path.name)]
         if records:
@@ -300,27 +302,29 @@ def match_frames(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the frame number and the row of the index of each line of a cube.
 
-    ``index``: frame index of the cube, or of the whole flight; ``lines``: lines of the cube; ``cube``: its
-    path: ``raw_<N>`` and its neighbours give the cube's part of a whole flight's index; ``shortened``: the
-    file was cut short and only its whole lines are kept: it may hold fewer lines than rows.
+    ``index``: frame index of the cube, or of the complete flight; ``lines``: lines of the cube; ``cube``: its
+    path, whose name ``raw_<N>`` and neighbours determine the rows of the cube in an index of the complete
+    flight; ``shortened``: whether the file was cut short, so that it may have fewer lines than rows.
 
     Returns frame numbers (along_track,), and rows of the index (along_track,), -1 for a dropped frame.
 
-    Raises `FormatError`: The lines fit the index neither by row nor by number.
+    Raises `FormatError`: The number of lines is neither that of the rows nor that of the frames.
     """
-    first, last, rows = int(index.frame[0]), int(index.frame[-1]), len(index.frame)
-    # start and length in rows, first frame and one past the last: of the index, then of the cube's part in it
-    parts = [(0, rows, first, last + 1)]
+    first_frame, last_frame, rows = int(index.frame[0]), int(index.frame[-1]), len(index.frame)
+    # first row, number of rows, first frame and one past the last: of the index, then of the cube in it
+    ranges = [(0, rows, first_frame, last_frame + 1)]
     number = cube_number(cube)
-    if number is not None and first <= number <= last:
-        others = [cube_number(other) for other in cube.parent.glob("raw_*.hdr")]
-        end = min((n for n in others if n is not None and n > number), default=last + 1)
-        start, stop = np.searchsorted(index.frame, [number, end])
-        parts.append((int(start), int(stop - start), number, end))
-    for start, length, begin, end in parts:
+    if number is not None and first_frame <= number <= last_frame:
+        numbers = [cube_number(path) for path in cube.parent.glob("raw_*.hdr")]
+        end_frame = min((n for n in numbers if n is not None and n > number), default=last_frame + 1)
+        start, stop = np.searchsorted(index.frame, [number, end_frame])
+        ranges.append((int(start), int(stop - start), number, end_frame))
+    for start, length, begin, end in ranges:
+        # a line for every row
         if lines == length or (shortened and lines < length == end - begin):
             row = np.arange(start, start + lines)
             return index.frame[row], row
+        # a line for every frame number, blank for a dropped frame
         if lines == end - begin and length:
             frame = np.arange(begin, end)
             row = np.full(lines, -1)
@@ -328,12 +332,12 @@ def match_frames(
             return frame, row
     raise FormatError(
         (
-            f"{cube.name} has {lines} lines, {index.name} has {rows} rows, frames {first} to "
-            f"{last} ({last - first + 1} by number)"
+            f"{cube.name} has {lines} lines, {index.name} has {rows} rows, frames {first_frame} to "
+            f"{last_frame} ({last_frame - first_frame + 1} by number)"
         ),
         expected="as many lines as rows, or as frames",
         mend=(
-            "give the frame index of this cube, or keep_whole_lines=True for a cube cut short in flight "
+            "pass the frame index of this cube, or keep_whole_lines=True for a cube cut short in flight "
             "(in collect.toml: keep_whole_lines = true)"
         ),
         code="frame-index-mismatch",
@@ -347,11 +351,10 @@ def match_frames(
 class DarkFrames:
     """Exact sums over the lines of one dark cube."""
 
-    lines: int  # Number of lines
-    # total, squares: Sum of the counts and of their squares, (band, cross_track); whole numbers, so that no
-    # bit depends on the order of addition
-    total: NDArray[np.uint64]
-    squares: NDArray[np.uint64]
+    lines: int  #: Number of lines.
+    # integers, so that the sums do not depend on the order of addition
+    total: NDArray[np.uint64]  #: (band, cross_track): Sum of the counts.
+    squares: NDArray[np.uint64]  #: (band, cross_track): Sum of the squared counts.
 
     @property
     def mean(self) -> NDArray[np.float64]:
@@ -366,12 +369,12 @@ class DarkFrames:
 
 
 def sum_dark(counts: xr.DataArray, subject: str) -> DarkFrames:
-    """Sum the lines of a dark cube, a slab at a time.
+    """Sum the lines of a dark cube in blocks of lines.
 
-    ``counts``: raw counts, (along_track, band, cross_track), lazily indexed; ``subject``: names the cube in
+    ``counts``: raw counts (along_track, band, cross_track), lazily indexed; ``subject``: name of the cube in
     messages.
 
-    Raises `FormatError`: It is not a cube of unsigned integers with at least one line.
+    Raises `FormatError`: The counts are not a cube of unsigned integers with at least one line.
     """
     problems = Problems(f"{subject} cannot serve as dark reference", FormatError)
     if counts.dims != CUBE:

@@ -16,7 +16,8 @@ from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files
 
-_FIRST = (
+#: Variables of the first columns, in their order.
+_FIRST_COLUMNS = (
     *("frame", "time", "latitude", "longitude", "altitude", "roll", "pitch", "heading"),
     *("exposure_time", "irradiance_age"),
 )
@@ -27,14 +28,14 @@ _FIRST = (
 def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Write the variables on ``along_track`` of a flight line as comma-separated values.
 
-    `open_navigation` reads the file again where it holds the pose, and every number keeps its bits: what the
-    angles mean is declared in its first lines.
+    `open_navigation` reads a file with the pose again, and every number keeps its bits; the first lines of
+    the file declare the conventions of its angles.
 
     Parameters
     ----------
     line
-        A flight line: its variables on ``along_track`` alone, of numbers or times. Scalars of a line, such as
-        one exposure time, are repeated.
+        A flight line; its variables of numbers or times with the only dim ``along_track`` are written. A
+        scalar exposure time is repeated.
     path
     overwrite
 
@@ -47,9 +48,9 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     Raises
     ------
     SchemaError
-        There is no ``along_track``, or nothing on it.
+        There is no ``along_track``, or no variable on it.
     StoreError
-        The file exists, or cannot be written. What was there stays.
+        The file exists, or cannot be written. An existing file is unchanged.
 
     Examples
     --------
@@ -67,12 +68,12 @@ def write_line_table(line: xr.Dataset, path: str | os.PathLike[str], *, overwrit
     names = [str(name) for name, array in line.variables.items() if array.dims == (ALONG_TRACK,)]
     if lines is None or not names:
         raise SchemaError(
-            f"no variable on {ALONG_TRACK!r} alone, dims are {dict(line.sizes)}",
-            mend="give a flight line",
+            f"no variable has the only dim {ALONG_TRACK!r}, dims are {dict(line.sizes)}",
+            mend="pass a flight line",
             code="dim-missing",
         )
-    names += [name for name in _FIRST if name in line.variables and line.variables[name].dims == ()]
-    order = {name: place for place, name in enumerate(_FIRST)}
+    names += [name for name in _FIRST_COLUMNS if name in line.variables and line.variables[name].dims == ()]
+    order = {name: number for number, name in enumerate(_FIRST_COLUMNS)}
     columns: dict[str, Any] = {}
     for name in sorted(set(names), key=lambda name: (order.get(name, len(order)), name)):
         values = line[name].values
@@ -99,6 +100,6 @@ def _texts(values: Any) -> list[str]:
         stamps = np.datetime_as_string(values.astype("datetime64[ns]"), unit="ns")
         return ["" if stamp == "NaT" else f"{stamp}Z" for stamp in stamps]
     if values.dtype.kind == "f":
-        # the shortest text that is the same number again
+        # the shortest text that is read as the same number
         return ["" if np.isnan(value) else str(value) for value in values]
     return [str(int(value)) for value in values]

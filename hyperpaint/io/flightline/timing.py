@@ -1,4 +1,4 @@
-"""Time and place of the exposure of each line of a cube: frame index, clocks and navigation joined."""
+"""Time and position of the exposure of each line of a cube, from frame index, clocks and navigation."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
 from hyperpaint.base.errors import PaintWarning, Problems, TimeError
+from hyperpaint.base.facts import one_of
 from hyperpaint.io.navigation.clocks import Clock, ClockCorrection
 from hyperpaint.io.navigation.navigation_records import Navigation, read_gps_time, read_imu_gps
 
@@ -51,24 +52,24 @@ class Timing:
 
 @dataclass(frozen=True)
 class LineTimes:
-    """Times and places of the lines of a cube."""
+    """Times and poses of the lines of a cube."""
 
-    frame: NDArray[np.int64]  # Frame numbers, (along_track,)
-    recorded: NDArray[np.bool_]  # False where the frame was dropped and the line is blank, (along_track,)
-    time: NDArray[np.datetime64]  # UTC at mid exposure, NaT where unknown, (along_track,)
-    # ``latitude`` ... ``heading`` to (along_track,) float64; empty without navigation.
-    place: Mapping[str, NDArray[np.float64]] = field(repr=False)
-    dropped: int  # Number of frames missing between the first and the last, blank lines included
-    source: str  # Source of the times
+    frame: NDArray[np.int64]  #: (along_track,): Frame numbers.
+    recorded: NDArray[np.bool_]  #: (along_track,): False where the frame was dropped and the line is blank.
+    time: NDArray[np.datetime64]  #: (along_track,): UTC at mid exposure, NaT where unknown.
+    #: ``latitude`` to ``heading`` (along_track,), float64, by name; empty without navigation.
+    pose: Mapping[str, NDArray[np.float64]] = field(repr=False)
+    dropped: int  #: Number of frames missing between the first and the last line, blank lines included.
+    source: str  #: Source of the times.
 
 
 def utc_of(value: Any, name: str) -> np.datetime64:
     """Return an instant as datetime64[ns] UTC.
 
-    ``value``: ISO text or a datetime, both with a zone, or a numpy.datetime64, which is UTC; ``what``: names
-    it in messages.
+    ``value``: ISO text or a datetime, both with a zone, or a numpy.datetime64, which is UTC; ``name``: name
+    of the value in messages.
 
-    Raises `TimeError`: Unreadable, or without a zone.
+    Raises `TimeError`: The value is unreadable, or without a zone.
 
     Examples
     --------
@@ -109,18 +110,18 @@ def line_times(
     *,
     shortened: bool = False,
 ) -> LineTimes:
-    """Join frame index, clocks and navigation to the lines of a cube.
+    """Return times and poses of the lines of a cube, from frame index, clocks and navigation.
 
-    The stamp of a line in the instrument's microseconds is placed between the rows of the navigation record
-    that hold both this clock and UTC, linearly and in int64; nothing is extrapolated. From what the stamp
-    marks, half an exposure leads to mid exposure.
+    The stamp of a line in the instrument's microseconds is converted to UTC by linear interpolation, in
+    int64, between rows of the navigation record that have both clocks; nothing is extrapolated. Half an
+    exposure leads from the start or end of an exposure to its middle.
 
-    ``cube``: path of the cube; ``raw_<N>`` names its first frame; ``lines``: its number of lines; ``timing``:
-    the sources; ``exposure_time``: seconds, scalar or (along_track,); ``shortened``: the cube was cut short,
-    and its frame index may hold more rows than it has lines.
+    ``cube``: path of the cube, whose name ``raw_<N>`` states its first frame; ``lines``: its number of lines;
+    ``timing``: the sources; ``exposure_time``: seconds, scalar or (along_track,); ``shortened``: whether the
+    file was cut short, so that its frame index may have more rows than the cube has lines.
 
     Raises `FormatError`: A side file is damaged, or the frame index does not fit the cube. Raises
-    `TimeError`: Sources are missing or contradict each other, or no line falls inside the navigation record.
+    `TimeError`: Sources are missing or contradict each other, or no line lies within the navigation record.
 
     Warns `PaintWarning`: Lines outside the navigation record; a frame period or exposure that the stamps
     contradict; stamps of whole seconds.
@@ -149,32 +150,26 @@ def line_times(
         if outside.all():
             raise TimeError(
                 f"{cube.name}: no line lies inside {clock.source}",
-                mend="give the record of this flight",
+                mend="pass the record of this flight",
                 code="time-uncovered",
             )
         missing = np.flatnonzero(outside)
-        shown = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
-        text = f"{cube.name}: {shown} lie outside {clock.source} and have no time and place"
+        count = f"{len(missing)} of {len(outside)} lines ({missing[0]} to {missing[-1]})"
+        text = f"{cube.name}: {count} lie outside {clock.source} and have no time and position"
         warnings.warn(PaintWarning(text, code="time-uncovered"), stacklevel=2)
-    half = np.round(np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp] * _NS_PER_S).astype(
-        "timedelta64[ns]"
-    )
-    time = time + half
-    place: Mapping[str, NDArray[np.float64]] = {}
+    # from the stamped instant of the exposure to its middle
+    to_middle = np.asarray(exposure_time) * MID_EXPOSURE_OFFSETS[timing.stamp]
+    time = time + np.round(to_middle * _NS_PER_S).astype("timedelta64[ns]")
+    pose: Mapping[str, NDArray[np.float64]] = {}
     if nav is not None:
-        place = nav.dated_by(clock).at(time, timing.max_gap_s)
+        pose = nav.dated_by(clock).at(time, timing.max_gap_s)
     dropped = int(frame[-1] - frame[0]) + 1 - int(recorded.sum()) if lines else 0
-    return LineTimes(frame, recorded, time, place, dropped, clock.source)
+    return LineTimes(frame, recorded, time, pose, dropped, clock.source)
 
 
 def _check(timing: Timing, exposure_s: float) -> None:
     problems = Problems("the clocks of the flight cannot be used as described", TimeError)
-    if timing.stamp not in MID_EXPOSURE_OFFSETS:
-        problems.add(
-            f"stamp {timing.stamp!r}",
-            expected="'start', 'mid' or 'end' of the exposure",
-            code="choice-unknown",
-        )
+    one_of(timing.stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
     if exposure_s > _MAX_EXPOSURE_S:
         problems.add(
             f"an exposure of {exposure_s:g} s",
@@ -194,14 +189,14 @@ def _clock(
         if index is not None and nav is not None and nav.utc is not None:
             raise TimeError(
                 f"{cube.name}: both start_time and a navigation record with UTC",
-                mend="give one of them",
+                mend="pass one of them",
                 code="option-conflict",
             )
         start = utc_of(timing.start_time, "start_time").astype(np.int64)
         if index is None and not timing.frame_period:
             raise TimeError(
                 f"{cube.name}: start_time without frame_index or frame_period",
-                mend="give one of them",
+                mend="pass one of them",
                 code="argument-missing",
             )
         return _steady(0 if index is None else int(index.stamp[rows[0]]), int(start), "start_time")
@@ -211,7 +206,7 @@ def _clock(
         beside = f" (beside the cube: {files})" if files else ""
         raise TimeError(
             f"{cube.name}: no line times",
-            mend=f"give frame_index and nav, or start_time and frame_period{beside}",
+            mend=f"pass frame_index and nav, or start_time and frame_period{beside}",
             code="time-missing",
         )
     if index.clock == "time of day" and timing.gps_time is not None:
@@ -230,22 +225,22 @@ def _clock(
         if timing.clock_offset_s is None:
             raise TimeError(
                 "date without clock_offset_s",
-                mend="pass clock_offset_s = UTC minus the computer's clock (0.0 if it ran on UTC)",
+                mend="pass clock_offset_s = UTC minus the computer's clock (0.0 for a clock in UTC)",
                 code="clock-offset-missing",
             )
         utc = timing.correction.apply(np.array([midnight]).astype(np.int64))
         return _steady(0, int(utc[0]), "date and time of day")
     if nav is None:
         raise TimeError(
-            f"{cube.name}: {index.name} holds no UTC",
-            mend="give nav (imu_gps.txt), or start_time",
+            f"{cube.name}: {index.name} has no UTC",
+            mend="pass nav (imu_gps.txt), or start_time",
             code="time-missing",
         )
     return nav.clock_for(index)
 
 
 def _steady(stamp: int, utc: int, source: str) -> Clock:
-    # A clock that runs true from one instant.
+    # A clock without drift, from one stamp and its UTC
     span = np.array([-10 * _DAY_US, 10 * _DAY_US], np.int64)
     return Clock(stamp + span, utc + span * 1000, source)
 
@@ -257,20 +252,20 @@ def _check_rate(
     exposure_time: float | NDArray[np.float64],
     cube: Path,
 ) -> None:
-    # Warn where stated period, exposure and stamps contradict each other.
+    # Warn where stated period, exposure and stamps contradict one another
     def warn(text: str, code: str) -> None:
         warnings.warn(PaintWarning(f"{cube.name}: {text}", code=code), stacklevel=4)
 
     if index.fitted:
-        warn(f"{index.name} holds whole seconds: line times are a straight line through them", "time-rounded")
+        warn(f"{index.name} has whole seconds: line times are from a straight line fit", "time-rounded")
     if len(rows) < 2:
         return
     period = float(np.median(np.diff(index.stamp[rows]) / np.diff(index.frame[rows]))) * 1e-6
     stated = timing.frame_period
     if stated and abs(period / stated - 1.0) > 0.05:
-        steps = f"{index.name} steps by {period * 1e3:.4g} ms a frame; the stamps are used"
-        warn(f"frame_period {stated * 1e3:g} ms, but {steps}", "frame-rate-conflict")
-    longest_ms = float(np.max(exposure_time)) * 1e3
-    if float(np.max(exposure_time)) > 1.01 * period:
-        between = f"{period * 1e3:.4g} ms between frames; check its unit"
-        warn(f"exposure {longest_ms:g} ms is longer than the {between}", "exposure-too-long")
+        text = f"{index.name} has {period * 1e3:.4g} ms a frame; its stamps are used"
+        warn(f"frame_period {stated * 1e3:g} ms, but {text}", "frame-rate-conflict")
+    exposure_s = float(np.max(exposure_time))
+    if exposure_s > 1.01 * period:
+        text = f"exposure {exposure_s * 1e3:g} ms is longer than the {period * 1e3:.4g} ms between frames"
+        warn(f"{text}; check its unit", "exposure-too-long")

@@ -17,20 +17,20 @@ from .text_spectra import other_quantity
 
 @dataclass(frozen=True)
 class QuantityRules:
-    """Thresholds above which numbers of a table do not pass as reflectance.
+    """Thresholds by which the numbers of a table are not reflectance.
 
     min_oxygen_depth
-        Depth of the band of oxygen at 760 nm [1], below the lower of both sides, from which on
-        values look like light: sun through air has 0.5 to 0.9 at 1 to 5 nm and 0.2 at 15 nm; thirty real
-        libraries of reflectance have 0.023 at the most.
+        Depth of the oxygen band at 760 nm, relative to its lower shoulder [1], from which values look like
+        radiance or irradiance: sunlight has 0.5 to 0.9 at bandwidths of 1 to 5 nm and 0.2 at 15 nm; in
+        thirty real libraries of reflectance the maximum is 0.023.
     oxygen_step_nm
-        Widest spacing of wavelengths at which that is judged [nm].
+        Maximum spacing of wavelengths at which this depth is judged [nm].
     max_spread_ratio
-        Median of a third column over the second, up to which it is a spread where nothing names it [1]. Of a
-        real lawn it is 0.2; a pair of paints that differ more than twice asks for headings.
+        Maximum median ratio of a third column to the second [1] by which a third column without a heading
+        is a standard deviation. A real lawn has 0.2. Two paints below this ratio need headings.
     max_repeats
-        Share of wavelengths that occur twice apart from each other, up to which these are detectors that
-        overlap [1]: 0.002 in exports of SVC; two spectra one below the other have 0.5.
+        Maximum share of wavelengths that occur again in rows that are not adjacent [1], by which they come
+        from overlapping detectors: 0.002 in exports of SVC; two spectra, one below the other, have 0.5.
     """
 
     min_oxygen_depth: float = 0.1
@@ -41,7 +41,7 @@ class QuantityRules:
 
 RULES = QuantityRules()
 NO_SPREAD, IS_SPREAD = -1, -2
-SAY_SO = "pass quantity='reflectance' if it is reflectance after all"
+SAY_SO = "pass quantity='reflectance' if the values are reflectance"
 
 _SPREAD = re.compile(
     r"(?<![a-z])(?:standard[ _.-]?dev\w*|st\.? ?dev\w*|std(?:ev|dev)?|s\.?d\.?|sigma|stdv|1s)(?![a-z])", re.I
@@ -61,19 +61,19 @@ _TITLE = re.compile(r"irradianc\w*|radianc\w*|transmittance|absorbance|emissivit
 
 
 def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -> None:
-    """Refuse a table whose headings or units name another quantity.
+    """Check that the headings and units of a table do not name another quantity than reflectance.
 
-    preamble: Lines above the numbers; headings: names of the columns, as many as there are, or none.
+    preamble: Lines above the numbers; headings: names of all columns, or none.
 
-    Raises FormatError: A column is named after light, counts, transmittance or a statistic; or the lines
-        above name such a quantity and do not name reflectance.
+    Raises FormatError: A heading names radiance, irradiance, counts, transmittance or a statistic; or the
+        lines above name such a quantity and not reflectance.
     """
     foreign = [name.strip() for name in headings[1:] if _foreign(name) or _STATISTIC.fullmatch(name.strip())]
     if foreign:
         raise FormatError(
             f"{source}: column headings name {', '.join(map(repr, foreign[:5]))}",
             expected="reflectance",
-            mend=f"leave those columns out, or {SAY_SO}",
+            mend=f"remove these columns, or {SAY_SO}",
             code="quantity-wrong",
         )
     preamble_text = " ".join(preamble)
@@ -94,7 +94,7 @@ def check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -
 
 
 def _foreign(text: str) -> str:
-    # The word or unit of another quantity than reflectance; empty without one.
+    # Word or unit of another quantity than reflectance, empty if there is none
     if word := other_quantity(text):
         return word
     if "reflect" in text.lower():
@@ -106,21 +106,23 @@ def _foreign(text: str) -> str:
 def spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
     """Return for each column the index of its standard deviation, `NO_SPREAD`, or `IS_SPREAD`.
 
-    headings: Names of the columns, wavelengths first; none where the file has none. values: (column, band).
-    is_reflectance: Columns without headings are reflectance without a check of their values.
+    headings: Names of the columns, wavelengths first; empty for a file without headings.
+    values: (column, band).
+    is_reflectance: Whether columns without headings are reflectance, without a check of their values.
 
-    Raises FormatError: The first column is named a standard deviation.
-    Warns PaintWarning: Nothing names three columns, and the last looks like the spread of the one before.
+    Raises FormatError: The heading of the first spectrum is a standard deviation.
+    Warns PaintWarning: There are three columns without headings, and the third looks like the standard
+        deviation of the second.
     """
     roles = np.full(len(values), NO_SPREAD)
     if headings:
-        bare = [_bare(name) for name in headings[1:]]
-        named = np.array([_SPREAD.search(name) is not None for name in headings[1:]])
-        means = [name for name, spread in zip(bare, named, strict=True) if not spread]
-        # "White Std" may be a paint: it is a spread only beside a column "White"
-        in_full = [_IN_FULL.search(name) is not None for name in headings[1:]]
-        is_spread = named & np.array(
-            [full or not name or name in means for full, name in zip(in_full, bare, strict=True)]
+        paints = [_paint_name(heading) for heading in headings[1:]]
+        names_spread = np.array([_SPREAD.search(heading) is not None for heading in headings[1:]])
+        mean_paints = [paint for paint, spread in zip(paints, names_spread, strict=True) if not spread]
+        # "White Std" may be the name of a paint: it is a spread only beside a column "White"
+        in_words = [_IN_FULL.search(heading) is not None for heading in headings[1:]]
+        is_spread = names_spread & np.array(
+            [word or not paint or paint in mean_paints for word, paint in zip(in_words, paints, strict=True)]
         )
         if is_spread[0]:
             raise FormatError(
@@ -131,20 +133,21 @@ def spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_r
         roles[is_spread] = IS_SPREAD
         for at in np.flatnonzero(is_spread):
             spectra = np.flatnonzero(~is_spread)
-            alike = [int(other) for other in spectra if bare[at] and bare[other] == bare[at]]
-            owner = alike[0] if alike else spectra[spectra < at][-1]
-            roles[owner] = at if roles[owner] == NO_SPREAD else roles[owner]
+            of_same_paint = [int(column) for column in spectra if paints[at] and paints[column] == paints[at]]
+            mean = of_same_paint[0] if of_same_paint else spectra[spectra < at][-1]
+            roles[mean] = at if roles[mean] == NO_SPREAD else roles[mean]
     elif len(values) == 2 and not is_reflectance and _looks_like_spread(*values):
         text = (
             f"{source}: three columns without headings; the third is taken for the standard deviation of the "
-            "second; name the columns, or pass quantity='reflectance' if it is a paint"
+            "second; add headings, or pass quantity='reflectance' if the third is a paint"
         )
         warnings.warn(PaintWarning(text, code="spread-assumed"), stacklevel=6)
         roles[:] = 1, IS_SPREAD
     return roles
 
 
-def _bare(heading: str) -> str:
+def _paint_name(heading: str) -> str:
+    # Letters and digits of a heading without its words for mean and standard deviation
     return "".join(sign for sign in _MEAN.sub(" ", _SPREAD.sub(" ", heading.lower())) if sign.isalnum())
 
 
@@ -156,35 +159,35 @@ def _looks_like_spread(mean: Floats, spread: Floats) -> bool:
 
 
 def without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Floats, Floats, list[str]]:
-    """Return wavelengths and values (band, spectrum) with successive repeats merged, and notes on it.
+    """Return wavelengths and values (band, spectrum) with successive equal wavelengths merged, and notes.
 
-    Rows that are the same count once; values that differ are averaged.
+    Of equal rows one is kept; different values are averaged.
 
-    Raises FormatError: Many wavelengths occur twice apart from each other, as of two spectra one below the
-        other.
+    Raises FormatError: Many wavelengths occur again in rows that are not adjacent, as of two spectra one
+        below the other.
     Warns PaintWarning: Values were averaged.
     """
-    starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)
-    difference = 1.0 - np.unique(wavelength[starts]).size / starts.size
-    doubled = wavelength.size - starts.size
-    if difference > RULES.max_repeats or 2 * doubled >= wavelength.size:
-        twice = wavelength.size - np.unique(wavelength).size
+    starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)  # first rows of equal wavelengths
+    distant_share = 1.0 - np.unique(wavelength[starts]).size / starts.size
+    adjacent = wavelength.size - starts.size
+    if distant_share > RULES.max_repeats or 2 * adjacent >= wavelength.size:
+        repeats = wavelength.size - np.unique(wavelength).size
         raise FormatError(
-            f"{source}: {twice} of {wavelength.size} wavelengths occur twice",
-            expected="one row a wavelength, and one column a spectrum",
+            f"{source}: {repeats} of {wavelength.size} wavelengths occur twice",
+            expected="one row per wavelength, and one column per spectrum",
             mend="put spectra side by side, or write wavelengths with more digits",
             code="wavelength-duplicate",
         )
-    if not doubled:
+    if not adjacent:
         return wavelength, values, []
     counts = np.diff(np.append(starts, wavelength.size))
     means = np.add.reduceat(values, starts, axis=0) / counts[:, None]
     difference = 2.0 * float(np.nanmax(np.abs(values - np.repeat(means, counts, axis=0)), initial=0.0))
-    first = wavelength[starts[counts > 1][0]]
-    text = f"{doubled} wavelengths stand twice in a row, such as {first:g}"
+    example = wavelength[starts[counts > 1][0]]
+    text = f"{adjacent} wavelengths are equal to that of the row before, such as {example:g}"
     if difference <= 1e-12 * float(np.nanmax(np.abs(values), initial=0.0)):
-        return wavelength[starts], values[starts], [f"{text}: the same rows count once"]
-    text = f"{text}: their values, up to {difference:.3g} apart, are averaged"
+        return wavelength[starts], values[starts], [f"{text}: one of the equal rows is kept"]
+    text = f"{text}: their values, which differ by up to {difference:.3g}, are averaged"
     warnings.warn(PaintWarning(f"{source}: {text}", code="wavelength-duplicate"), stacklevel=6)
     return wavelength[starts], means, [text]
 
@@ -194,16 +197,16 @@ def warn_of_light(wavelength: Floats, reflectance: Floats32, source: str) -> Non
 
     wavelength: (band,) [nm]; reflectance: (signature, band) [1].
 
-    Warns PaintWarning: One has it.
+    Warns PaintWarning: A spectrum has the band.
     """
     order = np.argsort(wavelength, kind="stable")
     nm, values = wavelength[order], reflectance[:, order].astype(np.float64)
-    below, inside, above = ((nm >= lo) & (nm <= hi) for lo, hi in ((745, 755), (757, 767), (771, 781)))
+    left, inside, right = ((nm >= lo) & (nm <= hi) for lo, hi in ((745, 755), (757, 767), (771, 781)))
     near = nm[(nm >= 745) & (nm <= 781)]
-    if not (below.any() and inside.any() and above.any()) or np.diff(near).max() > RULES.oxygen_step_nm:
+    if not (left.any() and inside.any() and right.any()) or np.diff(near).max() > RULES.oxygen_step_nm:
         return
-    # the lower shoulder, since paint that is black in the visible only rises across the band
-    shoulder = np.minimum(values[:, below].mean(axis=1), values[:, above].mean(axis=1))
+    # the lower shoulder, since the reflectance of a paint that is black in the visible rises across the band
+    shoulder = np.minimum(values[:, left].mean(axis=1), values[:, right].mean(axis=1))
     dip = shoulder - values[:, inside].min(axis=1)
     light = np.flatnonzero(dip > RULES.min_oxygen_depth * np.maximum(shoulder, 1e-6))
     if light.size:

@@ -1,9 +1,10 @@
 """Paint libraries as comma-separated values with their metadata beside them.
 
-A row is a spectrum: the paint, its properties (a column each), then reflectance. The first row has the
-names of the columns, and the wavelengths [nm]; units stand in the metadata. EcoSIS takes such tables. Where
-there are more spectra than centres, the paint is followed by ``variable`` (``reflectance``,
-``member_reflectance``, ...) and by ``place``, the number of a spectrum where a paint has several, from 1.
+Every row is a spectrum: name of the paint, its properties (one column each), then reflectance. The first row
+has the names of the columns, and the wavelengths [nm]; the metadata have the units. EcoSIS accepts such
+tables. A library with further spectra beside the centres has two more columns after the name: ``variable``
+(``reflectance``, ``member_reflectance``, ...) and ``place``, the number, from 1, of a spectrum of which a
+paint has several.
 """
 
 from __future__ import annotations
@@ -23,28 +24,28 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.base.old_names import NEW_NAMES
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.files.publishing import published_files
-from hyperpaint.io.files.reading import number, numbers
-from hyperpaint.io.files.text_cells import safe_cell, text_of_cell
+from hyperpaint.io.files.reading import number, numbers, safe_cell, text_of_cell
 
 from .library_spectra import MIN_NM, check_wavelengths
 from .metadata import metadata_path, metadata_text, table_columns
 from .records import CENTRE, Key, blocks_of, names_of, restored, spectral_variables
 
-#: Headings of the names; the second was used by hyperpaint 0.2 and before.
+#: Headings of the names; hyperpaint 0.2 and before wrote the second.
 _NAMES = (SIGNATURE, "paint")
-_KIND = ["variable", "place"]
+#: Headings of the two columns that identify a spectrum of a paint.
+_KEY_COLUMNS = ["variable", "place"]
 _MAX_BANDS = 100_000
 _MAX_BYTES = 2**32
 _MAX_SHOWN = 5
 
 
 def is_csv_library(head: str) -> bool:
-    """Return whether a text begins as a paint library: names of paints, then wavelengths across."""
+    """Return whether a text begins as a paint library: names, then wavelengths, in its first row."""
     row, end, _ = head.partition("\n")
     cells = row.strip("\r").split(",")
-    nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the last may have been cut off
-    first = next(filter(None, cells[:2]), "")  # after the index of pandas
-    return first in _NAMES and nm is not None and nm >= MIN_NM
+    nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the head may cut off the last cell
+    heading = next(filter(None, cells[:2]), "")  # the second cell after an index of pandas
+    return heading in _NAMES and nm is not None and nm >= MIN_NM
 
 
 # --- writing -----------------------------------------------------------------------------------------------
@@ -55,9 +56,9 @@ def write_csv_library(
 ) -> None:
     """Write a checked library to ``path``, and its metadata to ``<path>.json``.
 
-    Nine digits a value: float32 comes back as it was. Text beyond ASCII opens with the mark by which Excel
-    knows UTF-8. Names and texts that a spreadsheet would run as formulas have an apostrophe in front, which
-    the reader takes off.
+    Values have nine digits, which restore every bit of float32. A file with characters beyond ASCII begins
+    with the byte order mark by which Excel recognises UTF-8. Names and texts that a spreadsheet would execute
+    as formulas have a leading apostrophe, which the reader removes.
 
     Raises SchemaError: Names or metadata cannot be written.
     Raises StoreError: Files exist, or cannot be written.
@@ -65,11 +66,11 @@ def write_csv_library(
     variables = spectral_variables(library)
     metadata = metadata_text(library, variables)
     columns = table_columns(library)
-    kind = [] if variables == [CENTRE] else _KIND
+    key_columns = [] if variables == [CENTRE] else _KEY_COLUMNS
     head = _line(
         [
             SIGNATURE,
-            *kind,
+            *key_columns,
             *map(safe_cell, columns),
             *(repr(float(value)) for value in library["wavelength"].values),
         ]
@@ -86,7 +87,7 @@ def write_csv_library(
             file.write(head + "\n")
             for block in blocks_of(library, variables, progress):
                 for paint, inner, values in zip(block.paint, block.inner, block.values, strict=True):
-                    key = f",{block.variable},{'' if inner < 0 else inner + 1}" if kind else ""
+                    key = f",{block.variable},{'' if inner < 0 else inner + 1}" if key_columns else ""
                     file.write(names[paint] + key + properties[paint] + row % tuple(values.tolist()))
 
 
@@ -102,7 +103,7 @@ def _line(cells: list[str]) -> str:
 def read_csv_library(path: Path) -> xr.Dataset:
     """Read a library that `write_csv_library` wrote.
 
-    Raises FormatError: The table or its metadata are damaged, or do not go together.
+    Raises FormatError: The table or its metadata are damaged, or belong to different libraries.
     Warns PaintWarning: The metadata are missing.
     """
     source = path.name
@@ -113,21 +114,21 @@ def read_csv_library(path: Path) -> xr.Dataset:
     if first_row[:1] == [""]:
         first_row, cells = first_row[1:], _without_index(cells, source)
     head, wavelength = _head(first_row, source)
-    has_kind = head[1:3] == _KIND
-    first = 3 if has_kind else 1
-    # a row a spectrum
+    has_keys = head[1:3] == _KEY_COLUMNS
+    first_property = 3 if has_keys else 1
+    # every further row is a spectrum
     names: list[str] = []
-    columns: dict[str, list[str]] = {text_of_cell(name): [] for name in head[first:]}
+    columns: dict[str, list[str]] = {text_of_cell(name): [] for name in head[first_property:]}
     keys: list[Key] = []
     rows: list[Floats32] = []
-    owner = _Owner()
-    for at, row in enumerate(cells, 2):
+    row_keys = _RowKeys()
+    for number_of_row, row in enumerate(cells, 2):
         row[: len(head)] = map(text_of_cell, row[: len(head)])
         values = _values(row[len(head) :], wavelength.size)
-        key = owner.key(*(row[:3] if has_kind else (row[0], CENTRE, ""))) if values is not None else None
+        key = row_keys.key(*(row[:3] if has_keys else (row[0], CENTRE, ""))) if values is not None else None
         if values is None or key is None:
             problems.add(
-                f"row {at}: {','.join(row)[:60]!r}",
+                f"row {number_of_row}: {','.join(row)[:60]!r}",
                 expected=f"{', '.join(head)[:60]}, and {wavelength.size} numbers",
                 code="row-unreadable",
             )
@@ -136,7 +137,7 @@ def read_csv_library(path: Path) -> xr.Dataset:
             continue
         if key[0] == CENTRE:
             names.append(row[0])
-            for column, cell in zip(columns.values(), row[first:], strict=False):
+            for column, cell in zip(columns.values(), row[first_property:], strict=False):
                 column.append(cell)
         keys.append(key)
         rows.append(values)
@@ -149,29 +150,30 @@ def read_csv_library(path: Path) -> xr.Dataset:
     return restored(path, names, keys, {"wavelength": wavelength}, [(0, np.array(rows, np.float32))], columns)
 
 
-class _Owner:
-    # Finds the paint of a row by name and order, since several paints may share a name.
+class _RowKeys:
+    # Keys of rows; the order of the rows distinguishes paints of the same name
     def __init__(self) -> None:
-        self._paints: dict[str, list[int]] = {}
+        self._paints: dict[str, list[int]] = {}  # numbers of the paints of a name
         self._count = 0
+        # by name and variable: which paint of the name the last row belonged to, and its number in this paint
         self._last: dict[tuple[str, str], tuple[int, int]] = {}
 
-    def key(self, name: str, variable: str, place: str) -> Key | None:
-        place = place.removesuffix(".0")  # pandas writes whole numbers so, where some cells are empty
-        if variable == CENTRE and not place:
+    def key(self, name: str, variable: str, number: str) -> Key | None:
+        number = number.removesuffix(".0")  # pandas writes integers as floats where some cells are empty
+        if variable == CENTRE and not number:
             self._paints.setdefault(name, []).append(self._count)
             self._count += 1
             return CENTRE, self._count - 1, -1
-        valid = not place or (place.isascii() and place.isdigit() and 0 < len(place) < 10 and place[0] != "0")
-        if name not in self._paints or not variable.isidentifier() or not valid:
+        is_valid = number.isascii() and number.isdigit() and 0 < len(number) < 10 and number[0] != "0"
+        if name not in self._paints or not variable.isidentifier() or not (not number or is_valid):
             return None
-        inner = int(place or 0) - 1
-        turn, before = self._last.get((name, variable), (0, -2))
-        if inner <= before:  # the places begin anew: it is the next paint of that name
-            turn += 1
-        self._last[name, variable] = (turn, inner)
-        owners = self._paints[name]
-        return (variable, owners[turn], inner) if turn < len(owners) else None
+        inner = int(number or 0) - 1
+        position, last_inner = self._last.get((name, variable), (0, -2))
+        if inner <= last_inner:  # the numbers start again: the next paint of that name
+            position += 1
+        self._last[name, variable] = (position, inner)
+        paints = self._paints[name]
+        return (variable, paints[position], inner) if position < len(paints) else None
 
 
 def _cells(path: Path) -> Iterator[list[str]]:
@@ -184,9 +186,9 @@ def _cells(path: Path) -> Iterator[list[str]]:
 
 
 def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]]:
-    # Rows without the unnamed index column of pandas.
-    for at, row in enumerate(rows):
-        if row[0] != str(at):
+    # Rows without the unnamed index column of pandas
+    for number_of_row, row in enumerate(rows):
+        if row[0] != str(number_of_row):
             raise FormatError(
                 f"{source}: the first column has no name and holds {row[0][:30]!r}",
                 expected=f"{SIGNATURE} as the first column, or the row numbers of pandas before it",
@@ -197,12 +199,13 @@ def _without_index(rows: Iterator[list[str]], source: str) -> Iterator[list[str]
 
 
 def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
-    first = len(row)
-    while first and number(row[first - 1]) is not None:
-        first -= 1
-    head, wavelengths = row[:first], numbers(row[first:]) or []
-    plain = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
-    if not head or head[0] not in _NAMES or not plain or not 0 < len(wavelengths) <= _MAX_BANDS:
+    # Column names and wavelengths of the first row
+    head_size = len(row)
+    while head_size and number(row[head_size - 1]) is not None:
+        head_size -= 1
+    head, wavelengths = row[:head_size], numbers(row[head_size:]) or []
+    is_valid = all(name.isidentifier() for name in head) and len(set(head)) == len(head)
+    if not head or head[0] not in _NAMES or not is_valid or not 0 < len(wavelengths) <= _MAX_BANDS:
         raise FormatError(
             f"{source}: the first row is {','.join(row)[:60]!r}",
             expected=f"{SIGNATURE}, distinct column names, and wavelengths",
@@ -214,17 +217,17 @@ def _head(row: list[str], source: str) -> tuple[list[str], Floats]:
 
 
 def _values(cells: list[str], bands: int) -> Floats32 | None:
-    # The numbers of a row, None where a cell is no number or the count is wrong.
-    plain = None
+    # Numbers of a row; None where a cell is not a number or the count is wrong
+    row_numbers = None
     if len(cells) != bands:
         return None
     text = "".join(cells)
     if text.isascii() and "_" not in text and len(text) <= 64 * len(cells):
         with contextlib.suppress(ValueError):  # such as an empty cell
-            plain = list(map(float, cells))  # several times faster than `numbers`
-    plain = plain or numbers(cells)
-    if plain is None:
+            row_numbers = list(map(float, cells))  # several times faster than `numbers`
+    row_numbers = row_numbers or numbers(cells)
+    if row_numbers is None:
         return None
     with np.errstate(over="ignore"):
-        values = np.array(plain, np.float64).astype(np.float32)
+        values = np.array(row_numbers, np.float64).astype(np.float32)
     return None if np.isinf(values).any() else values

@@ -1,10 +1,10 @@
 """ENVI spectral libraries: a header, and a file in which every line is a spectrum.
 
-The two records that begin a library of the USGS are its wavelengths and bandwidths, and its records "error
-bars to preceding" belong to the spectrum before them; neither is a spectrum. Libraries of our own say
-``hyperpaint library = 1`` in their header; there the name of a record holds its paint, variable and place
-it (``red | member 3``), see `records`. Where every record is a paint, lists ``paint make``, ``paint year``
-and the like hold a value for each.
+The first two records of a library of the USGS are wavelengths and bandwidths, and its records "error bars to
+preceding" belong to the spectrum before them; neither is a spectrum. Libraries of hyperpaint have
+``hyperpaint library = 1`` in their header; the name of a record there contains its paint, variable and index
+(``red | member 3``), see `records`. If every record is a paint, the header has lists such as ``paint make``
+and ``paint year`` with a value per paint.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ def read_envi_library(
     path: The header or the data file.
     scale: Stored value of a reflectance of one; by default the header's ``reflectance scale factor``, else
         its ``z plot titles``.
-    wavelength, fwhm: To be used in place of the header's [nm].
-    Raises FormatError: The header is damaged, or does not fit the data file; or it is no library of
-        reflectance, or one without wavelengths.
-    Warns PaintWarning: Names are missing, or something was inferred that may make values wrong.
+    wavelength, fwhm: Values in place of those of the header [nm].
+    Raises FormatError: The header is damaged, or the data file has another size; or the file is not a library
+        of reflectance, or has no wavelengths.
+    Warns PaintWarning: Names are missing, or an inferred property may make values wrong.
     """
     header_path, data_path = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
@@ -75,7 +75,7 @@ def read_envi_library(
         problems.add("values are complex", expected="reflectance", code="type-wrong")
     if any(values is not None for values in (header.data_gain_values, header.data_offset_values)):
         problems.add(
-            "'data gain values' or 'data offset values' are set, which libraries do not have",
+            "'data gain values' or 'data offset values' are set, which spectral libraries cannot have",
             code="key-unknown",
         )
     stored_bytes, expected = data_path.stat().st_size, header.header_offset + header.lines * header.line_bytes
@@ -107,16 +107,16 @@ def read_envi_library(
 
 
 def _records(header: EnviHeader, path: Path) -> Iterator[tuple[int, Array]]:
-    # Blocks of records with the index of their first record.
+    # Index of the first record of every block, and its records
     step = max(1, _BLOCK_BYTES // header.line_bytes)
     with open_input(path, "the data of a spectral library") as file:
         file.seek(header.header_offset)
-        for first in range(0, header.lines, step):
-            count = min(step, header.lines - first)
+        for start in range(0, header.lines, step):
+            count = min(step, header.lines - start)
             stored = np.fromfile(file, header.dtype, count * header.samples)
             if stored.size != count * header.samples:
                 raise FormatError(f"{path.name} became shorter during reading", code="file-truncated")
-            yield first, stored.reshape(count, header.samples)
+            yield start, stored.reshape(count, header.samples)
 
 
 # --- libraries of other programs ---------------------------------------------------------------------------
@@ -132,12 +132,12 @@ def _foreign(
     stored = np.concatenate([block for _, block in _records(header, path)])
     nm = header.wavelength if wavelength is None else wavelength
     width = header.fwhm if fwhm is None else fwhm
-    skipped = _axis_records(names, stored, nm)
-    if skipped:
-        notes.append(f"the first {skipped} records are the wavelengths and bandwidths of the others")
+    axes = _axis_records(names, stored, nm)
+    if axes:
+        notes.append(f"the first {axes} records are the wavelengths and bandwidths of the spectra")
         factor = 1e3 if np.nanmax(stored[0]) < 100 else 1.0
         nm = stored[0].astype(np.float64) * factor if nm is None else nm
-        if width is None and skipped == 2:
+        if width is None and axes == 2:
             width = stored[1].astype(np.float64) * factor
     if nm is None:
         raise FormatError(
@@ -152,17 +152,17 @@ def _foreign(
     if warned:
         warnings.warn(PaintWarning(f"{source}: {'; '.join(warned)}", code="header-incomplete"), stacklevel=6)
     values = reflectances(
-        stored[skipped:],
+        stored[axes:],
         source,
         file_scale=_scale(header, source),
         scale=scale,
         ignore=header.data_ignore_value,
     )
-    spectra, errors = _with_error_bars(names[skipped:], values)
+    spectra, errors = _with_error_bars(names[axes:], values)
     if errors:
-        bars = len(names) - skipped - len(spectra)
+        bars = len(names) - axes - len(spectra)
         notes.append(f"{bars} records are error bars of the spectrum before them")
-    numbers = spectra + skipped
+    numbers = spectra + axes
     return Spectra(
         source=source,
         form="ENVI spectral library",
@@ -183,7 +183,7 @@ def _names(header: EnviHeader, warned: list[str]) -> list[str]:
     if not text:
         warned.append("no spectra names: spectra are numbered")
         return numbered
-    # a list of millions of commas never becomes one of objects
+    # names are counted before the text is split, so that millions of commas do not fill the memory
     count = text.rstrip(", \t\n").count(",") + 1
     names = [name.strip() for name in text.split(",", header.lines)[: header.lines]]
     if count > header.lines or len(names) < header.lines:
@@ -196,7 +196,7 @@ def _names(header: EnviHeader, warned: list[str]) -> list[str]:
 
 
 def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int:
-    # The number of leading records that are wavelengths and bandwidths (USGS libraries).
+    # Number of leading records that are wavelengths and bandwidths (USGS libraries)
     if len(names) < 3 or not _WAVELENGTHS.match(names[0]):
         return 0
     axis = stored[0].astype(np.float64)
@@ -210,7 +210,7 @@ def _axis_records(names: Sequence[str], stored: Array, nm: Floats | None) -> int
 def _with_error_bars(
     names: Sequence[str], values: npt.NDArray[np.float32]
 ) -> tuple[npt.NDArray[np.int64], dict[str, npt.NDArray[np.float32]]]:
-    # The indices of the spectra, and the error bars from the records after them.
+    # Indices of the spectra, and their error bars, from the records after them
     bars = np.array([_ERROR_BARS.match(name) is not None for name in names], np.bool_)
     if bars.size:
         bars[0] = False
@@ -220,14 +220,14 @@ def _with_error_bars(
         return spectra, {}
     errors = np.full_like(values, np.nan)
     errors[np.flatnonzero(bars) - 1] = values[bars]
-    errors[errors < 0] = np.nan  # interpolation has left some below zero
+    errors[errors < 0] = np.nan  # from the interpolation of the USGS
     return spectra, {"reflectance_u_random": errors[spectra]}
 
 
 def _scale(header: EnviHeader, source: str) -> float | None:
-    # The stored value of a reflectance of one, from the header.
+    # Stored value of a reflectance of one, from the header
     factor = header.reflectance_scale_factor
-    # the first names the wavelengths, and may itself hold commas
+    # the last title is that of the values; the title of the wavelengths may contain commas
     title = bare(header.fields.get("z plot titles", "")).rpartition(",")[2]
     if other_quantity(title):
         raise FormatError(
@@ -253,8 +253,8 @@ def _scale(header: EnviHeader, source: str) -> float | None:
 
 
 def _classes(path: Path, names: Sequence[str]) -> dict[str, Array]:
-    # The columns of a table of classes beside the library; empty without such a table.
-    # EnMAP-Box keeps one: its first column, "spectra names", repeats the names.
+    # Columns of the table of classes that EnMAP-Box writes beside a library; empty without such a table.
+    # Its first column, "spectra names", repeats the names.
     table = path.with_suffix(".csv")
     try:
         text = read_limited(table, _MAX_CLASSES_BYTES, "a table of classes").decode("utf-8-sig", "replace")
@@ -299,7 +299,7 @@ def _header_names(names: Sequence[str]) -> list[str]:
 
 
 def _record_name(paint: str, variable: str, inner: int) -> str:
-    """Return the name of a record from its paint, variable and place.
+    """Return the name of a record from its paint, variable and index along the inner dim (-1 for none).
 
     Examples
     --------
@@ -308,16 +308,16 @@ def _record_name(paint: str, variable: str, inner: int) -> str:
     """
     if variable == CENTRE:
         return paint
-    place = "" if inner < 0 else f" {inner + 1}"
-    return f"{paint}{_BAR}{_SHORT.get(variable, variable)}{place}"
+    number = "" if inner < 0 else f" {inner + 1}"
+    return f"{paint}{_BAR}{_SHORT.get(variable, variable)}{number}"
 
 
 def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
-    """Return the names of the paints, and the key of each record.
+    """Return the names of the paints, and the keys of the records.
 
-    text: The names of all records in the header.
-    count: Records of the file.
-    Raises FormatError: There are not as many names, or one belongs to no paint.
+    text: Names of all records in the header.
+    count: Number of records in the file.
+    Raises FormatError: The number of names is another, or a record belongs to no paint.
     """
     if text.count(",") + 1 != count:
         raise FormatError(
@@ -327,24 +327,24 @@ def _keys_of(text: str, count: int, source: str) -> tuple[list[str], list[Key]]:
         )
     records = [name.strip() for name in text.split(",")]
     names = [record for record in records if _BAR not in record]
-    places = {name: at for at, name in enumerate(names)}
-    if len(places) != len(names) or records[: len(names)] != names:
+    index_of = {name: at for at, name in enumerate(names)}
+    if len(index_of) != len(names) or records[: len(names)] != names:
         raise FormatError(
-            f"{source}: the first records are not one record a paint",
+            f"{source}: the first records are not one record per paint",
             mend="write the library again",
             code="record-unmatched",
         )
-    keys: list[Key] = [(CENTRE, place, -1) for place in range(len(names))]
+    keys: list[Key] = [(CENTRE, index, -1) for index in range(len(names))]
     for record in records[len(names) :]:
         paint, _, label = record.partition(_BAR)
         match = _LABEL.fullmatch(label)
-        if paint not in places or match is None:
+        if paint not in index_of or match is None:
             raise FormatError(
                 f"{source}: record {record[:80]!r} belongs to no paint",
                 mend="write the library again",
                 code="record-unmatched",
             )
-        keys.append((_LONG.get(match[1], match[1]), places[paint], int(match[2] or 0) - 1))
+        keys.append((_LONG.get(match[1], match[1]), index_of[paint], int(match[2] or 0) - 1))
     return names, keys
 
 
@@ -366,15 +366,15 @@ def write_envi_library(
         with open(values_file, "wb") as file:
             for block in blocks_of(library, variables, progress):
                 np.asarray(block.values, "<f4").tofile(file)
-                places = zip(block.paint.tolist(), block.inner.tolist(), strict=True)
-                records += [_record_name(names[paint], block.variable, inner) for paint, inner in places]
+                indices = zip(block.paint.tolist(), block.inner.tolist(), strict=True)
+                records += [_record_name(names[paint], block.variable, inner) for paint, inner in indices]
         header_file.write_bytes(_header(library, records))
         metadata_file.write_bytes(metadata.encode())
 
 
 def _header(library: xr.Dataset, records: Sequence[str]) -> bytes:
     lists = {"wavelength": [repr(float(value)) for value in library["wavelength"].values]}
-    # a header holds finite numbers only; unknown ones stay in the metadata
+    # a header can only contain finite numbers; others are in the metadata
     if "fwhm" in library.variables and np.isfinite(library["fwhm"].values).all():
         lists["fwhm"] = [repr(float(value)) for value in library["fwhm"].values]
     if "good" in library.variables:

@@ -16,49 +16,50 @@ from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, quality_attrs
 
 #: Wavelength range of spectral libraries [nm]: far ultraviolet to far infrared (USGS libraries end at 216
-#: um). Visible nanometres taken for micrometres lie beyond.
+#: um). Visible wavelengths in nanometres, read as micrometres, are larger.
 MIN_NM, MAX_NM = 100.0, 3e5
 
 #: Message for options that replace data of a library of hyperpaint.
-OWN_AXES = "{} is a library of hyperpaint, which has its own; wavelength=, fwhm= and scale= are for others"
+OWN_AXES = (
+    "{} is a library of hyperpaint with its own axes and scale: leave wavelength=, fwhm= and scale= out"
+)
 
-#: Median above which values are not reflectance as a fraction: a white panel has 1.
+#: Maximum median of reflectance as a fraction: a white panel has 1.
 _MAX_MEDIAN = 1.1
 
 _BRIGHT = 1.2
-#: Share of values above `_BRIGHT` from which on they are hardly reflectance: noise where air is opaque
-#: has a twentieth there, and of the 2457 spectra of splib07 the brightest 0.01; radiance of a lawn in uW
-#: cm-2 sr-1 nm-1 has 0.5.
+#: Maximum share of values above `_BRIGHT` in reflectance: noise in opaque bands of air has 0.05, the
+#: brightest of the 2457 spectra of splib07 has 0.01, radiance of a lawn in uW cm-2 sr-1 nm-1 has 0.5.
 _MAX_BRIGHT_SHARE = 0.1
 
-#: Largest value of a file below which a scale is doubtful: black coats reach 0.02 to 0.05.
+#: Minimum of the largest value of a file; below it the scale is doubtful: black coats reach 0.02 to 0.05.
 _MIN_BRIGHTEST = 0.01
 
 #: Stored values that mark missing samples.
 _MISSING_VALUES = (-999.0, -9999.0, -99999.0, -32768.0)
 
-#: Reflectance below the reach of noise [1]: markers of missing values lie below at any scale.
+#: Minimum reflectance with noise [1]: lower values mark missing samples.
 _MIN_REFLECTANCE = -0.5
 
-#: Fill values lie below: deleted points of USGS spectra are -1.23e34, and where spectra were
-#: convolved to another spectrometer, some share of that.
+#: Maximum of fill values: deleted points of USGS spectra are -1.23e34, and fractions of it in spectra
+#: convolved to another spectrometer.
 _MAX_FILL_VALUE = -1e20
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra of one file on one grid."""
+    """Spectra of one file with common wavelengths."""
 
     source: str  # file name
     form: str  # name of the format
-    names: Sequence[str]  # of the spectra, as the file spells them
+    names: Sequence[str]  # of the spectra, as in the file
     wavelength: Floats  # (band) [nm], in the order of the file
-    reflectance: Floats32  # (signature, band) float32, as a fraction; NaN where there is no value
-    fwhm: Floats | None = None  # (band); None where not in the file
+    reflectance: Floats32  # (signature, band) as a fraction; NaN for missing samples
+    fwhm: Floats | None = None  # (band) [nm]; None if not in the file
     good: npt.NDArray[np.bool_] | None = None
-    # Further variables on (signature, band): rows of `LIBRARY_VARIABLES` by name
+    # Further variables (signature, band) by their names in `LIBRARY_VARIABLES`
     others: Mapping[str, Floats32] = field(default_factory=dict)
-    # Further columns of the spectra
+    # Further variables with one value per spectrum
     columns: Mapping[str, Sequence[Any] | npt.NDArray[Any]] = field(default_factory=dict)
     notes: Sequence[str] = ()  # inferred or doubtful properties
 
@@ -66,8 +67,8 @@ class Spectra:
 def library_of(spectra: Spectra) -> xr.Dataset:
     """Return spectra as a paint library.
 
-    Raises FormatError: Wavelengths are none: not finite, or outside 100 nm to 300 um; or not as many as
-        bands.
+    Raises FormatError: Wavelengths are not finite or outside 100 nm to 300 um, or their number is not that of
+        the bands.
     """
     check_wavelengths(spectra.wavelength, spectra.source)
     bands = spectra.reflectance.shape[1]
@@ -75,7 +76,7 @@ def library_of(spectra: Spectra) -> xr.Dataset:
         if axis is not None and axis.shape != (bands,):
             raise FormatError(
                 f"{spectra.source}: {axis.size} values of {name} for {bands} bands",
-                mend="pass one value a band",
+                mend="pass one value per band",
                 code="length-mismatch",
             )
     rows = LIBRARY_VARIABLES
@@ -96,7 +97,7 @@ def library_of(spectra: Spectra) -> xr.Dataset:
 
 
 def with_numbers_as_data(library: xr.Dataset) -> xr.Dataset:
-    """Return a library whose counts, flags and angles are data variables, as in the table of variables."""
+    """Return a library with counts, flags and angles as data variables, not coordinates."""
     rows = LIBRARY_VARIABLES
     return library.reset_coords([str(n) for n in library.coords if n in rows and not rows[str(n)].coordinate])
 
@@ -109,9 +110,9 @@ def text_column(texts: Sequence[str]) -> npt.NDArray[np.object_]:
 
 
 def check_wavelengths(wavelength: Floats, source: str) -> None:
-    """Refuse wavelengths [nm] that are missing, out of range or duplicate.
+    """Check that there are wavelengths [nm], within the range and without duplicates.
 
-    Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or given twice.
+    Raises FormatError: There are none; they are not finite, outside 100 nm to 300 um, or duplicate.
     """
     description = f"{wavelength.size} wavelengths, not all of them finite"
     if wavelength.size and np.isfinite(wavelength).all():
@@ -123,8 +124,8 @@ def check_wavelengths(wavelength: Floats, source: str) -> None:
             raise FormatError(
                 f"{source}: {int((counts > 1).sum())} wavelengths occur twice, such as "
                 f"{values[counts > 1][0]:g} nm",
-                expected="each once",
-                mend="leave out one of the two bands",
+                expected="distinct wavelengths",
+                mend="drop one of the two bands",
                 code="wavelength-duplicate",
             )
         description = f"wavelengths from {low:g} to {high:g} nm"
@@ -149,37 +150,37 @@ def reflectances(
 ) -> Floats32:
     """Return stored values as reflectance.
 
-    file_scale, scale: Stored value of a reflectance of one, of the file and of the caller, which wins.
-    ignore: Stored value of missing samples, besides the values of the USGS.
-    is_reflectance: Values above 1 are accepted.
+    file_scale, scale: Stored value of a reflectance of one, from the file and from the caller; that of the
+        caller is preferred.
+    ignore: Stored value of missing samples, besides the fill values of the USGS.
+    is_reflectance: Whether values above 1 are accepted.
     Returns numpy.ndarray: float32; a fraction.
-    Raises FormatError: The scale is unknown, and the values are no fractions; or they do not fit float32.
-    Warns PaintWarning: Values far below 0 were taken for missing; or single spectra are hardly fractions.
+    Raises FormatError: The scale is unknown and the values are not fractions; or they do not fit float32.
+    Warns PaintWarning: Values far below 0 were taken for missing; or the scale is doubtful.
     """
     with np.errstate(all="ignore"):  # signalling NaNs of a damaged file
         values = stored.astype(np.float64)
-        lost = values < _MAX_FILL_VALUE
+        is_fill = values < _MAX_FILL_VALUE
     if ignore is not None:
         # compared in the stored dtype: a float32 file holds the float32 nearest to the number in its header
         with np.errstate(over="ignore"):
-            lost |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
-    values[lost] = np.nan
+            is_fill |= stored == (stored.dtype.type(ignore) if stored.dtype.kind == "f" else ignore)
+    values[is_fill] = np.nan
     divisor = scale if scale is not None else file_scale
-    # markers of missing values
     with np.errstate(over="ignore"):
         far_below = np.isfinite(values) & (values < _MIN_REFLECTANCE * (divisor or 1.0))
-        marks = np.isin(values, _MISSING_VALUES) | far_below
-    if marks.any():
-        count, example = int(marks.sum()), float(values[marks][0])
+        is_missing = np.isin(values, _MISSING_VALUES) | far_below
+    if is_missing.any():
+        count, example = int(is_missing.sum()), float(values[is_missing][0])
         msg = f"{source}: {count} value{'s'[: count - 1]} far below 0, such as {example:g}, taken for missing"
         warnings.warn(PaintWarning(msg, code="values-far-below-zero"), stacklevel=6)
-        values[marks] = np.nan
+        values[is_missing] = np.nan
     if divisor is None:
         _judge_fractions(values, source, _MAX_BRIGHT_SHARE if not is_reflectance else 1.0)
     elif divisor != 1.0:
         values /= divisor
         finite = values[np.isfinite(values)]
-        # scaled values that exceed 1, or are all near 0, make the scale doubtful
+        # the scale is doubtful if many values exceed `_BRIGHT`, or all are near 0
         if finite.any() and ((finite > _BRIGHT).mean() > _MAX_BRIGHT_SHARE or finite.max() < _MIN_BRIGHTEST):
             msg = f"{source}: reflectance up to {finite.max():.3g} with a scale of {divisor:g}; pass scale="
             warnings.warn(PaintWarning(msg, code="scale-doubtful"), stacklevel=6)
@@ -194,11 +195,11 @@ def reflectances(
 
 
 def _judge_fractions(values: Floats, source: str, max_bright_share: float) -> None:
-    # Refuse values without a scale that are no fractions; warn where single spectra are not.
+    # Raise if values without a scale are not fractions; warn if only few spectra are not
     finite = np.isfinite(values)
     magnitudes = np.abs(values[finite])
     advice = (
-        "pass scale=100 for percent, 10000 for hundredths of a percent, or scale=1 where values are right"
+        "pass scale=100 for percent, 10000 for hundredths of a percent, or scale=1 if values are fractions"
     )
     if magnitudes.size and float(np.median(magnitudes)) > _MAX_MEDIAN:
         raise FormatError(
@@ -220,8 +221,8 @@ def _judge_fractions(values: Floats, source: str, max_bright_share: float) -> No
             code="scale-missing",
         )
     is_bright = is_bright | [
-        bool(known.any()) and float(np.median(spectrum[known])) > _MAX_MEDIAN
-        for spectrum, known in zip(values, finite, strict=True)
+        bool(is_finite.any()) and float(np.median(spectrum[is_finite])) > _MAX_MEDIAN
+        for spectrum, is_finite in zip(values, finite, strict=True)
     ]
     if is_bright.any():
         msg = (

@@ -1,7 +1,6 @@
 """Metadata of a paint library as JSON: names, numbers, times, attributes.
 
-The file lies beside the spectra, ``<data file>.json``: strict JSON, one variable a line, so that people and
-version control can read it.
+The file is ``<data file>.json``: strict JSON with one variable per line, for readers and version control.
 """
 
 from __future__ import annotations
@@ -54,12 +53,13 @@ class Metadata:
     """Checked metadata of a library."""
 
     attrs: dict[str, Any] = field(default_factory=dict)  # of the dataset
-    # Of the dims that its spectra have beside paint and band
+    # Sizes of further dims of the spectra, beside signature and band
     sizes: dict[str, int] = field(default_factory=dict)
-    # Dims and attributes of the variables that hold spectra; then the others, the coordinates among them
+    # Dims and attributes of the variables of spectra, whose values are in the data file
     spectra: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = field(default_factory=dict)
+    # Dims, values and attributes of all other variables, coordinates included
     variables: dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]] = field(default_factory=dict)
-    coordinates: set[str] = field(default_factory=set)  # their names
+    coordinates: set[str] = field(default_factory=set)  # names of the coordinates
 
 
 def metadata_path(data: Path) -> Path:
@@ -73,8 +73,8 @@ def metadata_path(data: Path) -> Path:
 def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
     """Return all of a library except the values of its spectra, as JSON.
 
-    Raises SchemaError: Attributes or values are nothing that JSON can hold; all are listed. Or they are too
-        many.
+    Raises SchemaError: Attributes or values cannot be written as JSON; all are listed. Or the text is too
+        large.
     """
     names = list(spectra)
     problems = Problems("the library's metadata cannot be written", SchemaError)
@@ -112,7 +112,7 @@ def metadata_text(library: xr.Dataset, spectra: Iterable[str]) -> str:
 
 
 def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
-    """Return the columns with one value a paint as texts and numbers; None stands for NaN and infinity."""
+    """Return the variables with one value per paint as texts and numbers, NaN and infinity as None."""
     columns: dict[str, list[Any]] = {}
     for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
         array = library.variables[name]
@@ -128,12 +128,12 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
     return columns
 
 
-#: Names left out of tables: outlines as JSON, columns of the format, words that read as numbers.
+#: Variables omitted from tables: outlines as JSON, columns of the format, words that read as numbers.
 _NO_COLUMNS = ("region", "variable", "place", "nan", "inf", "infinity")
 
 
 def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
-    """Return the columns with one value a paint as cells of a table, without line breaks."""
+    """Return the variables with one value per paint as cells of a table, without line breaks."""
     return {
         name: [" ".join(str("" if value is None else value).split()) for value in values]
         for name, values in paint_columns(library).items()
@@ -163,32 +163,32 @@ def _attrs(attrs: Mapping[Any, Any], owner: str, problems: Problems) -> dict[str
 
 def _described(name: str, variable: xr.Variable, coordinate: bool, problems: Problems) -> dict[str, Any]:
     values = np.asarray(variable.values)
-    kind = "str" if values.dtype.kind in "OUT" else str(values.dtype)
+    dtype = "str" if values.dtype.kind in "OUT" else str(values.dtype)
     plain: Any = None
-    if kind not in _DTYPES:
+    if dtype not in _DTYPES:
         problems.add(
             f"{name!r} is {values.dtype}",
             expected="numbers, booleans, text or datetime64[ns]",
             code="type-wrong",
         )
-    elif kind == "str":
+    elif dtype == "str":
         plain = values.tolist()
-        odd = next((value for value in values.ravel().tolist() if not isinstance(value, str)), None)
-        if odd is not None:
+        no_text = next((value for value in values.ravel().tolist() if not isinstance(value, str)), None)
+        if no_text is not None:
             problems.add(
-                f"{name!r} holds {type(odd).__name__} among its texts",
-                expected="text alone",
+                f"{name!r} contains a value of type {type(no_text).__name__}",
+                expected="only texts",
                 code="type-wrong",
             )
-    elif kind == "datetime64[ns]":
+    elif dtype == "datetime64[ns]":
         plain = np.where(np.isnat(values), "", np.datetime_as_string(values)).tolist()
     else:
         plain = _without_nan(values.tolist())
         if values.dtype.kind == "f" and np.isinf(values).any():
-            problems.add(f"{name!r} holds infinities", expected="finite numbers or NaN", code="not-finite")
+            problems.add(f"{name!r} contains infinity", expected="finite numbers or NaN", code="not-finite")
     return {
         "dims": [str(dim) for dim in variable.dims],
-        "dtype": kind,
+        "dtype": dtype,
         "coordinate": coordinate,
         "attrs": _attrs(variable.attrs, name, problems),
         "values": plain,
@@ -207,8 +207,8 @@ def _without_nan(values: Any) -> Any:
 def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
     """Read the metadata of a library.
 
-    sizes: Of the dims, as its spectra have them.
-    Raises FormatError: The file is none that `metadata_text` makes, or of another library; all problems are
+    sizes: Sizes of signature and band in the data file.
+    Raises FormatError: The file is not from `metadata_text`, or belongs to another library; all problems are
         listed.
     """
     raw = read_limited(path, MAX_BYTES, "metadata of a paint library")
@@ -220,11 +220,11 @@ def read_metadata(path: Path, sizes: Mapping[str, int]) -> Metadata:
             mend="copy the file again, or write the library again",
             code="metadata-damaged",
         ) from error
-    problems = Problems(f"{path.name} does not go with its library", FormatError)
+    problems = Problems(f"{path.name} is not the metadata of its library", FormatError)
     metadata = Metadata()
     if not isinstance(document, dict) or document.get("hyperpaint_library") not in (1, VERSION):
         problems.add(
-            "the document has another head",
+            "the version is missing or another",
             expected=f'an object with "hyperpaint_library": {VERSION}',
             code="metadata-damaged",
         )
@@ -242,7 +242,7 @@ def _refuse_constant(text: str) -> None:
 
 
 def _with_new_names(document: dict[str, Any]) -> dict[str, Any]:
-    # Metadata of version 1 as version 2; damage is left for `_read_document` to refuse.
+    # Metadata of version 1 as version 2; damage is reported by `_read_document`
     def renamed(entry: Any) -> Any:
         dims = entry.get("dims") if isinstance(entry, dict) else None
         if not isinstance(dims, list):
@@ -250,9 +250,9 @@ def _with_new_names(document: dict[str, Any]) -> dict[str, Any]:
         return {**entry, "dims": [NEW_NAMES.get(dim, dim) if isinstance(dim, str) else dim for dim in dims]}
 
     document = dict(document)
-    for part in ("spectra", "variables"):
-        if isinstance(entries := document.get(part), dict):
-            document[part] = {NEW_NAMES.get(name, name): renamed(entry) for name, entry in entries.items()}
+    for key in ("spectra", "variables"):
+        if isinstance(entries := document.get(key), dict):
+            document[key] = {NEW_NAMES.get(name, name): renamed(entry) for name, entry in entries.items()}
     attrs = document.get("attrs")
     if isinstance(attrs, dict) and attrs.get(VERSION_NAME) == 1:
         document["attrs"] = {**attrs, VERSION_NAME: 2}
@@ -262,17 +262,18 @@ def _with_new_names(document: dict[str, Any]) -> dict[str, Any]:
 def _read_document(
     document: dict[str, Any], metadata: Metadata, sizes: dict[str, int], problems: Problems
 ) -> None:
-    parts = {name: document.get(name) for name in ("attrs", "sizes", "spectra", "variables")}
-    wrong = [name for name, part in parts.items() if not isinstance(part, dict)]
-    if wrong:
-        problems.add(f"{', '.join(wrong)}", expected="an object", code="metadata-damaged")
+    no_objects = [
+        key for key in ("attrs", "sizes", "spectra", "variables") if not isinstance(document.get(key), dict)
+    ]
+    if no_objects:
+        problems.add(f"{', '.join(no_objects)}", expected="an object", code="metadata-damaged")
         return
     metadata.attrs = _plain_attrs(document["attrs"], "attrs", problems)
     for dim, size in document["sizes"].items():
         if type(size) is not int or not 0 <= size <= 2**31 or dim in (SIGNATURE, BAND):
             problems.add(
                 f"size of {dim[:60]!r} is {str(size)[:30]}",
-                expected="a whole number",
+                expected="a whole number from 0 to 2147483648",
                 code="metadata-damaged",
             )
         else:
@@ -303,25 +304,25 @@ def _variable(
     dims = _dims_of(entry, problems, name)
     if dims is None:
         return None
-    kind, attrs = entry.get("dtype"), entry.get("attrs")
-    if kind not in _DTYPES or not isinstance(attrs, dict):
+    dtype, attrs = entry.get("dtype"), entry.get("attrs")
+    if dtype not in _DTYPES or not isinstance(attrs, dict):
         problems.add(
             f"{name[:60]!r} has an unknown dtype, or no attributes",
-            expected="a known dtype, and attributes",
+            expected=f"attributes, and a dtype of {', '.join(_DTYPES)}",
             code="metadata-damaged",
         )
         return None
     try:
         nested = np.array(entry.get("values"), object)
         if nested.ndim != len(dims) or any(isinstance(value, list) for value in nested.flat):
-            raise ValueError("expected lists as deep as its dims, of equal lengths")
-        # dims that no spectrum has get their size from the first variable that has them
+            raise ValueError("expected nested lists of equal lengths, one level per dim")
+        # a dim that is not in `sizes` gets its size from the first variable with it
         expected = tuple(sizes.setdefault(dim, size) for dim, size in zip(dims, nested.shape, strict=True))
         if nested.shape != expected:
             raise ValueError(f"shape {nested.shape}, expected {expected}")
-        values = typed_values(nested.ravel().tolist(), kind).reshape(nested.shape)
+        values = typed_values(nested.ravel().tolist(), dtype).reshape(nested.shape)
     except (ValueError, TypeError, OverflowError) as error:
-        problems.add(f"{name[:60]!r} ({kind}): {error!s:.100}", code="metadata-damaged")
+        problems.add(f"{name[:60]!r} ({dtype}): {error!s:.100}", code="metadata-damaged")
         return None
     if name == "quality":
         attrs = {**attrs, "flag_masks": quality_attrs()["flag_masks"]}
@@ -330,52 +331,54 @@ def _variable(
 
 def _dims_of(entry: Any, problems: Problems, name: str) -> tuple[str, ...] | None:
     dims = entry.get("dims") if isinstance(entry, dict) else None
-    texts = isinstance(dims, list) and all(isinstance(dim, str) for dim in dims)
-    if isinstance(dims, list) and texts and len(set(dims)) == len(dims) <= _MAX_DIMS:
+    are_texts = isinstance(dims, list) and all(isinstance(dim, str) for dim in dims)
+    if isinstance(dims, list) and are_texts and len(set(dims)) == len(dims) <= _MAX_DIMS:
         return tuple(dims)
     problems.add(
         f"{name[:60]!r}",
-        expected="an object with dims, each once, attributes and values",
+        expected="an object with distinct dims, attributes and values",
         code="metadata-damaged",
     )
     return None
 
 
-def typed_values(flat: list[Any], kind: str) -> Array:
-    """Return values read from JSON as an array of a dtype.
+def typed_values(flat: list[Any], dtype: str) -> Array:
+    """Return values from JSON as an array.
 
-    Raises ValueError: One is of another kind, or out of range.
+    Raises ValueError: A value is of another type, or out of range.
     """
-    if kind in ("str", "datetime64[ns]"):
-        _each(flat, str)
-        return text_column(flat) if kind == "str" else _times(flat)
-    if kind == "bool":
-        _each(flat, bool)
+    if dtype in ("str", "datetime64[ns]"):
+        _check_types(flat, str)
+        return text_column(flat) if dtype == "str" else _times(flat)
+    if dtype == "bool":
+        _check_types(flat, bool)
         return np.array(flat, np.bool_)
-    if kind.startswith("float"):
-        _each([value for value in flat if value is not None], (int, float))
+    if dtype.startswith("float"):
+        _check_types([value for value in flat if value is not None], (int, float))
         numbers = np.array([np.nan if value is None else float(value) for value in flat], np.float64)
         with np.errstate(over="ignore"):
-            values: Array = numbers.astype(kind)
+            values: Array = numbers.astype(dtype)
         if np.isinf(values).any():
             raise ValueError("a number is too large")
         return values
-    _each(flat, int)
-    limits = np.iinfo(kind)
+    _check_types(flat, int)
+    limits = np.iinfo(dtype)
     if any(not limits.min <= value <= limits.max for value in flat):
         raise ValueError("a number is out of range")
-    return np.array(flat, kind)
+    return np.array(flat, dtype)
 
 
-def _each(values: list[Any], kind: type | tuple[type, ...]) -> None:
-    boolean = kind is bool
-    if not all(isinstance(value, kind) and isinstance(value, bool) == boolean for value in values):
-        raise ValueError(f"expected {getattr(kind, '__name__', 'number')} values alone")
+def _check_types(values: list[Any], types: type | tuple[type, ...]) -> None:
+    # bool is a subclass of int, and no number here
+    if not all(isinstance(value, types) and isinstance(value, bool) == (types is bool) for value in values):
+        raise ValueError(f"expected only {getattr(types, '__name__', 'number')} values")
 
 
 def _times(flat: list[str]) -> Array:
-    # Times written by `metadata_text`; years beyond datetime64[ns] are refused, since they wrap.
+    # Times from `metadata_text`; numpy wraps years outside the range of datetime64[ns] without an error
     for text in filter(None, flat):
         if _TIME.fullmatch(text) is None or not 1700 <= int(text[:4]) <= 2261:
-            raise ValueError(f"{text[:40]!r} is no time like 2024-05-21T11:33:07.000000000 from 1700 to 2261")
+            raise ValueError(
+                f"{text[:40]!r}, expected a time such as 2024-05-21T11:33:07.000000000, in 1700 to 2261"
+            )
     return np.array([np.datetime64(text or "NaT", "ns") for text in flat], "datetime64[ns]")

@@ -15,6 +15,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, Problems, StoreError
+from hyperpaint.base.facts import is_number
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.old_names import with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
@@ -42,14 +43,14 @@ _DIGITS = re.compile(r"(\d+)")
 
 @dataclass(frozen=True, eq=False)
 class _Options:
-    # Axes, scale and quantity given by the caller.
+    # Axes, scale and quantity from the caller
     wavelength: Floats | None
     fwhm: Floats | None
     scale: float | None
-    is_reflectance: bool  # that values are reflectance
+    is_reflectance: bool  # whether the caller declares the values as reflectance
 
     def refuse_for(self, path: Path_) -> None:
-        # A library of hyperpaint has its own axes, scale and quantity.
+        # Raise if there is an option, for a file that hyperpaint wrote with its axes and scale
         if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
             raise FormatError(OWN_AXES.format(path), code="option-conflict")
 
@@ -71,46 +72,46 @@ def open_library(
 
         * an ENVI spectral library (``.sli`` or its ``.hdr``), also those of the USGS, whose first records are
           wavelengths and bandwidths;
-        * emissivity of DIRSIG (``.ems``), one opaque paint a file, its curves the members;
+        * emissivity of DIRSIG (``.ems``), one opaque paint per file, its curves as members;
         * text of the ECOSTRESS library (version 1), the ASTER library (version 2) or the USGS library, or a
-          table with wavelengths in its first column: several files make one library where their wavelengths
-          are equal;
+          table with wavelengths in its first column: several files with equal wavelengths become one
+          library;
         * Parquet in the columns of OpenSpecLib (extra ``library``), with equal wavelengths in all rows;
-        * what `hyperpaint.write_library` wrote, CSV and Zarr among it; any Zarr (folder, zip file, URL or
+        * files of `hyperpaint.write_library`, including CSV and Zarr; any Zarr (folder, zip file, URL or
           store object of zarr); a path inside a store names a group.
     wavelength, fwhm
-        Of the bands [nm], or a file of the USGS library that holds them. They replace those of the file.
-        USGS text without them looks for its own beside it and in the two folders above.
+        Axes of the bands [nm], or a file of the USGS library that holds them. They replace those of the file.
+        By default they are read for USGS text from files beside it and in the two folders above.
     scale
         Stored value of a reflectance of one (100 for percent). By default from the file: its scale factor,
-        units or headings. Without any of these, values that are no fractions are refused.
+        units or headings. Without any of these, values that are not fractions are an error.
     quantity
-        ``"reflectance"``, to say so of a text whose headings or values look like another quantity, or whose
-        third column without a heading looks like a standard deviation.
+        ``"reflectance"`` declares a text as reflectance whose headings or values look like another quantity,
+        or whose third column without a heading looks like a standard deviation.
 
     Returns
     -------
     xarray.Dataset
-        `reflectance` (signature, band) float32 [1], NaN where the file has none; coordinates `signature`,
-        `wavelength` [nm] in the order of the file, which may fall; `fwhm` [nm], `good`, and further
-        columns of the file. Names are kept as in the file, duplicates included. Error bars of
-        the USGS are `reflectance_u_random`. Attributes `source`, `format` and `notes` say where it comes from
-        and what was inferred. A library of ours comes back as it was written; a Zarr store lazily.
+        `reflectance` (signature, band) float32 [1], NaN for missing samples; coordinates `signature`,
+        `wavelength` [nm] in the order of the file, which may be descending; `fwhm` [nm], `good`, and further
+        columns of the file. Names are as in the file, duplicates included. Error bars of the USGS are
+        `reflectance_u_random`. Attributes: `source`, `format`, and `notes` on inferred properties. A library
+        of hyperpaint is returned as it was written; a Zarr store lazily.
 
     Raises
     ------
     FormatError
-        A file is damaged, of no known kind, no reflectance by its words or values, without wavelengths or of
-        unknown scale; or several files have different wavelengths. All problems are listed.
+        A file is damaged, in another format, not reflectance by its headings or values, without wavelengths
+        or of unknown scale; or several files have different wavelengths. All problems are listed.
     StoreError
-        A Zarr store was never finished, or the path holds no store.
+        A Zarr store was never finished, or there is no store at the path.
 
     Warns
     -----
     PaintWarning
-        The library is one of hyperpaint 0.2 or before, whose dimension `paint` is renamed `signature`. Names
-        or metadata are missing, or something was inferred that may make values wrong. Spectra have
-        the oxygen band of sunlight, as radiance and irradiance do.
+        The library is of hyperpaint 0.2 or before: its dimension `paint` is renamed `signature`. Names or
+        metadata are missing, or an inferred property may make values wrong. Spectra have the oxygen band of
+        sunlight, as radiance and irradiance do.
 
     Examples
     --------
@@ -123,7 +124,7 @@ def open_library(
     ('red', [[0.10000000149011612, 0.5]])
     >>> scratch.cleanup()
     """
-    if scale is not None and not (np.isfinite(scale) and scale > 0):
+    if scale is not None and not (is_number(scale) and scale > 0):
         raise FormatError(
             f"scale is {scale}",
             expected="the stored value of a reflectance of one, such as 100",
@@ -143,7 +144,7 @@ def open_library(
     files = find_paths(
         path,
         lambda inside: _spectra_among([file for file in inside if file.suffix.lower() in _TEXT_SUFFIXES]),
-        "text files of spectra, or the library's file by its name",
+        "text files of spectra, or the path of a library's file",
         lambda matches: _spectra_among([file for file in matches if file.suffix.lower() != ".json"]),
     )
     if len(files) == 1:
@@ -162,7 +163,7 @@ def open_library(
 
 
 def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
-    # Wavelengths or bandwidths given as numbers or as a file.
+    # Wavelengths or bandwidths from numbers or a file
     if argument is None:
         return None
     if isinstance(argument, str | os.PathLike):
@@ -174,7 +175,7 @@ def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
     if values.ndim != 1 or not values.size or not np.isfinite(values).all():
         raise FormatError(
             f"{name}= is {str(argument)[:60]!r}",
-            expected="one finite number a band [nm] or a file",
+            expected="a finite number for every band [nm], or a file",
             code="value-out-of-range",
         )
     return values
@@ -184,9 +185,8 @@ def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
 
 
 def _spectra_among(paths: Sequence[Path]) -> list[Path]:
-    # The files that hold spectra, sorted by name with numbers in numeric order.
-    # Left out are companion files: ancillary texts of ECOSTRESS, wavelengths and bandwidths of the USGS,
-    # tables of classes.
+    # Files of spectra without companion files (ancillary texts of ECOSTRESS, wavelengths and bandwidths of
+    # the USGS, tables of classes), sorted by name with numbers in numeric order
     candidates = []
     for path in paths:
         if not path.is_dir() and not path.name.startswith(".") and not path.name.endswith(_ANCILLARY):
@@ -194,7 +194,7 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
             is_table = head[:20].lower().startswith(("spectra names,", '"spectra names"'))
             if not is_table and not is_usgs_axis(head):
                 candidates.append(path)
-    # a library of ENVI is two files
+    # a data file of ENVI is dropped, since its header is in the list
     headers = {path.with_suffix("") for path in candidates if path.suffix.lower() == ".hdr"}
     candidates = [
         path
@@ -203,11 +203,12 @@ def _spectra_among(paths: Sequence[Path]) -> list[Path]:
         or (path.with_suffix("") not in headers and path not in headers)
     ]
 
-    def natural(path: Path) -> tuple[list[tuple[int, str]], str]:
-        parts = enumerate(_DIGITS.split(path.stem.lower()))
-        return [(int(part[:18]), "") if at % 2 else (-1, part) for at, part in parts], path.name
+    def numeric_key(path: Path) -> tuple[list[tuple[int, str]], str]:
+        # texts at even positions, numbers between them
+        pieces = enumerate(_DIGITS.split(path.stem.lower()))
+        return [(int(text[:18]), "") if at % 2 else (-1, text) for at, text in pieces], path.name
 
-    return sorted(candidates, key=natural)
+    return sorted(candidates, key=numeric_key)
 
 
 def _head(path: Path) -> str:
@@ -219,8 +220,8 @@ def _head(path: Path) -> str:
 
 def _opened(path: Path, options: _Options) -> xr.Dataset:
     if not path.is_file():
-        kind = "no plain file" if os.path.lexists(path) else "no such file"
-        raise FormatError(f"{path}: {kind}", expected="a spectral library", code="file-not-found")
+        fault = "not a regular file" if os.path.lexists(path) else "no such file"
+        raise FormatError(f"{path}: {fault}", expected="a spectral library", code="file-not-found")
     try:
         return _by_content(path, options)
     except OSError as error:
@@ -250,7 +251,7 @@ def _by_content(path: Path, options: _Options) -> xr.Dataset:
 
 
 def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Dataset:
-    # Open a library of another program, or one of ours in ENVI format.
+    # Open a library of another program, or one of hyperpaint in ENVI format
     nm, scale = options.wavelength, options.scale
     if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
         return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
@@ -264,11 +265,11 @@ def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Datase
 
 
 _MAX_SHOWN_DIFFERENCES = 10
-_OF_BANDS = ("wavelength", "fwhm", "good")
+_BAND_COORDINATES = ("wavelength", "fwhm", "good")
 
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
-    # One library of several, in order; the coordinate `file` names the file of each paint.
+    # One library from several files, with the file of every paint in the coordinate `file`
     opened = [
         (
             path,
@@ -278,7 +279,7 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     ]
     libraries = [library for _, library in opened]
     first_path, first = opened[0]
-    problems = Problems("the files cannot be made one library", FormatError)
+    problems = Problems("the files cannot be joined to one library", FormatError)
     for path, library in opened:
         if not np.array_equal(library["wavelength"].values, first["wavelength"].values):
             problems.add(
@@ -291,8 +292,8 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
         ):
             problems.add(
                 f"{path.name} has {', '.join(variables)}",
-                expected="one spectrum a paint",
-                mend="open it alone",
+                expected="one spectrum per paint",
+                mend="open this file alone",
                 code="library-not-plain",
             )
         if len(problems) >= _MAX_SHOWN_DIFFERENCES:
@@ -309,11 +310,11 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
             for library in libraries
         ]
         merged[name] = ((SIGNATURE, BAND), np.concatenate(values), attrs)
-    for name in _OF_BANDS:
-        having = [library[name] for library in libraries if name in library.coords]
-        if len(having) == len(libraries) and all(np.array_equal(a.values, having[0].values) for a in having):
-            merged = merged.assign_coords({name: having[0]})
-        elif having:
+    for name in _BAND_COORDINATES:
+        arrays = [library[name] for library in libraries if name in library.coords]
+        if len(arrays) == len(libraries) and all(np.array_equal(a.values, arrays[0].values) for a in arrays):
+            merged = merged.assign_coords({name: arrays[0]})
+        elif arrays:
             notes.append(f"{name} differs from file to file and is left out")
     names = dict.fromkeys(
         name for lib in libraries for name, a in lib.coords.items() if a.dims == (SIGNATURE,)
@@ -338,15 +339,18 @@ def _grid(library: xr.Dataset) -> str:
 
 
 def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
-    # A coordinate of the paints, empty or NaN where a file lacks it.
-    having = [library[name] for library in libraries if name in library.coords]
-    kinds = {array.dtype.kind for array in having}
-    attrs = having[0].attrs
-    if len(kinds) == 1 and len(having) == len(libraries) and not kinds <= set("OUT"):
-        return SIGNATURE, np.concatenate([array.values for array in having]), attrs
+    # A coordinate of the paints of all libraries, empty or NaN for libraries without it
+    arrays = [library[name] for library in libraries if name in library.coords]
+    kinds = {array.dtype.kind for array in arrays}
+    attrs = arrays[0].attrs
+    if len(kinds) == 1 and len(arrays) == len(libraries) and not kinds <= set("OUT"):
+        return SIGNATURE, np.concatenate([array.values for array in arrays]), attrs
     absent: Any = np.nan if kinds <= set("biuf") else ""
-    parts = (lib[name].values if name in lib.coords else [absent] * lib.sizes[SIGNATURE] for lib in libraries)
-    values = list(itertools.chain.from_iterable(parts))
+    columns = (
+        library[name].values if name in library.coords else [absent] * library.sizes[SIGNATURE]
+        for library in libraries
+    )
+    values = list(itertools.chain.from_iterable(columns))
     if kinds <= set("biuf"):
         return SIGNATURE, np.array(values, np.float64), attrs
     return SIGNATURE, text_column(values if kinds <= set("OUT") else list(map(str, values))), attrs
@@ -356,19 +360,19 @@ def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dic
 
 
 def _read_store(path: Any) -> xr.Dataset:
-    # Open a library of a Zarr store lazily.
+    # Lazy library from the root group of a Zarr store
     groups = list_groups(path)
     if "" not in groups:
-        named = ", ".join(f"{path}/{group}" for group in groups) or "none"
+        addresses = ", ".join(f"{path}/{group}" for group in groups) or "none"
         raise FormatError(
-            f"{path} holds no paint library at its root (groups: {named})", code="library-missing"
+            f"{path} holds no paint library at its root (groups: {addresses})", code="library-missing"
         )
     library = with_new_names(open_store(path, ""))
     rows = {name: LIBRARY_VARIABLES[name] for name in (SIGNATURE, "reflectance", "wavelength")}
     missing = [name for name in rows if name not in library.variables]
-    wrong = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
-    if missing or any(wrong):
-        texts = [str(problem) for problem in wrong if problem]
+    dim_problems = [row.dim_problem(library[name]) for name, row in rows.items() if name not in missing]
+    if missing or any(dim_problems):
+        texts = [str(problem) for problem in dim_problems if problem]
         reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
         raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
     return library

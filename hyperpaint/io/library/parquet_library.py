@@ -1,7 +1,7 @@
-"""Paint libraries as Parquet, in the columns of OpenSpecLib: a row a spectrum, readable by pandas and DuckDB.
+"""Paint libraries as Parquet in the columns of OpenSpecLib, a row per spectrum, for pandas and DuckDB.
 
-Our own files have the metadata of the library beside them, ``<file>.json``, as CSV has; spectra that are no
-centres have their key in ``additional_properties``. Other files need equal wavelengths in all rows.
+Files of hyperpaint have the metadata of the library in ``<file>.json``, and the key of every spectrum (see
+`records`) in ``additional_properties``. Other files need equal wavelengths in all rows.
 """
 
 from __future__ import annotations
@@ -154,11 +154,11 @@ def _schema() -> pa.Schema:
 def _row(
     common: dict[str, Any], name: str, properties: dict[str, Any], key: Key, values: Floats32
 ) -> dict[str, Any]:
-    # The cells of one spectrum; ``key`` holds its variable, paint and place.
-    variable, paint, place = key
+    # Cells of one spectrum; ``key``: its variable, paint, and index along the inner dim
+    variable, paint, inner = key
     missing = int((~np.isfinite(values)).sum())
-    identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{place}"
-    additional = {**properties, "variable": variable, SIGNATURE: paint, "place": place}
+    identity = f"{paint}" if key[0] == CENTRE else f"{paint}/{variable}/{inner}"
+    additional = {**properties, "variable": variable, SIGNATURE: paint, "place": inner}
     keywords = [
         str(properties[word]) for word in ("colour", "finish", "make", "model") if properties.get(word)
     ]
@@ -180,10 +180,10 @@ def _row(
 
 
 def read_parquet_library(path: Path) -> xr.Dataset:
-    """Read a library in the columns of OpenSpecLib, ours or of others.
+    """Read a library in the columns of OpenSpecLib, of hyperpaint or another program.
 
-    Raises FormatError: It is damaged, too large, lacks columns, holds other than reflectance, or has rows of
-        different wavelengths.
+    Raises FormatError: It is damaged or too large, lacks columns, contains another quantity than reflectance,
+        or has rows with different wavelengths.
     Raises MissingExtraError: pyarrow is not installed.
     """
     with needs_extra("pyarrow", "library", _PURPOSE):
@@ -204,7 +204,7 @@ def read_parquet_library(path: Path) -> xr.Dataset:
     return library_of(_spectra(path.name, rows))
 
 
-_WANTED = (
+_COLUMNS = (
     "name",
     "additional_properties",
     "spectral_data.type",
@@ -217,8 +217,8 @@ _WANTED = (
 
 
 def _rows(file: Any, source: str) -> list[dict[str, Any]]:
-    # The rows with the columns in use; refuse files that would fill the memory.
-    missing = [name for name in _WANTED if name not in file.schema_arrow.names]
+    # Rows with the columns that are read; raise for files that would fill the memory
+    missing = [name for name in _COLUMNS if name not in file.schema_arrow.names]
     if missing:
         raise FormatError(
             f"{source}: columns {', '.join(missing)} are missing",
@@ -231,13 +231,13 @@ def _rows(file: Any, source: str) -> list[dict[str, Any]]:
         )
     rows: list[dict[str, Any]] = []
     count = 0
-    for batch in file.iter_batches(batch_size=256, columns=list(_WANTED)):
+    for batch in file.iter_batches(batch_size=256, columns=list(_COLUMNS)):
         count += sum(len(column.flatten()) for column in batch.columns if hasattr(column, "flatten"))
         if count > _MAX_VALUES:
             raise FormatError(
                 f"{source}: more than {_MAX_VALUES} values", mend="split the file", code="file-too-large"
             )
-        columns = {name: batch.column(name) for name in _WANTED}
+        columns = {name: batch.column(name) for name in _COLUMNS}
         for at in range(batch.num_rows):
             row: dict[str, Any] = {}
             for name, column in columns.items():
@@ -263,7 +263,7 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
             )
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise FormatError(
-                f"{path.name}: row {at} names no variable, paint and place",
+                f"{path.name}: row {at} has no variable, paint and index in additional_properties",
                 mend="write the library again",
                 code="record-unmatched",
             ) from error
@@ -271,7 +271,7 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
     names = [str(row["name"]) for row, key in zip(rows, keys, strict=True) if key[0] == CENTRE]
     if sorted({key[1] for key in keys}) != list(range(len(names))) or any(key[2] < -1 for key in keys):
         raise FormatError(
-            f"{path.name}: the numbers of the paints have gaps",
+            f"{path.name}: rows of a paint are missing",
             mend="write the library again",
             code="record-unmatched",
         )
@@ -281,23 +281,25 @@ def _restored(path: Path, rows: list[dict[str, Any]]) -> xr.Dataset:
 
 
 def _stacked(source: str, rows: list[dict[str, Any]]) -> tuple[Floats, Floats]:
-    # The common wavelengths (band,) and the values (row, band) of all rows.
-    first = rows[0]["spectral_data.wavelengths"]
+    # Common wavelengths (band,) and values (row, band) of all rows
+    wavelength = rows[0]["spectral_data.wavelengths"]
     for at, row in enumerate(rows):
-        if not np.array_equal(row["spectral_data.wavelengths"], first):
+        if not np.array_equal(row["spectral_data.wavelengths"], wavelength):
             difference = (
-                f"{row['spectral_data.wavelengths'].size} wavelengths in row {at}, {first.size} in the first"
+                f"{row['spectral_data.wavelengths'].size} in row {at}, {wavelength.size} in the first row"
             )
             raise FormatError(
                 f"{source}: rows have different wavelengths ({difference})",
-                mend="choose rows of one instrument",
+                mend="select rows of one instrument",
                 code="grid-mismatch",
             )
-        if row["spectral_data.values"].shape != first.shape:
+        if row["spectral_data.values"].shape != wavelength.shape:
             raise FormatError(
-                f"{source}: row {at} has not as many values as wavelengths", code="length-mismatch"
+                f"{source}: row {at} has {row['spectral_data.values'].size} values",
+                expected=f"{wavelength.size}, as many as wavelengths",
+                code="length-mismatch",
             )
-    return first, np.stack([row["spectral_data.values"] for row in rows])
+    return wavelength, np.stack([row["spectral_data.values"] for row in rows])
 
 
 def _spectra(source: str, rows: list[dict[str, Any]]) -> Spectra:
@@ -305,7 +307,7 @@ def _spectra(source: str, rows: list[dict[str, Any]]) -> Spectra:
     kinds = {str(row["spectral_data.type"]) for row in rows}
     if kinds != {"reflectance"}:
         raise FormatError(
-            f"{source}: it holds {', '.join(sorted(kinds))}",
+            f"{source}: rows of {', '.join(sorted(kinds))}",
             expected="reflectance",
             mend="select rows of reflectance",
             code="quantity-wrong",

@@ -1,8 +1,9 @@
-"""Spectra side by side in a plain text table: wavelengths in the first column, a spectrum in each other."""
+"""Spectra in a plain text table: wavelengths in the first column, a spectrum in every further column."""
 
 from __future__ import annotations
 
 import csv
+import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from .library_spectra import Spectra, reflectances, text_column
 from .text_spectra import PERCENT, in_nanometres, lines_of, numbers_of_lines, wavelength_factor
 
 _MAX_PREAMBLE = 500
+#: Headings that do not name a paint.
 _GENERIC = re.compile(r"|r|rho|y|values?|.*(?:reflect|average|mean).*", re.IGNORECASE)
 
 #: Units in headings are removed from names of paints, which are paired with references by name.
@@ -27,15 +29,15 @@ _UNIT = re.compile(r"\s*[(\[]\s*(?:%|per ?cent|fraction|-|1)\s*[)\]]\s*$", re.IG
 
 @dataclass(frozen=True)
 class _Dialect:
-    # Separator and decimal mark of a table; an empty separator stands for blanks.
-    separator: str
-    comma: bool
+    # Separator and decimal mark of a table
+    separator: str  # empty for blanks
+    comma: bool  # whether the decimal mark is a comma
 
     def cells(self, line: str) -> list[str]:
         return line.split(self.separator) if self.separator else line.split()
 
     def row(self, line: str) -> list[float] | None:
-        # The numbers of a line, None for any other line; the first cell must not be empty.
+        # Numbers of a line; None for other lines, and for an empty first cell
         cells = self.cells(line.strip(" "))
         if len(cells) < 2 or not cells[0].strip():
             return None
@@ -58,27 +60,28 @@ def read_plain_table(
 ) -> Spectra:
     """Read spectra from a table of two or more columns.
 
-    Cells are separated by commas, semicolons, tabs or blanks; decimal commas are understood where no comma
-    separates. Lines above the numbers are headings, the last of them names the columns; lines that begin with
-    ``#`` are comments. Where there is one spectrum and its heading says no more than "reflectance", it has
-    the name of the file. A column whose heading says so is the standard deviation of the one before it.
+    Cells are separated by commas, semicolons, tabs or blanks; decimal commas are read where commas are not
+    the separator. Lines above the numbers are headings, the last of them names the columns; lines that begin
+    with ``#`` are comments. A single spectrum with a general heading such as "reflectance" gets the name of
+    the file. A column whose heading says so is the standard deviation of the column before it.
 
-    scale: Value of a reflectance of one; by default 100 where the headings say percent, else 1.
-    wavelength: To be used in place of the first column [nm].
-    is_reflectance: The values are reflectance, without a check of headings and values.
-    Raises FormatError: There is no table of numbers, or its first column holds no wavelengths, or the values
-        are no reflectance.
-    Warns PaintWarning: Wavelengths stand twice in a row; or a column is a standard deviation by its values.
+    scale: Stored value of a reflectance of one; by default 100 if the headings say percent, else 1.
+    wavelength: Wavelengths in place of the first column [nm].
+    is_reflectance: Whether the values are reflectance, without a check of headings and values.
+    Raises FormatError: There is no table of numbers, its first column is not wavelengths, or the values are
+        not reflectance.
+    Warns PaintWarning: Successive rows have the same wavelength; or the values of a column look like a
+        standard deviation.
     """
     source = path.name
     lines = lines_of(path, "a table of wavelengths and reflectance")
-    first, dialect, columns = _beginning(lines, source)
-    written = ["" if line.lstrip().startswith("#") else line for line in lines]
-    table = numbers_of_lines(written, first, columns, source, dialect.row)
+    first_line, dialect, columns = _beginning(lines, source)
+    without_comments = ["" if line.lstrip().startswith("#") else line for line in lines]
+    table = numbers_of_lines(without_comments, first_line, columns, source, dialect.row)
     if columns > 2 and np.isnan(table[:, -1]).all():  # every line ends with a separator
         table, columns = table[:, :-1], columns - 1
     _check_order(table[:, 0], source)
-    preamble = lines[:first]
+    preamble = lines[:first_line]
     headings = _headings(preamble, dialect, columns)
     preamble_text = " ".join(preamble)
     if not is_reflectance:
@@ -95,30 +98,30 @@ def read_plain_table(
     reflectance = reflectances(
         values.T[paints], source, file_scale=percent, scale=scale, is_reflectance=is_reflectance
     )
-    others = {}
+    further = {}
     if (spread >= 0).any():
         sd = reflectances(values.T[spread[paints]], source, file_scale=percent or 1.0, scale=scale)
-        others["reflectance_sd"] = np.where(spread[paints, None] >= 0, sd, np.float32(np.nan))
+        further["reflectance_sd"] = np.where(spread[paints, None] >= 0, sd, np.float32(np.nan))
     return Spectra(
         source=source,
         form="table of text",
         names=names,
         wavelength=in_nanometres(nm, factor) if wavelength is None else wavelength,
         reflectance=reflectance,
-        others=others,
+        others=further,
         notes=notes,
     )
 
 
 def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
-    # The index of the first line of numbers, its dialect, and the number of columns.
-    shown = [at for at, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-    for position, at in enumerate(shown[:_MAX_PREAMBLE]):
+    # Index of the first line of numbers, its dialect, and its number of columns
+    text_lines = [at for at, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+    for at, following in itertools.pairwise(text_lines[: _MAX_PREAMBLE + 1]):
         rows = [(dialect, row) for dialect in _DIALECTS if (row := dialect.row(lines[at])) is not None]
-        if rows and position + 1 < len(shown):
-            following = lines[shown[position + 1]]
-            fitting = [d for d, row in rows if len(d.row(following) or ()) == len(row)]
-            # where the next line fits none, it is reported: no line of numbers is taken for a heading
+        if rows:
+            # the dialect in which the next line has as many columns, else the first, with which the next
+            # line is reported later
+            fitting = [d for d, row in rows if len(d.row(lines[following]) or ()) == len(row)]
             dialect = fitting[0] if fitting else rows[0][0]
             return at, dialect, next(len(row) for d, row in rows if d == dialect)
     raise FormatError(
@@ -129,14 +132,14 @@ def _beginning(lines: Sequence[str], source: str) -> tuple[int, _Dialect, int]:
 
 
 def _check_order(wavelength: Floats, source: str) -> None:
-    # Refuse a first column that changes direction more often than detectors join.
+    # Raise for a first column that changes direction more often than detectors join
     steps = np.diff(wavelength)
-    back = min(int((steps < 0).sum()), int((steps > 0).sum()))
-    if np.isnan(wavelength).any() or back > max(4, steps.size // 20) or not steps.any():
+    reversals = min(int((steps < 0).sum()), int((steps > 0).sum()))
+    if np.isnan(wavelength).any() or reversals > max(4, steps.size // 20) or not steps.any():
         raise FormatError(
             f"{source}: the first column rises and falls",
             expected="wavelengths",
-            mend="spectra belong in columns",
+            mend="write every spectrum as a column",
             code="wavelength-unordered",
         )
 
@@ -154,11 +157,12 @@ def _names(headings: Sequence[str], spread: Ints, stem: str) -> list[str]:
 
 
 def _headings(preamble: Sequence[str], dialect: _Dialect, columns: int) -> list[str]:
-    # The cells of the last heading; empty where their number is not that of the columns.
-    last = next((line for line in reversed(preamble) if line.strip()), "")
-    text = last.strip().lstrip("#")
-    # a heading in a comment may have commas although another mark separates the numbers
-    separators = [dialect.separator, ","] if last.lstrip().startswith("#") else [dialect.separator]
+    # Cells of the last heading; empty where they are not as many as columns
+    line = next((line for line in reversed(preamble) if line.strip()), "")
+    is_comment = line.lstrip().startswith("#")
+    text = line.strip().lstrip("#")
+    # commas may separate headings in a comment where another mark separates numbers
+    separators = [dialect.separator, ","] if is_comment else [dialect.separator]
     for separator in separators:
         try:
             cells = next(csv.reader([text], delimiter=separator)) if separator else text.split()
@@ -166,16 +170,14 @@ def _headings(preamble: Sequence[str], dialect: _Dialect, columns: int) -> list[
             continue
         if len(cells) == columns + 1 and not cells[-1].strip():
             cells.pop()
-        if len(cells) == columns or (len(cells) > columns and last.lstrip().startswith("#") and separator):
+        if len(cells) == columns or (len(cells) > columns and is_comment and separator):
             return cells[:columns]
     return []
 
 
-# ----------------------------------------------------------------------------------------------------------
-# Spectra of the USGS spectral library (splib06, splib07) as text.
-#
-# A title, then one value a line. Wavelengths and bandwidths are in files of their own, one for each
-# spectrometer, that lie beside the spectra or in a folder above them.
+# --- spectra of the USGS spectral library (splib06, splib07) as text ---------------------------------------
+# A title, then one value a line. Wavelengths and bandwidths are in separate files, one for each spectrometer,
+# beside the spectra or in a folder above.
 
 
 _TITLE = re.compile(r"\s*(\S{1,40})\s+Record\s*=\s*(\d{1,9})\s*:(.*)$", re.IGNORECASE)
@@ -183,7 +185,8 @@ _MEASUREMENT = re.compile(r"[A-Z]{4}")
 _AXIS = re.compile(r"\s*\S{1,40}\s+Record\s*=\s*\d{1,9}\s*:\s*(?:wave|bandpass|resolution|fwhm)", re.I)
 _SPECTROMETERS = ("BECK", "NIC4", "AVIRIS", "ASD")
 _MAX_CANDIDATES = 64
-_LEVELS = 3  # chapters lie in folders of their own
+#: Number of folders that are searched for wavelengths, from that of the spectrum upwards.
+_FOLDERS = 3
 
 
 def is_usgs(head: str) -> bool:
@@ -201,11 +204,11 @@ def read_usgs(
 ) -> Spectra:
     """Read a spectrum of the USGS library.
 
-    scale: Value of a reflectance of one, 1 by default.
-    wavelength, fwhm: Of the bands [nm]; by default from files beside the spectrum, or in the two folders
-        above it.
-    Raises FormatError: The numbers are not as they should be; it is no reflectance; or its wavelengths cannot
-        be found.
+    scale: Stored value of a reflectance of one, 1 by default.
+    wavelength, fwhm: Wavelengths and widths of the bands [nm]; by default from files beside the spectrum, or
+        in the two folders above it.
+    Raises FormatError: Lines are not numbers; the quantity is not reflectance; or no file of wavelengths is
+        found.
     """
     source = path.name
     title, values = _column(path)
@@ -217,7 +220,7 @@ def read_usgs(
         name, spectrometer, measurement = words
     if is_usgs_axis(title):
         raise FormatError(
-            f"{source}: {heading[:60]!r} holds no spectrum",
+            f"{source}: {heading[:60]!r} is not a spectrum",
             expected="reflectance",
             mend="pass the file as wavelength= or fwhm=",
             code="quantity-wrong",
@@ -230,7 +233,7 @@ def read_usgs(
     nm = _axis(path, "wave", values.size, spectrometer, notes) if wavelength is None else wavelength
     if nm is None:
         raise FormatError(
-            f"{source}: no file of {values.size} wavelengths beside it or in the folders above",
+            f"{source}: no file with {values.size} wavelengths beside it or in the folders above",
             mend=f"pass wavelength=, '..._Wavelengths_...txt' of the spectrometer {spectrometer}".rstrip(),
             code="wavelength-missing",
         )
@@ -265,7 +268,7 @@ def _column(path: Path) -> tuple[str, Floats]:
 def read_usgs_axis(path: Path) -> tuple[Floats, str]:
     """Return the wavelengths or bandwidths of a USGS file [nm], and a note on their units.
 
-    Raises FormatError: The file is damaged, or holds something else.
+    Raises FormatError: The file is damaged, or has other content.
     """
     title, values = _column(path)
     factor, note = wavelength_factor(title.replace("_", " "), values, path.name)
@@ -275,7 +278,7 @@ def read_usgs_axis(path: Path) -> tuple[Floats, str]:
 
 
 def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]) -> Floats | None:
-    # The wavelengths or bandwidths from a file near a spectrum; None without one of equal length.
+    # Wavelengths ("wave") or bandwidths from a file near a spectrum; None without a file of equal length
     axes = {}
     for file in _candidates(path, kind):
         try:
@@ -292,7 +295,7 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
         option = "wavelength=" if kind == "wave" else "fwhm="
         raise FormatError(
             f"{path.name}: {listed} have {count} values each",
-            mend=f"pass the right one as {option}",
+            mend=f"pass the file of this spectrum as {option}",
             code="wavelength-ambiguous",
         )
     for file, (values, note) in axes.items():
@@ -304,14 +307,15 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
 def _candidates(path: Path, kind: str) -> list[Path]:
     words = ("wavelength",) if kind == "wave" else ("bandpass", "fwhm", "resolution")
     folder = path.absolute().parent
-    for above in [folder, *folder.parents][:_LEVELS]:
+    for searched in [folder, *folder.parents][:_FOLDERS]:
         try:
-            names = sorted(entry.name for entry in above.iterdir())
+            names = sorted(entry.name for entry in searched.iterdir())
         except OSError:
             continue
         fitting = [n for n in names if n.lower().endswith(".txt") and any(w in n.lower() for w in words)]
-        if kind != "wave":  # names of spectra convolved to another spectrometer hold "wavelength"
+        if kind != "wave":  # names of spectra convolved to another spectrometer contain "wavelength"
             fitting = [name for name in fitting if "wavelength" not in name.lower()]
         if fitting:
-            return [above / name for name in fitting[:_MAX_CANDIDATES] if (above / name) != path.absolute()]
+            paths = (searched / name for name in fitting[:_MAX_CANDIDATES])
+            return [file for file in paths if file != path.absolute()]
     return []

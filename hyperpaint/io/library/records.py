@@ -1,7 +1,7 @@
 """Spectra of a paint library as records of a file, and back.
 
-Every spectrum is one record: first the reflectance of all paints, then their other variables on the bands,
-then their members. The key of a record is its variable, its paint, and its place within the paint.
+Every spectrum is one record: first the reflectance of all paints, then their further variables on the bands,
+then their members. The key of a record is its variable, its paint, and its number within the paint.
 """
 
 from __future__ import annotations
@@ -29,11 +29,15 @@ from .metadata import Metadata, metadata_path, read_metadata, table_columns
 
 CENTRE = "reflectance"
 _BLOCK_BYTES = 16 * 2**20
-_FEW_CELLS, _MANY_CELLS = 2**22, 2**29
+#: Number of cells of an array that is always allowed; and the number above which padding is limited to seven
+#: times the stored cells.
+_ALWAYS_ALLOWED_CELLS, _LARGE_CELLS = 2**22, 2**29
+#: Unicode categories of characters that names must not have.
 _CONTROL = ("Cc", "Cs", "Zl", "Zp")
 _MAX_SHOWN = 5
 
-#: Variable, paint, and place within the paint, both counted from 0; the place is -1 where there is one.
+#: Variable, number of the paint, and number within the paint, both from 0; the latter is -1 if a paint has
+#: only one spectrum of the variable.
 Key = tuple[str, int, int]
 
 
@@ -41,10 +45,10 @@ Key = tuple[str, int, int]
 class Block:
     """Some records of one variable."""
 
-    variable: str  # its name
-    paint: Ints  # (record), index of the paint
-    inner: Ints  # (record), place within the paint; -1 where it has but one
-    values: Floats32  # (record, band) float32, contiguous
+    variable: str  #: Name of the variable.
+    paint: Ints  #: (record,): Number of the paint.
+    inner: Ints  #: (record,): Number within the paint, as in `Key`.
+    values: Floats32  #: (record, band), float32, contiguous.
 
 
 # --- from a library ----------------------------------------------------------------------------------------
@@ -53,31 +57,32 @@ class Block:
 def checked_library(library: xr.Dataset) -> xr.Dataset:
     """Return a library in the units of the table; values are not checked.
 
-    Raises SchemaError: It is no paint library: variables are missing, or have other dims or units; all are
-        listed.
+    Raises SchemaError: It is not a paint library: variables are missing, or have other dims or units; all
+        are listed.
     """
     required = dict.fromkeys((SIGNATURE, CENTRE, "wavelength"))
     required |= {name: None for name in LIBRARY_VARIABLES if name in library.variables}
     names = [name for name in required if not _is_plain_number(library, name)]
-    variables, wrong = schema.find(library, names, LIBRARY_VARIABLES)
+    variables, faults = schema.find(library, names, LIBRARY_VARIABLES)
     problems = Problems("the library cannot be written", SchemaError)
-    problems.extend(wrong)
+    problems.extend(faults)
     for name in variables:
-        wanted = np.dtype("object" if (kind := LIBRARY_VARIABLES[name].dtype) == "str" else kind).kind
-        numeric = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(wanted, wanted)
-        if variables[name].dtype.kind not in numeric:
-            problems.add(f"{name!r} is {variables[name].dtype}", expected=str(kind), code="type-wrong")
+        dtype = LIBRARY_VARIABLES[name].dtype
+        kind = np.dtype("object" if dtype == "str" else dtype).kind
+        accepted_kinds = {"f": "fiu", "i": "iu", "u": "iu", "O": "OUT"}.get(kind, kind)
+        if variables[name].dtype.kind not in accepted_kinds:
+            problems.add(f"{name!r} is {variables[name].dtype}", expected=str(dtype), code="type-wrong")
     if CENTRE in variables and not variables[CENTRE].size:
         problems.add(
             f"reflectance has sizes {dict(variables[CENTRE].sizes)}",
             expected="at least one paint and one band",
             code="empty-input",
         )
-    for other, array in library.variables.items():
+    for key, array in library.variables.items():
         if {SIGNATURE, BAND} < set(array.dims) and array.dtype.kind == "f" and array.ndim > 3:
             problems.add(
-                f"{other!r} has dims {array.dims}",
-                expected="one beside paint and band at most",
+                f"{key!r} has dims {array.dims}",
+                expected="at most one dim beside signature and band",
                 code="dims-wrong",
             )
     for name in ("wavelength", "fwhm", "good"):
@@ -89,8 +94,8 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
     wavelength = np.asarray(variables["wavelength"].values, np.float64)
     if not (np.isfinite(wavelength).all() and (wavelength > 0).all()):
         raise SchemaError(
-            "wavelengths of the library are not all finite and above 0",
-            mend="drop those bands with .isel",
+            "the library has wavelengths that are not finite, or not above 0",
+            mend="drop these bands with .isel",
             code="wavelength-range",
         )
     return library.assign_coords({n: v for n, v in variables.items() if n in library.coords}).assign(
@@ -99,10 +104,10 @@ def checked_library(library: xr.Dataset) -> xr.Dataset:
 
 
 def _is_plain_number(library: xr.Dataset, name: str) -> bool:
-    # Whether a variable is a count or a share without units, which only spectra must have.
+    # Whether a variable is a count or a share without the attribute units; only spectra must have units
     units = LIBRARY_VARIABLES[name].units
-    plain = name in library.variables and BAND not in library[name].dims
-    return plain and units == "1" and "units" not in library[name].attrs
+    is_scalar = name in library.variables and BAND not in library[name].dims
+    return is_scalar and units == "1" and "units" not in library[name].attrs
 
 
 def names_of(library: xr.Dataset) -> list[str]:
@@ -130,7 +135,7 @@ def names_of(library: xr.Dataset) -> list[str]:
 def spectral_variables(library: xr.Dataset) -> list[str]:
     """Return the names of the variables with a value at every band of a paint: centre first, members last.
 
-    xarray gathers coordinates from sets: their order is another one in every process.
+    They are sorted, since the order of xarray's coordinates differs from process to process.
     """
     names = [
         str(name)
@@ -141,9 +146,9 @@ def spectral_variables(library: xr.Dataset) -> list[str]:
 
 
 def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | None = None) -> Iterator[Block]:
-    """Yield the records of variables in blocks of some 16 MiB; padding after the last member is left out.
+    """Yield the records of variables in blocks of some 16 MiB, without the padding after the last member.
 
-    Lazy arrays are computed one chunk of paints at a time. ``progress`` counts the paints of all variables.
+    Lazy arrays are computed in chunks of paints. ``progress`` counts the paints of all variables.
     """
     paints = library.sizes[SIGNATURE]
     for number, name in enumerate(names):
@@ -164,11 +169,11 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
                     has_value: npt.NDArray[np.bool_] = np.any(~np.isnan(values), axis=2)
                     # up to the last member that has a value
                     is_stored[:] = np.logical_or.accumulate(has_value[:, ::-1], axis=1)[:, ::-1]
-                paint, place = np.nonzero(is_stored)
-                yield Block(name, paint + start, place, values[is_stored])
+                paint, number_in_paint = np.nonzero(is_stored)
+                yield Block(name, paint + start, number_in_paint, values[is_stored])
             else:
-                places = np.arange(start, stop)
-                yield Block(name, places, np.full(stop - start, -1), np.ascontiguousarray(values))
+                paint = np.arange(start, stop)
+                yield Block(name, paint, np.full(stop - start, -1), np.ascontiguousarray(values))
             if progress is not None:
                 progress(number * paints + stop, len(names) * paints)
 
@@ -180,32 +185,32 @@ def blocks_of(library: xr.Dataset, names: Sequence[str], progress: Progress | No
 class Placement:
     """Positions of the records of one variable in its array."""
 
-    records: Ints  # (record), their numbers in the file, ascending
-    paint: Ints  # (record), as in `Block`
-    inner: Ints
-    values: Floats32  # filled by `put`; NaN elsewhere
+    records: Ints  #: (record,): Numbers of the records in the file, ascending.
+    paint: Ints  #: (record,): As in `Block`.
+    inner: Ints  #: (record,): As in `Block`.
+    values: Floats32  #: The array; `put` fills it, NaN elsewhere.
 
-    def put(self, first: int, rows: Floats32) -> None:
-        """Store the rows of consecutive records, of which ``first`` is the first, that belong here."""
-        low, high = np.searchsorted(self.records, (first, first + len(rows)))
-        taken = rows[self.records[low:high] - first]
+    def put(self, first_record: int, rows: Floats32) -> None:
+        """Store the rows of this variable from a block of consecutive records."""
+        low, high = np.searchsorted(self.records, (first_record, first_record + len(rows)))
+        values = rows[self.records[low:high] - first_record]
         if self.values.ndim == 2:
-            self.values[self.paint[low:high]] = taken
+            self.values[self.paint[low:high]] = values
         else:
-            self.values[self.paint[low:high], self.inner[low:high]] = taken
+            self.values[self.paint[low:high], self.inner[low:high]] = values
 
 
 def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dict[str, Placement]:
     """Return the placement of the records of every variable.
 
-    Raises FormatError: Records are given twice, or some are missing; or so few paints have so many members
-        that the library would be mostly padding.
+    Raises FormatError: Records occur twice or are missing; or few paints have so many members that the
+        arrays would be mostly padding.
     """
     by_variable: dict[str, Placement] = {}
     for variable in dict.fromkeys(key[0] for key in keys):
-        records = np.array([at for at, key in enumerate(keys) if key[0] == variable], np.int64)
-        paint = np.array([keys[at][1] for at in records], np.int64)
-        inner = np.array([keys[at][2] for at in records], np.int64)
+        records = np.array([k for k, key in enumerate(keys) if key[0] == variable], np.int64)
+        paint = np.array([keys[k][1] for k in records], np.int64)
+        inner = np.array([keys[k][2] for k in records], np.int64)
         if np.unique(np.stack([paint, inner]), axis=1).shape[1] != len(records):
             raise FormatError(
                 f"{source}: a record of {variable!r} occurs twice",
@@ -218,16 +223,16 @@ def placements(keys: Sequence[Key], paints: int, bands: int, source: str) -> dic
                 mend="write the library again",
                 code="length-mismatch",
             )
-        places = () if inner[0] < 0 else (int(inner.max()) + 1,)
-        cells, stored = paints * bands * (places or (1,))[0], len(records) * bands
-        # padding may take 64 times the stored cells, less in large files
-        if cells > max(_FEW_CELLS, min(64 * stored, _MANY_CELLS + 8 * stored)):
+        inner_sizes = () if inner[0] < 0 else (int(inner.max()) + 1,)
+        cells, stored_cells = paints * bands * (inner_sizes or (1,))[0], len(records) * bands
+        # with padding at most 64 times the stored cells, less in large files
+        if cells > max(_ALWAYS_ALLOWED_CELLS, min(64 * stored_cells, _LARGE_CELLS + 8 * stored_cells)):
             raise FormatError(
                 f"{source}: {len(records)} records of {variable!r} would need {cells} cells",
                 mend="check whether the file is damaged",
                 code="file-too-large",
             )
-        values = np.full((paints, *places, bands), np.nan, np.float32)
+        values = np.full((paints, *inner_sizes, bands), np.nan, np.float32)
         by_variable[variable] = Placement(records, paint, inner, values)
     return by_variable
 
@@ -242,10 +247,10 @@ def restored(
 ) -> xr.Dataset:
     """Return the library of a file of records, with the metadata beside it.
 
-    names: Of the paints; keys: of the records; axes: see `with_metadata`.
-    rows: Blocks of records with the index of their first record.
-    columns: Of the paints in the file itself; columns of the metadata win.
-    Raises FormatError: Records or metadata are damaged, or do not go together.
+    names: Names of the paints; keys: keys of the records; axes: see `with_metadata`.
+    rows: Blocks of records with the number of their first record.
+    columns: Properties of the paints in the file; those in the metadata take precedence.
+    Raises FormatError: Records or metadata are damaged, or belong to different libraries.
     Warns PaintWarning: The metadata are missing, or the columns of the file differ.
     """
     bands = len(axes["wavelength"])
@@ -253,21 +258,21 @@ def restored(
     sidecar = metadata_path(path)
     metadata = read_metadata(sidecar, {SIGNATURE: len(names), BAND: bands}) if sidecar.exists() else None
     if metadata is None:
-        text = f"{path.name}: {sidecar.name} is missing: names and columns come from the file, units are lost"
+        text = f"{path.name}: {sidecar.name} is missing: names and columns are from the file, without units"
         warnings.warn(PaintWarning(text, code="metadata-missing"), stacklevel=6)
-    for first, block in rows:
+    for first_record, block in rows:
         for placement in by_variable.values():
-            placement.put(first, block)
+            placement.put(first_record, block)
     data = {name: placement.values for name, placement in by_variable.items()}
     library = with_metadata(data, axes, names, metadata, path.name)
-    written = {} if metadata is None else table_columns(library)
-    if edited := [name for name, cells in columns.items() if list(cells) != written.get(name, cells)]:
+    stored_columns = {} if metadata is None else table_columns(library)
+    if edited := [name for name, cells in columns.items() if list(cells) != stored_columns.get(name, cells)]:
         text = (
             f"{path.name}: {', '.join(edited)} differ from {sidecar.name}, which is used; delete it to use "
             "the table"
         )
         warnings.warn(PaintWarning(text, code="metadata-differ"), stacklevel=6)
-    # columns named in the table of variables would come without their units
+    # names in the table of variables are excluded: their columns have no units
     reserved = {*library.variables, *library.dims, *LIBRARY_VARIABLES}
     added = {}
     for name, cells in columns.items():
@@ -287,14 +292,14 @@ def with_metadata(
 ) -> xr.Dataset:
     """Return spectra and their metadata as a library.
 
-    data: Values of the variables, (signature, band) or (signature, place, band).
+    data: Values of the variables (signature, band) or (signature, number, band).
     axes: Wavelengths and further coordinates of the bands in the file of spectra.
-    names: Of the paints in the file of spectra; names in the metadata win.
-    metadata: None where it is lost.
-    Raises FormatError: The two do not go together.
+    names: Names of the paints in the file of spectra; names in the metadata take precedence.
+    metadata: None if it is missing.
+    Raises FormatError: Spectra and metadata belong to different libraries.
     """
     rows = LIBRARY_VARIABLES
-    problems = Problems(f"{source} and its metadata do not go together", FormatError)
+    problems = Problems(f"{source} and its metadata belong to different libraries", FormatError)
     library = xr.Dataset()
     for name, values in data.items():
         dims, attrs = _dims_and_attrs(name, values.ndim, metadata)
@@ -309,7 +314,7 @@ def with_metadata(
             )
             continue
         if values.ndim == 3 and metadata is not None:
-            # members get their former padding, unless it is out of proportion
+            # restore the padding of the members, unless it is out of proportion
             size, members = metadata.sizes.get(dims[1]), values.shape[1]
             if size is not None and members <= size <= 8 * max(members, 8):
                 values = np.pad(values, ((0, 0), (0, size - members), (0, 0)), constant_values=np.nan)

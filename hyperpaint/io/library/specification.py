@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Array
-from hyperpaint.base.errors import SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.mirrored_light import BODY, EXCLUDED, INCLUDED, OUTSIDE, THROUGH_COAT
 from hyperpaint.base.old_names import VERSION_NAME, with_new_names
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
@@ -74,7 +74,7 @@ _SPREADS = (
 class LibraryFinding:
     """One departure from the specification."""
 
-    rule: str  #: name of the rule, as docs/paint-library.md has it
+    rule: str  #: Name of the rule in docs/paint-library.md.
     found: str
     expected: str
 
@@ -100,7 +100,8 @@ class LibraryReport:
         size = f"{self.source}: {self.paints} paints, {self.bands} bands"
         if self.ok:
             return f"{size}: a paint library of version {VERSION}"
-        return "\n".join([f"{size}: {len(self.findings)} findings", *(f"  {each}" for each in self.findings)])
+        lines = (f"  {finding}" for finding in self.findings)
+        return "\n".join([f"{size}: {len(self.findings)} findings", *lines])
 
 
 def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport:
@@ -114,12 +115,12 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     Returns
     -------
     LibraryReport
-        With all findings; ``ok`` where there are none.
+        All findings; ``ok`` is True without findings.
 
     Raises
     ------
     FormatError, StoreError
-        The file cannot be opened at all.
+        The file cannot be opened.
 
     Examples
     --------
@@ -138,14 +139,14 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     else:
         source, dataset = str(library.attrs.get("source", "the library")), with_new_names(library)
     findings = list(_structure(dataset))
-    if not findings:  # nothing else can be looked at without it
+    if not findings:  # the other rules need the structure
         rules: tuple[Callable[[xr.Dataset], Iterator[LibraryFinding]], ...] = (
             _names,
             _wavelengths,
             _reflectances,
             _spreads,
             _populations,
-            _places,
+            _geometry,
             _declarations,
         )
         for rule in rules:
@@ -166,29 +167,20 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
     Raises
     ------
     SchemaError
-        A term is unknown, or its word is not one of the allowed.
+        A term is unknown, or its word is not allowed.
 
     Examples
     --------
     >>> from hyperpaint.paints import starter_library
-    >>> said = declare_library(starter_library(members=2), licence="CC0-1.0", quantity="HCRF")
-    >>> said.attrs["licence"], said.attrs["measurement_geometry"]
+    >>> declared = declare_library(starter_library(members=2), licence="CC0-1.0", quantity="HCRF")
+    >>> declared.attrs["licence"], declared.attrs["measurement_geometry"]
     ('CC0-1.0', 'unknown')
     """
     terms = {term.name: term for term in TERMS}
     for name, word in words.items():
-        if name != "title" and name not in terms:
-            raise SchemaError(
-                f"there is no term {name!r}",
-                expected=f"one of {', '.join(terms)}, title",
-                code="choice-unknown",
-            )
-        if name in terms and terms[name].words and word not in terms[name].words:
-            raise SchemaError(
-                f"{name} is {word!r}",
-                expected=f"one of {', '.join(terms[name].words)}",
-                code="choice-unknown",
-            )
+        one_of(name, (*terms, "title"), "term")
+        if name in terms and terms[name].words:
+            one_of(word, terms[name].words, name)
     library = with_new_names(library)
     declared = library_terms(library)
     attrs = {name: UNKNOWN for name in terms if declared[name] is None}
@@ -197,7 +189,7 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
 
 
 def library_terms(library: xr.Dataset) -> dict[str, Any]:
-    """Return the declaration of each term: a list with one word a paint, one word for all, or None."""
+    """Return the declaration of each term: a list with a word for every paint, a word for all, or None."""
     attrs = {**library.attrs, **library[CENTRE].attrs}
     return {
         term.name: list(map(str, library[term.name].values.tolist()))
@@ -235,13 +227,13 @@ def _names(library: xr.Dataset) -> Iterator[LibraryFinding]:
     names = library[SIGNATURE].values.tolist()
     if not names:
         yield LibraryFinding("paint-names", "there is no paint", "at least one")
-    if odd := [name for name in names if not isinstance(name, str) or not name.strip()]:
+    if invalid := [name for name in names if not isinstance(name, str) or not name.strip()]:
         yield LibraryFinding(
-            "paint-names", f"{len(odd)} names are empty or no text", "a text for every paint"
+            "paint-names", f"{len(invalid)} names are empty or not text", "a text for every paint"
         )
-    if twice := sorted({str(name) for name in names if names.count(name) > 1}):
+    if duplicates := sorted({str(name) for name in names if names.count(name) > 1}):
         yield LibraryFinding(
-            "paint-names", f"{_some(twice)} stand twice", "a name of its own for every paint"
+            "paint-names", f"{_listed(duplicates)} occur twice", "a unique name for every paint"
         )
 
 
@@ -259,8 +251,8 @@ def _wavelengths(library: xr.Dataset) -> Iterator[LibraryFinding]:
     if not ((steps > 0).all() or (steps < 0).all()):
         yield LibraryFinding(
             "wavelength-order",
-            f"{int((steps == 0).sum())} stand twice, or they turn back",
-            "rising or falling",
+            f"{int((steps == 0).sum())} occur twice, or the direction changes",
+            "ascending or descending",
         )
     if "fwhm" in library.variables:
         fwhm = np.asarray(library["fwhm"].values, np.float64)
@@ -269,7 +261,7 @@ def _wavelengths(library: xr.Dataset) -> Iterator[LibraryFinding]:
                 "fwhm", f"{np.nanmin(fwhm):g} {library['fwhm'].attrs.get('units')}", "positive, in nm"
             )
     if "good" in library.variables and library["good"].dtype != bool:
-        yield LibraryFinding("good", f"dtype {library['good'].dtype}", "bool: whether a band is to be used")
+        yield LibraryFinding("good", f"dtype {library['good'].dtype}", "bool: whether a band is usable")
 
 
 def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
@@ -283,35 +275,37 @@ def _reflectances(library: xr.Dataset) -> Iterator[LibraryFinding]:
         return
     values = reflectance.transpose(SIGNATURE, BAND).values
     low, high = _REFLECTANCE_RANGE
-    good = (
+    is_good = (
         library["good"].values.astype(bool) if "good" in library.variables else np.ones(values.shape[1], bool)
     )
     with np.errstate(invalid="ignore"):
-        odd = ((values < low) | (values > high) | np.isinf(values)) & good
-    if odd.any():
-        where = _paints_of(library, odd.any(axis=1))
+        outside = ((values < low) | (values > high) | np.isinf(values)) & is_good
+    if outside.any():
+        paints = _paints_of(library, outside.any(axis=1))
         yield LibraryFinding(
-            "reflectance-range", f"{_extremes(values[odd])} in {where}", f"{low:g} to {high:g} in good bands"
+            "reflectance-range",
+            f"{_extremes(values[outside])} in {paints}",
+            f"{low:g} to {high:g} in good bands",
         )
     if (empty := ~np.isfinite(values).any(axis=1)).any():
         yield LibraryFinding(
-            "reflectance-empty", f"no value in {_paints_of(library, empty)}", "a value in some band"
+            "reflectance-empty", f"no value in {_paints_of(library, empty)}", "a value in at least one band"
         )
 
 
 def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
-    stated = False
+    has_spread = False
     for name in _SPREADS:
         if name in library.variables:
             values = library[name].values
-            stated |= bool(np.isfinite(values).any())
+            has_spread |= bool(np.isfinite(values).any())
             if (values < 0).any():
                 yield LibraryFinding("uncertainty-sign", f"{name} is negative", "0 or more")
             if library[name].attrs.get("units") != "1":
                 yield LibraryFinding(
                     "uncertainty-units", f"{name} has units {library[name].attrs.get('units')!r}", "'1'"
                 )
-    if not stated and library.attrs.get("uncertainty") != UNKNOWN:
+    if not has_spread and library.attrs.get("uncertainty") != UNKNOWN:
         yield LibraryFinding(
             "uncertainty",
             "neither spread nor uncertainty",
@@ -321,9 +315,11 @@ def _spreads(library: xr.Dataset) -> Iterator[LibraryFinding]:
         levels = library["quantile"].values
         values = library["reflectance_quantiles"].transpose(SIGNATURE, "quantile", BAND).values
         if (np.diff(levels) <= 0).any() or levels.min() < 0 or levels.max() > 1:
-            yield LibraryFinding("quantiles", f"levels {levels.tolist()}", "rising, from 0 to 1")
+            yield LibraryFinding("quantiles", f"levels {levels.tolist()}", "ascending, from 0 to 1")
         elif (np.diff(values, axis=1) < 0).any():
-            yield LibraryFinding("quantiles", "a higher quantile lies lower", "rising with their level")
+            yield LibraryFinding(
+                "quantiles", "quantiles decrease with their level", "quantiles that increase"
+            )
 
 
 def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
@@ -338,17 +334,17 @@ def _populations(library: xr.Dataset) -> Iterator[LibraryFinding]:
         members = library["member_reflectance"].transpose(SIGNATURE, "member", BAND)
         if members.sizes["member"] and not np.isfinite(members.values).any():
             yield LibraryFinding(
-                "members", "no member has a value", "spectra of single pixels, or none of them"
+                "members", "no member has a value", "spectra of single pixels, or no such variable"
             )
 
 
-def _places(library: xr.Dataset) -> Iterator[LibraryFinding]:
+def _geometry(library: xr.Dataset) -> Iterator[LibraryFinding]:
     for name, (low, high) in _ANGLES_DEG.items():
         if name in library.variables:
             values = np.asarray(library[name].values, np.float64)
-            inside = values[np.isfinite(values)]
-            if library[name].attrs.get("units") != "degree" or ((inside < low) | (inside > high)).any():
-                found = f"{name} {_extremes(inside)} {library[name].attrs.get('units')}"
+            finite = values[np.isfinite(values)]
+            if library[name].attrs.get("units") != "degree" or ((finite < low) | (finite > high)).any():
+                found = f"{name} {_extremes(finite)} {library[name].attrs.get('units')}"
                 yield LibraryFinding("angles", found, f"{low:g} to {high:g} degree")
     if "time" in library.variables and library["time"].dtype.kind != "M":
         yield LibraryFinding("time", f"dtype {library['time'].dtype}", "datetime64[ns], UTC")
@@ -378,35 +374,36 @@ def _declarations(library: xr.Dataset) -> Iterator[LibraryFinding]:
             or (term.words and word not in term.words)
         }
         if declared[term.name] is None:
-            yield LibraryFinding(term.name, "not said", expected)
+            yield LibraryFinding(term.name, "not declared", expected)
         elif invalid:
-            yield LibraryFinding(term.name, _some(sorted(invalid)), expected)
-    contradiction = {
+            yield LibraryFinding(term.name, _listed(sorted(invalid)), expected)
+    # specular component that contradicts a quantity
+    contradictions = {
         BODY: INCLUDED,
         THROUGH_COAT: INCLUDED,
         OUTSIDE: EXCLUDED,
         "8/d SCI": EXCLUDED,
         "8/d SCE": INCLUDED,
     }
-    # the two words of every paint, each declared for all paints or for each
-    both = (declared["quantity"], declared["specular_component"])
-    size = max(len(words) if isinstance(words, list) else 1 for words in both)
-    lists = (words if isinstance(words, list) else [words] * size for words in both)
+    # both words for every paint: a term is declared for all paints, or has a list
+    terms = (declared["quantity"], declared["specular_component"])
+    size = max(len(words) if isinstance(words, list) else 1 for words in terms)
+    lists = (words if isinstance(words, list) else [words] * size for words in terms)
     for quantity, component in zip(*lists, strict=False):
-        if contradiction.get(str(quantity)) == str(component):
+        if contradictions.get(str(quantity)) == str(component):
             yield LibraryFinding(
-                "contradiction", f"{quantity}, specular component {component}", "both to say the same"
+                "contradiction", f"{quantity}, specular component {component}", "terms that agree"
             )
             break
 
 
-def _some(names: list[str]) -> str:
-    shown = ", ".join(f"{name!r:.60}" for name in names[:_MAX_NAMES])
-    return shown if len(names) <= _MAX_NAMES else f"{shown} and {len(names) - _MAX_NAMES} more"
+def _listed(names: list[str]) -> str:
+    text = ", ".join(f"{name!r:.60}" for name in names[:_MAX_NAMES])
+    return text if len(names) <= _MAX_NAMES else f"{text} and {len(names) - _MAX_NAMES} more"
 
 
-def _paints_of(library: xr.Dataset, chosen: Array) -> str:
-    return _some([str(name) for name in library[SIGNATURE].values[chosen]])
+def _paints_of(library: xr.Dataset, mask: Array) -> str:
+    return _listed([str(name) for name in library[SIGNATURE].values[mask]])
 
 
 def _extremes(values: Array) -> str:

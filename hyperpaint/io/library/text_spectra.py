@@ -42,21 +42,22 @@ def lines_of(path: Path, expected: str) -> list[str]:
 
 def numbers_of_lines(
     lines: Sequence[str],
-    first: int,
+    first_line: int,
     columns: int,
     source: str,
     numbers_of: Callable[[str], list[float] | None] | None = None,
 ) -> Floats:
     """Return lines of numbers as an array (line, column); empty lines are skipped.
 
-    first: Index of the first line of numbers.
-    columns: Numbers of each line.
-    numbers_of: Returns the numbers of a line, None where it is anything else; by default blanks part them.
-    Raises FormatError: Lines hold something else; the first are listed.
+    first_line: Index of the first line of numbers.
+    columns: Number of columns.
+    numbers_of: Function that returns the numbers of a line, None for other text; by default numbers are
+        separated by blanks.
+    Raises FormatError: Lines contain other text; the first of them are listed.
     """
     problems = Problems(f"{source} cannot be read", FormatError)
     rows = []
-    for at, line in enumerate(lines[first:], first + 1):
+    for at, line in enumerate(lines[first_line:], first_line + 1):
         if not line.strip():
             continue
         row = numbers_of(line) if numbers_of else numbers(line.split(None, columns))
@@ -75,23 +76,23 @@ def numbers_of_lines(
 
 
 def in_nanometres(values: Floats, factor: float) -> Floats:
-    """Return wavelengths [nm]; overflow of a damaged file becomes infinity, which is refused later."""
+    """Return wavelengths [nm]; overflow of a damaged file becomes infinity, a later error."""
     with np.errstate(over="ignore"):
         nanometres: Floats = values * factor
     return nanometres
 
 
 def other_quantity(text: str) -> str:
-    """Return the word that names another quantity than reflectance; empty without one."""
+    """Return the word for another quantity than reflectance, empty if there is none."""
     match = _OTHER_QUANTITY.search(text)
     return match[0] if match and "reflect" not in text.lower() else ""
 
 
 def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float, str]:
-    """Return the nanometres of one unit of the wavelengths, and a note where the unit is inferred.
+    """Return the factor from the wavelengths' unit to nanometres, and a note if the unit is inferred.
 
-    text: What the file says of its wavelengths; may be empty.
-    wavelength: Their numbers.
+    text: Description of the wavelengths in the file; may be empty.
+    wavelength: Wavelengths in the file's unit.
     Raises FormatError: The text names another unit, such as wavenumbers.
     """
     if _MICROMETRE.search(text):
@@ -100,7 +101,7 @@ def wavelength_factor(text: str, wavelength: Floats, source: str) -> tuple[float
         return 1.0, ""
     if other_unit := _OTHER.search(text):
         raise FormatError(
-            f"{source}: x in {other_unit[0]!r}",
+            f"{source}: the unit of the first column is {other_unit[0]!r}",
             expected="nm or um",
             mend="pass wavelength=",
             code="units-unknown",

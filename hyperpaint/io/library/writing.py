@@ -53,18 +53,17 @@ def write_library(
 ) -> Path:
     """Write a paint library.
 
-    * ``envi``: ``x.sli`` (float32), its header ``x.hdr`` and metadata ``x.sli.json``; the header lists what
-      is said of the paints as well (``paint make = {...}``).
-    * ``csv``: ``x.csv``, which opens as a table in pandas, R and spreadsheets and uploads to EcoSIS: the
-      paint, a column for each thing said of it, then reflectance [1] at wavelengths [nm]; units and all else
-      in ``x.csv.json``.
-    * ``parquet``: ``x.parquet`` in the columns of OpenSpecLib, a row a spectrum, and ``x.parquet.json``;
+    * ``envi``: ``x.sli`` (float32), its header ``x.hdr`` and metadata ``x.sli.json``; the header also lists
+      properties of the paints (``paint make = {...}``).
+    * ``csv``: ``x.csv``, a table for pandas, R, spreadsheets and EcoSIS: columns of the paint's name and
+      properties, then of reflectance [1] at wavelengths [nm]; units and all else in ``x.csv.json``.
+    * ``parquet``: ``x.parquet`` in the columns of OpenSpecLib, a row per spectrum, and ``x.parquet.json``;
       needs the extra ``library`` (pyarrow).
     * ``zarr``: a store, see `hyperpaint.to_store`.
 
-    `hyperpaint.open_library` opens each of them; with ``curves="all"`` it returns the library that was
-    written, bit for bit. Nothing appears under its name before it is whole. Lazy libraries are computed some
-    paints at a time.
+    `hyperpaint.open_library` opens all of them; with ``curves="all"`` it returns the library that was
+    written, bit for bit. Files appear under their names when all are complete. Lazy libraries are computed in
+    blocks of paints.
 
     Parameters
     ----------
@@ -77,30 +76,30 @@ def write_library(
     format
         One of the above; by default chosen by the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
     curves
-        ``centre`` for one spectrum a paint, the default of all but ``zarr``: members,
-        quantiles, spread and uncertainties are left out. ``all`` for all of them, the default of ``zarr``.
+        ``centre`` for one spectrum per paint, the default of all formats but ``zarr``: members, quantiles,
+        spread and uncertainties are not written. ``all`` for all of them, the default of ``zarr``.
     overwrite
-        Replace a library that is there. A folder that holds anything else is never replaced.
+        Replace an existing library. A folder with other files is never replaced.
     progress
 
     Returns
     -------
     pathlib.Path
-        What to open: the ``.sli`` or ``.csv`` file, or the folder.
+        Path for `hyperpaint.open_library`: the ``.sli`` or ``.csv`` file, or the folder.
 
     Raises
     ------
     FormatError
-        The format is unknown, or the suffix names none.
+        The format is unknown, or the suffix belongs to no format.
     SchemaError
-        ``curves`` is neither of the two; it is no paint library; or names, values or attributes are
-        such that the format cannot hold them; all problems are listed.
+        ``curves`` is neither of the two; ``library`` is not a paint library; or names, values or attributes
+        cannot be written in the format; all problems are listed.
     StoreError
         The target exists, is being written by another process, or cannot be written; it stays unchanged.
     UnitsError
         Units cannot be read.
     MissingExtraError
-        Parquet is asked for, and pyarrow is not installed.
+        The format is ``parquet``, and pyarrow is not installed.
 
     Examples
     --------
@@ -141,8 +140,8 @@ def write_library(
 
 
 def _named(path: Path, format: str) -> Path:
-    # The path of the written file, with a suffix that `open_library` recognises.
+    # Path of the written file, with a suffix that `open_library` recognises
     if format == "envi":
-        own = path.suffix.lower() in (".sli", ".hdr")
-        return path.with_suffix(".sli") if own else path.with_name(f"{path.name}.sli")
+        is_envi = path.suffix.lower() in (".sli", ".hdr")
+        return path.with_suffix(".sli") if is_envi else path.with_name(f"{path.name}.sli")
     return path.with_suffix(".csv") if format == "csv" and not path.suffix and not path.is_dir() else path

@@ -24,7 +24,7 @@ from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
 from hyperpaint.io.store.stages import in_stages
 
-from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, stored_float
+from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, storable
 from .rasters import TIFF, open_raster
 
 if TYPE_CHECKING:
@@ -129,12 +129,10 @@ def draw_geotiff(
             code="dim-missing",
         )
     grid = required_grid(map)
-    array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
-    array = array.transpose("y", "x", BAND)
     band_numbers = _band_indices(map, array, bands)
     array = array.isel({BAND: band_numbers})
     is_picture = isinstance(bands, str) and bands == "rgb"
-    stored = _picture(array, stretch) if is_picture else _storable(array)
+    stored = _picture(array, stretch) if is_picture else storable(array)
     names, tags = _descriptions(map, str(array.name), band_numbers)
     uncompressed = target.with_name(f"plain-{target.name}") if cog else target
     try:
@@ -183,9 +181,14 @@ def read_geotiff_header(path: str | os.PathLike[str]) -> GeotiffHeader:
         is_placed = raster.crs is not None or not raster.transform.is_identity
         wkt = None if raster.crs is None else raster.crs.to_wkt()
         grid = Grid(raster.transform.to_gdal(), wkt) if is_placed else None
-        texts = tuple(text or "" for text in raster.descriptions)
-        factors = tuple(raster.overviews(1))
-        return GeotiffHeader(raster.shape, raster.count, raster.dtypes[0], grid, texts, factors)
+        return GeotiffHeader(
+            raster.shape,
+            raster.count,
+            raster.dtypes[0],
+            grid,
+            tuple(text or "" for text in raster.descriptions),
+            tuple(raster.overviews(1)),
+        )
 
 
 # --- values ------------------------------------------------------------------------------------------------
@@ -218,20 +221,6 @@ def _band_indices(map: xr.Dataset, array: xr.DataArray, bands: Any) -> list[int]
     return [band % count for band in chosen]
 
 
-def _storable(array: xr.DataArray) -> xr.DataArray:
-    if array.dtype.kind == "f":
-        return array.astype(stored_float(array), copy=False)
-    if array.dtype == bool:
-        return array.astype(np.uint8)
-    if array.dtype.name in ("uint8", "uint16", "int16", "uint32", "int32"):
-        return array
-    raise SchemaError(
-        f"{array.name!r} is {array.dtype}",
-        expected="floats or integers of at most 32 bits",
-        code="type-wrong",
-    )
-
-
 def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
     # Return 8-bit sRGB (y, x, band); 0 where a band is unknown.
     if not 0.0 <= stretch[0] < stretch[1] <= 100.0:
@@ -259,11 +248,11 @@ def _picture(array: xr.DataArray, stretch: tuple[float, float]) -> xr.DataArray:
 
 
 def _encode(linear: NDArray[Any], low: float, high: float) -> NDArray[np.uint8]:
-    complete = np.isfinite(linear).all(axis=-1, keepdims=True)
-    share = np.clip((np.where(complete, linear, low) - low) / (high - low), 0.0, 1.0)
+    is_complete = np.isfinite(linear).all(axis=-1, keepdims=True)
+    share = np.clip((np.where(is_complete, linear, low) - low) / (high - low), 0.0, 1.0)
     # IEC 61966-2-1
     encoded_share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-    encoded: NDArray[np.uint8] = np.where(complete, np.round(1.0 + 254.0 * encoded_share), 0.0).astype(
+    encoded: NDArray[np.uint8] = np.where(is_complete, np.round(1.0 + 254.0 * encoded_share), 0.0).astype(
         np.uint8
     )
     return encoded

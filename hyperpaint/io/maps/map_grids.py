@@ -22,16 +22,16 @@ _GEOMETRIES = ({ALONG_TRACK, CROSS_TRACK}, {"y", "x"})
 
 
 def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
-    """Return the variable to be written: the requested one, else the first product present.
+    """Return the variable to be written, bands last: the requested one, else the first product present.
 
     Raises `SchemaError`: It is missing, or its dims are not those of a cube or of a plane.
     """
     name = variable or next((name for name in _PRODUCTS if name in dataset.data_vars), None)
     if name is None or name not in dataset.variables:
         names = ", ".join(map(str, dataset.data_vars)) or "nothing"
-        wanted = "one of " + ", ".join(_PRODUCTS) if name is None else repr(name)
+        expected = "one of " + ", ".join(_PRODUCTS) if name is None else repr(name)
         raise SchemaError(
-            f"there is no {wanted} to write; the dataset holds {names}",
+            f"there is no {expected} to write; the dataset holds {names}",
             mend="name one with variable=",
             code="variable-missing",
         )
@@ -43,17 +43,30 @@ def product_of(dataset: xr.Dataset, variable: str | None) -> xr.DataArray:
             "no dim of size 0",
             code="dim-missing",
         )
-    return array.reset_coords(drop=True)
+    array = array.reset_coords(drop=True)
+    array = array if BAND in array.dims else array.expand_dims(BAND, axis=-1)
+    return array.transpose(*(("y", "x") if "y" in array.dims else (ALONG_TRACK, CROSS_TRACK)), BAND)
 
 
-def stored_float(array: xr.DataArray) -> type[np.floating[Any]]:
-    """Return the dtype in which a variable of floats is written.
+def storable(array: xr.DataArray) -> xr.DataArray:
+    """Return an array in the dtype in which it is written.
 
-    float32, except for map coordinates, which float32 would round to decimetres.
+    Floats become float32, except for map coordinates, which float32 would round to decimetres; booleans
+    become uint8. Raises `SchemaError`: It has another type.
     """
-    spec = VARIABLES.get(str(array.name))
-    is_float64 = spec is not None and spec.dtype == "float64" and array.dtype.itemsize >= 8
-    return np.float64 if is_float64 else np.float32
+    if array.dtype.kind == "f":
+        spec = VARIABLES.get(str(array.name))
+        is_float64 = spec is not None and spec.dtype == "float64" and array.dtype.itemsize >= 8
+        return array.astype(np.float64 if is_float64 else np.float32, copy=False)
+    if array.dtype == bool:
+        return array.astype(np.uint8)
+    if array.dtype.name not in ("uint8", "uint16", "int16", "uint32", "int32"):
+        raise SchemaError(
+            f"{array.name!r} is {array.dtype}",
+            expected="floats or integers of at most 32 bits",
+            code="type-wrong",
+        )
+    return array
 
 
 def nearest_bands(wavelength: ArrayLike, wanted: tuple[float, ...]) -> list[int] | None:
@@ -131,9 +144,13 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
             return None
         (x, width), (y, height) = _edges_and_steps(dataset, (math.nan, math.nan))
         return Grid((x, width, 0.0, y, 0.0, height), wkt)
-    _, b, c, _, e, f = transform
+    a, b, c, d, e, f = transform
     if c != 0.0 or e != 0.0:
-        computed = _grid_at_distances(dataset, transform)
+        # the cells lie at the distances ``x`` and ``y`` from the corner of the transform
+        sizes = math.hypot(b, e), math.hypot(c, f)
+        (x, width), (y, height) = _edges_and_steps(dataset, sizes)
+        col, row, cols, rows = x / sizes[0], y / sizes[1], width / sizes[0], height / sizes[1]
+        computed = a + col * b + row * c, cols * b, rows * c, d + col * e + row * f, cols * e, rows * f
         if not _agree(computed, transform, dataset):
             raise SchemaError(
                 f"GeoTransform of {SPATIAL_REF} is rotated, and 'x' and 'y' are not the distances of all "
@@ -183,15 +200,6 @@ def _grid_through_positions(dataset: xr.Dataset, transform: Transform) -> Transf
         numbers += [float(plane[0, 0]) - sum(steps) / 2.0, *steps]
     a, b, c, d, e, f = numbers
     return a, b, c, d, e, f
-
-
-def _grid_at_distances(dataset: xr.Dataset, transform: Transform) -> Transform:
-    # Return the grid whose cells lie at the distances ``x`` and ``y`` from the corner of ``transform``.
-    a, b, c, d, e, f = transform
-    sizes = math.hypot(b, e), math.hypot(c, f)
-    (x, width), (y, height) = _edges_and_steps(dataset, sizes)
-    col, row, cols, rows = x / sizes[0], y / sizes[1], width / sizes[0], height / sizes[1]
-    return a + col * b + row * c, cols * b, rows * c, d + col * e + row * f, cols * e, rows * f
 
 
 def _edges_and_steps(dataset: xr.Dataset, steps: tuple[float, float]) -> list[tuple[float, float]]:

@@ -71,7 +71,7 @@ def geozarr_attrs(dataset: xr.Dataset) -> dict[str, Any]:
 
 
 def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
-    """Return the STAC item (version 1.1) of a map exported to a file or store; its times are computed.
+    """Return the STAC item (version 1.1) of a map exported to a file or store; computes ``line_time``.
 
     It has the fields of the extensions projection and eo; ``line_time`` gives the time of recording.
 
@@ -163,11 +163,14 @@ def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
         return []
     width = dataset.variables.get("fwhm")
     widths = axis.values * np.nan if width is None or width.dims != (BAND,) else width.values
-    bands = []
-    for nm, fwhm in zip(axis.values, widths, strict=True):
-        band = {"name": f"{nm:.6g} nm", "eo:center_wavelength": round(float(nm) / 1e3, 9)}
-        bands.append(band | ({"eo:full_width_half_max": round(float(fwhm) / 1e3, 9)} if fwhm > 0.0 else {}))
-    return bands
+    return [
+        {
+            "name": f"{nm:.6g} nm",
+            "eo:center_wavelength": round(float(nm) / 1e3, 9),
+            **({"eo:full_width_half_max": round(float(fwhm) / 1e3, 9)} if fwhm > 0.0 else {}),
+        }
+        for nm, fwhm in zip(axis.values, widths, strict=True)
+    ]
 
 
 def _utc(time: np.datetime64) -> str:

@@ -59,6 +59,9 @@ _ENVIRONMENT = {
     "GDAL_CACHEMAX": 64,  # megabytes, not a share of the memory
 }
 
+#: Elements of an ``.aux.xml`` that change heights or their positions.
+_POSITION_ELEMENTS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transform", b"<SRS": "a crs"}
+
 
 @contextlib.contextmanager
 def open_raster(path: str | os.PathLike[str], purpose: str) -> Iterator[Any]:
@@ -121,6 +124,8 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
     Raises SchemaError: It is large, and the position of the flight is unknown.
     """
     with open_raster(path, "opening a DEM") as raster:
+        from rasterio.enums import MaskFlags
+
         if raster.count != 1:
             raise FormatError(
                 f"{path}: {raster.count} bands",
@@ -136,7 +141,55 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
                 mend="gdalwarp in.tif out.tif",
                 code="grid-rotated",
             )
-        _check_alone(raster, path)
+        # refuse a raster without a position, or with metadata in files beside it, which are not read
+        full_path = os.path.abspath(path)
+        stem = os.path.splitext(full_path)[0]
+        is_masked = MaskFlags.per_dataset in raster.mask_flag_enums[0]
+        is_missing = {
+            "a nodata": raster.nodata is None and not is_masked,
+            "a transform": raster.transform.is_identity,
+            "a crs": raster.crs is None,
+        }
+        aux = head_of(f"{full_path}.aux.xml", MAX_AUX_BYTES)
+        files_by_item = {
+            item: f"{full_path}.aux.xml"
+            for element, item in _POSITION_ELEMENTS.items()
+            if is_missing[item] and element in aux
+        }
+        for item, name in (
+            ("a nodata", f"{full_path}.msk"),
+            *(("a transform", stem + suffix) for suffix in (".tfw", ".TFW", ".tifw", ".tiffw", ".wld")),
+            ("a transform", f"{full_path}w"),
+            ("a crs", f"{stem}.prj"),
+        ):
+            if is_missing[item] and os.path.exists(name):
+                files_by_item.setdefault(item, name)
+        if files_by_item:
+            listed = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
+            srs = (
+                f" -a_srs {os.path.basename(stem)}.prj"
+                if files_by_item.get("a crs", "").endswith(".prj")
+                else ""
+            )
+            raise FormatError(
+                f"{path} is read without other files, which hold part of its metadata: {listed}",
+                mend=f"merge them: gdal_translate{srs} in.tif out.tif",
+                code="file-not-alone",
+            )
+        missing = [item for item in ("a transform", "a crs") if is_missing[item]]
+        if missing:
+            raise FormatError(
+                f"{path} has no position without {' and '.join(missing)}",
+                mend="set it with gdal_translate -a_srs EPSG:<code> -a_ullr <west north east south>",
+                code="place-unknown",
+            )
+        if not np.isfinite(tuple(raster.transform)).all():
+            raise FormatError(
+                f"{path}: its transform is {tuple(raster.transform)[:6]}",
+                expected="finite numbers",
+                mend="set it with gdal_translate -a_ullr <west north east south>",
+                code="not-finite",
+            )
         block_rows, block_columns = raster.block_shapes[0]
         block_bytes = block_rows * block_columns * np.dtype(raster.dtypes[0]).itemsize
         if block_bytes > MAX_BLOCK_BYTES:
@@ -168,62 +221,6 @@ def read_heights(path: str | os.PathLike[str], around: tuple[Any, Any, Any] | No
         "spatial_ref": ((), 0, attrs),
     }
     return xr.DataArray(values, coords, ("y", "x"), attrs=declared)
-
-
-#: Elements of an ``.aux.xml`` that change heights or their positions.
-_POSITION_ELEMENTS = {b"<NoDataValue": "a nodata", b"<GeoTransform": "a transform", b"<SRS": "a crs"}
-
-
-def _check_alone(raster: Any, path: str | os.PathLike[str]) -> None:
-    # Refuse a raster without a position, or with metadata in files beside it, which are not read.
-    from rasterio.enums import MaskFlags
-
-    full_path = os.path.abspath(path)
-    stem = os.path.splitext(full_path)[0]
-    is_masked = MaskFlags.per_dataset in raster.mask_flag_enums[0]
-    is_missing = {
-        "a nodata": raster.nodata is None and not is_masked,
-        "a transform": raster.transform.is_identity,
-        "a crs": raster.crs is None,
-    }
-    aux = head_of(f"{full_path}.aux.xml", MAX_AUX_BYTES)
-    files_by_item = {
-        item: f"{full_path}.aux.xml"
-        for element, item in _POSITION_ELEMENTS.items()
-        if is_missing[item] and element in aux
-    }
-    for item, name in (
-        ("a nodata", f"{full_path}.msk"),
-        *(("a transform", stem + suffix) for suffix in (".tfw", ".TFW", ".tifw", ".tiffw", ".wld")),
-        ("a transform", f"{full_path}w"),
-        ("a crs", f"{stem}.prj"),
-    ):
-        if is_missing[item] and os.path.exists(name):
-            files_by_item.setdefault(item, name)
-    if files_by_item:
-        listed = ", ".join(f"{item} in {os.path.basename(name)}" for item, name in files_by_item.items())
-        srs = (
-            f" -a_srs {os.path.basename(stem)}.prj" if files_by_item.get("a crs", "").endswith(".prj") else ""
-        )
-        raise FormatError(
-            f"{path} is read without other files, which hold part of its metadata: {listed}",
-            mend=f"merge them: gdal_translate{srs} in.tif out.tif",
-            code="file-not-alone",
-        )
-    missing = [item for item in ("a transform", "a crs") if is_missing[item]]
-    if missing:
-        raise FormatError(
-            f"{path} has no position without {' and '.join(missing)}",
-            mend="set it with gdal_translate -a_srs EPSG:<code> -a_ullr <west north east south>",
-            code="place-unknown",
-        )
-    if not np.isfinite(tuple(raster.transform)).all():
-        raise FormatError(
-            f"{path}: its transform is {tuple(raster.transform)[:6]}",
-            expected="finite numbers",
-            mend="set it with gdal_translate -a_ullr <west north east south>",
-            code="not-finite",
-        )
 
 
 def _read_cells(raster: Any, rows: tuple[int, int], columns: tuple[int, int]) -> np.ndarray[Any, Any]:
@@ -302,11 +299,12 @@ def _window(
             mend="give the DEM of this place",
             code="flight-outside",
         )
-    ground_heights = [
-        float(_read_cells(raster, (int(r), int(r) + 1), (int(k), int(k) + 1))[0, 0])
-        for r, k in zip(row[is_inside], column[is_inside], strict=True)
-    ]
-    heights = np.array(ground_heights)
+    heights = np.array(
+        [
+            float(_read_cells(raster, (int(r), int(r) + 1), (int(k), int(k) + 1))[0, 0])
+            for r, k in zip(row[is_inside], column[is_inside], strict=True)
+        ]
+    )
     lowest = float(heights[np.isfinite(heights)].min(initial=np.inf))
     height_above_ground = max(float(points[2].max()) - min(lowest, float(points[2].max())), 0.0)
     units_per_metre = 1.0 if raster.crs.is_projected else 1.0 / 111_000.0

@@ -22,7 +22,7 @@ from .navigation_records import limited_numbers
 _MAX_BYTES = 16 << 20
 _MAX_ROWS = 100_000
 _MAX_COORDINATE = 1e8
-_UNIT_TOLERANCE = 1e-9  # of rounding; international and US survey feet differ by 2e-6
+_UNIT_TOLERANCE = 1e-9  # rounding error of unit factors; international and US survey feet differ by 2e-6
 _NUMBERS = ("along_track", "cross_track", "east", "north", "height")
 _ALIASES = {
     **dict.fromkeys(("along_track", "line", "row"), "along_track"),
@@ -46,7 +46,7 @@ _METRES = {
     "cm": 0.01,
     "mm": 0.001,
 }
-#: Words for lengths other than metres: a label with one is refused, not taken for metres.
+#: Words of lengths other than metres: a heading with one is refused, since metres would be assumed.
 _LENGTHS = {
     *("yd", "yds", "yard", "yards", "inch", "inches", "mi", "mile", "miles", "nmi"),
     *("furlong", "furlongs", "fathom", "fathoms", "chain", "chains"),
@@ -61,10 +61,10 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     The header names ``along_track`` and ``cross_track`` (or ``line`` and ``sample``; pixels, whole numbers
     at their centres, counted from 0), ``east``, ``north`` (of a map) and ``height`` above the ellipsoid, in
     metres, or in the unit that follows their name, ``height [ft]`` or ``height_ft`` (other text in
-    brackets, ``height (ellipsoidal)``, is a label; ``[US survey feet]`` are 1200/3937 m); and, where they
-    are of several lines, ``flightline``; ``name`` is kept. Cells are parted by commas, semicolons or tabs. A
-    comment ``# crs: EPSG:32617`` before the header names the map; east and north come out in its
-    unit, in which they are read where they name none.
+    brackets, ``height (ellipsoidal)``, is a label; ``[US survey feet]`` are 1200/3937 m); ``flightline``, if
+    the points belong to several flight lines; and ``name``, which is optional. Cells are separated by commas,
+    semicolons or tabs. A comment ``# crs: EPSG:32617`` before the header declares the map's CRS; east and
+    north are returned in its unit, which is also that of columns without a unit.
 
     Parameters
     ----------
@@ -74,16 +74,16 @@ def read_control_points(path: str | Path) -> xr.Dataset:
     -------
     xarray.Dataset
         ``along_track_pixel``, ``cross_track_pixel`` [1], ``east``, ``north`` [m, or the unit of ``crs``],
-        ``height`` [m] (point), float64, coordinates ``name`` and ``flightline`` (str; empty where the file
-        has none), and the attribute ``crs`` where it is named.
+        ``height`` [m] (point), float64, coordinates ``name`` and ``flightline`` (str; empty if the file
+        has none), and the attribute ``crs`` if the file declares it.
 
     Raises
     ------
     FormatError
-        The file cannot be read; columns are missing or duplicate, or not in a unit of length; cells
-        are no finite numbers; all problems, up to a few, are listed.
+        The file cannot be read; columns are missing, duplicate, or not in a unit of length; cells
+        are not finite numbers; the first problems are listed.
     MissingExtraError
-        The file names a map, coordinates in another unit than metres, and pyproj is not installed.
+        The file declares a CRS and coordinates in another unit than metres, and pyproj is not installed.
 
     Examples
     --------
@@ -107,8 +107,8 @@ def read_control_points(path: str | Path) -> xr.Dataset:
             expected=f"a header and 1 to {_MAX_ROWS}",
             code="table-missing",
         )
-    mark = next((mark for mark in ("\t", ";", ",") if mark in rows[0][1]), ",")
-    cells = _cells(rows[0][1], mark)
+    separator = next((separator for separator in ("\t", ";", ",") if separator in rows[0][1]), ",")
+    cells = _cells(rows[0][1], separator)
     headings = [column_heading(cell) for cell in cells]
     header = [_ALIASES.get(name, "") for name, _ in headings]
     units = dict(zip(header, (unit for _, unit in headings), strict=True))
@@ -116,7 +116,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
         if header.count(name) != 1:
             problems.add(
                 f"{header.count(name)} columns for {name!r} in {rows[0][1][:80]!r}",
-                expected="one",
+                expected="one column",
                 code="column-missing",
             )
     for name, cell in zip(header, cells, strict=True):
@@ -128,15 +128,17 @@ def read_control_points(path: str | Path) -> xr.Dataset:
                 code="pixel-origin",
             )
     problems.raise_if_any()
-    table = table_of(path, header, [(number, _cells(line, mark)) for number, line in rows[1:]])
-    # the last CRS in the comments
+    table = table_of(path, header, [(number, _cells(line, separator)) for number, line in rows[1:]])
+    # the last comment with a CRS is valid
     pairs = (comment.lstrip("# \t").partition(":") for comment in comments)
-    maps = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
-    crs = maps[-1][:10_000] if maps else None
-    named = {units[name] for name in ("east", "north")} - {""}
-    # without pyproj, metres stay unchanged: pyproj is needed only where the CRS is used
-    of_map = crs and (any(_metres(unit) != 1.0 for unit in named) or (named and find_spec("pyproj")))
-    axis = _map_axis(crs, problems) if crs and of_map else None
+    crs_texts = [value.strip() for key, _, value in pairs if key.strip().lower() == "crs" and value.strip()]
+    crs = crs_texts[-1][:10_000] if crs_texts else None
+    map_units = {units[name] for name in ("east", "north")} - {""}
+    # metres do not require pyproj, which is needed only to convert another unit
+    needs_axis = crs and (
+        any(_metres(unit) != 1.0 for unit in map_units) or (map_units and find_spec("pyproj"))
+    )
+    axis = _map_axis(crs, problems) if crs and needs_axis else None
     numbers = {
         name: limited_numbers(table, name, _MAX_COORDINATE, problems)
         * _factor(name, units[name], problems, axis if name in ("east", "north") else None)
@@ -149,11 +151,11 @@ def read_control_points(path: str | Path) -> xr.Dataset:
                 code="not-finite",
             )
     problems.raise_if_any()
-    keys = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
+    variable_names = {name: f"{name}_pixel" if name.endswith("_track") else name for name in _NUMBERS}
     texts = {name: table.columns.get(name, [""] * len(table.rows)) for name in ("name", "flightline")}
     points = xr.Dataset(
         {
-            keys[name]: ("point", values, {"units": "1" if name.endswith("_track") else "m"})
+            variable_names[name]: ("point", values, {"units": "1" if name.endswith("_track") else "m"})
             for name, values in numbers.items()
         },
         coords={
@@ -169,7 +171,7 @@ def read_control_points(path: str | Path) -> xr.Dataset:
 
 
 def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
-    # The unit of the axes of a CRS, and its size in metres or radians.
+    # Return the unit of the axes of a CRS, and its size in metres or radians.
     with needs_extra("pyproj", "geo", "the unit of a map of control points"):
         import pyproj
     try:
@@ -181,7 +183,7 @@ def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
     units = {(axis.unit_name, axis.unit_conversion_factor) for axis in axes}
     if len(units) != 1:
         problems.add(
-            f"crs {crs[:80]!r} is unknown, or PROJ knows no unit of it",
+            f"crs {crs[:80]!r} is unknown, or its axes have no common unit",
             expected="a CRS such as 'EPSG:32617'",
             code="crs-unknown",
         )
@@ -189,25 +191,29 @@ def _map_axis(crs: str, problems: Problems) -> tuple[str, float] | None:
     return units.pop()
 
 
-def _cells(line: str, mark: str) -> list[str]:
-    if '"' not in line:  # the common case at a tenth of the time
-        return line.split(mark)
+def _cells(line: str, separator: str) -> list[str]:
+    if '"' not in line:  # ten times as fast as the csv module
+        return line.split(separator)
     try:
-        return next(csv.reader([line], delimiter=mark), [])
+        return next(csv.reader([line], delimiter=separator), [])
     except csv.Error:
         return []
 
 
 def column_heading(cell: str) -> tuple[str, str]:
-    """Return the name of a column, and its unit, empty without one.
+    """Return the name in a column's heading, and its unit, empty without one.
 
     Examples
     --------
     >>> column_heading("Easting [m]"), column_heading("height_ft"), column_heading("Line (0-based)")
     (('easting', 'm'), ('height', 'ft'), ('line', ''))
     """
-    inside = [text.strip() for held in _BRACKETS.findall(cell) for text in re.split("[,;]", held)]
-    unit = next((text for text in inside if _metres(text) or text.lower() in _PIXELS or _is_unit(text)), "")
+    bracket_texts = [
+        text.strip() for content in _BRACKETS.findall(cell) for text in re.split("[,;]", content)
+    ]
+    unit = next(
+        (text for text in bracket_texts if _metres(text) or text.lower() in _PIXELS or _is_unit(text)), ""
+    )
     name = "_".join(_BRACKETS.sub(" ", cell).lower().split())
     if not unit and name.rpartition("_")[2] in _SUFFIXES:
         name, _, unit = name.rpartition("_")
@@ -215,7 +221,7 @@ def column_heading(cell: str) -> tuple[str, str]:
 
 
 def metres_of(name: str, unit: str, problems: Problems) -> float:
-    """Return the metres of one unit of a column; 1 without a unit, or with a wrong one, which is noted."""
+    """Return the size of a column's unit in metres; 1 without a unit, and for a wrong one, which is noted."""
     metres = _metres(unit or "m")
     if metres is None:
         problems.add(
@@ -231,14 +237,14 @@ def _metres(unit: str) -> float | None:
 
 
 def _is_unit(text: str) -> bool:
-    # units of other kinds, and words of lengths, are no labels
+    # whether a text in brackets is a unit, rather than a label
     if is_unit(text) or same_dimension(text, "m") or text.lower() == "in":
         return True
     return not _LENGTHS.isdisjoint(re.findall("[a-z]+", text.lower()))
 
 
 def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | None = None) -> float:
-    # The size of a column's unit in metres, pixels, or units of the CRS axis; 1 without a unit.
+    # Return the size of a column's unit in metres, pixels, or units of the CRS axis; 1 without a unit.
     if name.endswith("_track"):
         if unit.lower() not in _PIXELS:
             problems.add(
@@ -247,19 +253,19 @@ def _factor(name: str, unit: str, problems: Problems, axis: tuple[str, float] | 
         return 1.0
     if axis is None or not unit:
         return metres_of(name, unit, problems)
-    of_axis, size = axis
-    # ft beside a CRS in US survey feet means the feet of the CRS
-    if unit.lower() in ("ft", "foot", "feet") and "foot" in of_axis.lower():
+    axis_unit, axis_unit_size = axis
+    # "ft" with a CRS in US survey feet means US survey feet
+    if unit.lower() in ("ft", "foot", "feet") and "foot" in axis_unit.lower():
         return 1.0
-    if _metres(of_axis) is None:
-        if unit.lower() != of_axis.lower() and not (
-            of_axis == "degree" and unit.lower().startswith(("deg", "°"))
+    if _metres(axis_unit) is None:
+        if unit.lower() != axis_unit.lower() and not (
+            axis_unit == "degree" and unit.lower().startswith(("deg", "°"))
         ):
             problems.add(
                 f"column {name!r} in {unit!r:.40}",
-                expected=f"{of_axis!r}, the unit of the crs",
+                expected=f"{axis_unit!r}, the unit of the crs",
                 code="units-conflict",
             )
         return 1.0
-    factor = metres_of(name, unit, problems) / size
+    factor = metres_of(name, unit, problems) / axis_unit_size
     return 1.0 if abs(factor - 1.0) < _UNIT_TOLERANCE else factor

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import FormatError, Problems, SchemaError, UnitsError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.io.files.reading import numbered_lines
 from hyperpaint.io.files.text_tables import MAX_TABLE_ROWS, Table, name_rows, read_text, table_of
@@ -33,7 +34,7 @@ _ALIASES: Mapping[str, str] = {
     "pitch": "pitch",
     **dict.fromkeys(("heading", "yaw", "true heading"), "heading"),
 }
-#: Origin of a time column by its name; "" where a stamp with a zone is needed.
+#: Origin of the times in a column, by its name; "" if stamps need a zone.
 _CLOCKS: Mapping[str, str] = {
     **dict.fromkeys(("utc", "utc time", "time utc"), "utc"),
     **dict.fromkeys(("time", "timestamp", "datetime", "date time"), ""),
@@ -53,17 +54,17 @@ _STAMP = re.compile(
 
 @dataclass(frozen=True)
 class _Column:
-    # One column of the header: its name and unit.
-    key: str
-    shown: str
+    # One column of the header.
+    key: str  # name in lower case, with blanks for underscores
+    shown: str  # heading, for messages
     unit: str | None
 
 
 def is_navigation_csv(head: bytes) -> bool:
     """Return whether the header of a file names position and attitude."""
     lines = head.decode("latin-1").removeprefix("\xef\xbb\xbf").splitlines()
-    first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
-    names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", first, maxsplit=_MAX_COLUMNS)}
+    header = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
+    names = {_ALIASES.get(_column(cell).key) for cell in re.split("[,;\t]", header, maxsplit=_MAX_COLUMNS)}
     return {"latitude", "longitude", "roll", "pitch"} <= names
 
 
@@ -73,45 +74,45 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
     The header names ``latitude``, ``longitude``, ``altitude``, ``roll``, ``pitch``, ``heading`` (or ``lat``,
     ``lon``, ``alt``, ``yaw`` ...) with units, ``roll [degree]``, ``roll (rad)`` or ``roll_deg``, and a time:
     ``time`` or ``utc``, ISO 8601 stamps (in a column ``time`` with a zone); ``gps_time [s]`` from 1980-01-06,
-    ``time_of_week [s]`` or ``unix_time [s]``. Cells are parted by commas, semicolons or tabs; an empty one is
-    unknown, and a row without a time is left out. Other columns are ignored. Comments ``# key: value`` before
-    the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``,
+    ``time_of_week [s]`` or ``unix_time [s]``. Cells are separated by commas, semicolons or tabs; an empty
+    cell is NaN, and a row without a time is left out. Other columns are ignored. Comments ``# key: value``
+    before the header declare fields of the `hyperpaint.base.attitude_conventions.Convention`, ``gps_week``,
     ``leap_seconds`` and ``time_scale``.
 
-    names: Headings of a table that has none, with units, in the order of its columns; those of columns that
-        are not wanted may be anything else. Its cells may be parted by blanks, too.
-    Returns PoseRecord: Angles in radian where all three are, else in degree.
+    names: Headings with units for a table without a header, in the order of its columns; columns to ignore
+        may have any other name. Cells of such a table may also be separated by blanks.
+    Returns PoseRecord: Angles in radian if all three columns are, else in degree.
     Raises FormatError: Columns or units are missing, or cells do not fit the header; all are listed.
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
-    comments, header, table = _split(path, names)
+    comments, header, table = _table_and_comments(path, names)
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
-    convention, assumed, clock_settings = _declared(comments, problems)
+    convention, assumed, clock_settings = _declarations(comments, problems)
     columns = _columns(header, problems)
     problems.raise_if_any()
-    declared = "angle_unit" not in assumed
-    radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
-    unit: Literal["degree", "radian"] = "radian" if all(radian) else "degree"
-    if declared and convention.angle_unit != unit:
+    is_unit_declared = "angle_unit" not in assumed
+    is_radian = [conversion_factor(str(columns[name].unit), "radian") == 1.0 for name in _ANGLES]
+    unit: Literal["degree", "radian"] = "radian" if all(is_radian) else "degree"
+    if is_unit_declared and convention.angle_unit != unit:
         problems.add(
             f"comment 'angle_unit' is {convention.angle_unit!r}, the header has {unit!r}",
-            mend="drop one",
+            mend="remove one of them",
             code="units-conflict",
         )
     values: dict[str, NDArray[np.float64]] = {}
     for name in POSE:
-        wanted = unit if name in _ANGLES else "m" if name == "altitude" else "degree"
-        values[name] = _values(table, columns[name], wanted, problems)
-    stamp, has_time, clock = _stamps(table, columns["time"], clock_settings, problems)
-    if not len(problems):  # the same cells would be named twice
+        target_unit = unit if name in _ANGLES else "m" if name == "altitude" else "degree"
+        values[name] = _converted_column(table, columns[name], target_unit, problems)
+    stamp, has_time, clock = _time_column(table, columns["time"], clock_settings, problems)
+    if not len(problems):  # else the same cells would be listed twice
         check_poses(values, unit, problems, "row")
     problems.raise_if_any()
     if not has_time.any():
         raise FormatError(f"{path}: no row with a time", code="time-missing")
     timed_stamps = unwrap_weeks(stamp[has_time]) if clock == "week" else stamp[has_time]
     refuse_backwards(path.name, timed_stamps, row="row")
-    left_out = int((~has_time).sum())
+    rows_left_out = int((~has_time).sum())
     return PoseRecord(
         path.name,
         "csv",
@@ -123,15 +124,17 @@ def read_navigation_csv(path: str | Path, names: Sequence[str] | None = None) ->
         time_scale=clock_settings.get("time_scale") or ("gps" if clock in ("gps", "week") else "utc"),
         week=clock_settings.get("gps_week"),
         leap_seconds=clock_settings.get("leap_seconds"),
-        attrs={"rows_without_time": left_out} if left_out else {},
+        attrs={"rows_without_time": rows_left_out} if rows_left_out else {},
     )
 
 
 # --- text --------------------------------------------------------------------------------------------------
 
 
-def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], list[_Column], Table]:
-    # Comments, header and cells; unused columns are dropped.
+def _table_and_comments(
+    path: Path, names: Sequence[str] | None
+) -> tuple[dict[str, str], list[_Column], Table]:
+    # Return comments, header and cells of a file.
     text = read_text(path, _MAX_BYTES, MAX_TABLE_ROWS)
     comments: dict[str, str] = {}
     start, head = 0, ""
@@ -141,14 +144,16 @@ def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], lis
             break
         key, _, value = line.lstrip("# \t").partition(":")
         if line.strip() and len(comments) < _MAX_COMMENTS:
-            comments[_plain(key).replace(" ", "_")] = value.strip()
-    separator = next((mark for mark in ("\t", ";", ",") if mark in head), "," if names is None else None)
+            comments[_plain_words(key).replace(" ", "_")] = value.strip()
+    separator = next(
+        (character for character in ("\t", ";", ",") if character in head), "," if names is None else None
+    )
     cells = head.split(separator, _MAX_COLUMNS) if names is None else list(names)
     header = [_column(cell) for cell in cells]
     if len(cells) > _MAX_COLUMNS or not any(column.key in _ALIASES for column in header):
-        shown = head.strip()[:80] if names is None else ", ".join(cells)[:80]
+        shown_header = head.strip()[:80] if names is None else ", ".join(cells)[:80]
         raise FormatError(
-            f"{path}: the header is {shown!r}",
+            f"{path}: the header is {shown_header!r}",
             expected=f"names of {', '.join(POSE)} and a time",
             mend="pass columns= for a table without a header",
             code="header-missing",
@@ -167,29 +172,29 @@ def _split(path: Path, names: Sequence[str] | None) -> tuple[dict[str, str], lis
     return comments, header, table_of(path, [column.shown for column in header], rows)
 
 
-def _plain(text: str) -> str:
+def _plain_words(text: str) -> str:
     return " ".join(text.strip().strip('"').lower().replace("_", " ").split())
 
 
 def _column(cell: str) -> _Column:
-    shown = cell.strip().strip('"')[:60]
-    match = _CELL.match(shown)
-    name, unit = (match["name"], match["unit"]) if match else (shown, None)
-    key = _plain(name)
+    heading = cell.strip().strip('"')[:60]
+    match = _CELL.match(heading)
+    name, unit = (match["name"], match["unit"]) if match else (heading, None)
+    key = _plain_words(name)
     if unit is None and key not in _ALIASES and key not in _CLOCKS:
-        stem, _, last = key.rpartition(" ")
-        if last in _UNIT_SUFFIXES and (stem in _ALIASES or stem in _CLOCKS):
-            return _Column(stem, shown, last)
-    return _Column(key, shown, unit.strip() if unit is not None else None)
+        stem, _, unit_suffix = key.rpartition(" ")
+        if unit_suffix in _UNIT_SUFFIXES and (stem in _ALIASES or stem in _CLOCKS):
+            return _Column(stem, heading, unit_suffix)
+    return _Column(key, heading, unit.strip() if unit is not None else None)
 
 
 # --- declarations in comments ------------------------------------------------------------------------------
 
 
-def _declared(
+def _declarations(
     comments: Mapping[str, str], problems: Problems
 ) -> tuple[Convention, list[str], dict[str, Any]]:
-    # The convention, its assumed fields, and the clock settings in the comments.
+    # Return the convention and the clock settings in the comments, and the fields assumed without a comment.
     names = {field.name for field in fields(Convention)}
     declared: dict[str, Any] = {}
     for key, value in comments.items():
@@ -217,21 +222,16 @@ def _declared(
                 code="value-out-of-range",
             )
     if "time_scale" in comments:
-        if comments["time_scale"].lower() in ("gps", "utc"):
-            clock_settings["time_scale"] = comments["time_scale"].lower()
-        else:
-            problems.add(
-                f"comment 'time_scale' is {comments['time_scale'][:40]!r}",
-                expected="'gps' or 'utc'",
-                code="choice-unknown",
-            )
+        time_scale = comments["time_scale"].lower()
+        if one_of(time_scale, ("gps", "utc"), "time_scale", problems=problems):
+            clock_settings["time_scale"] = time_scale
     convention = Convention()
     try:
         convention = Convention(**declared)
     except SchemaError as error:
         problems.add_error("", error)
-    unsaid = ("stamp_reference", "column_order", "declination", "geoid_undulation", "grid_crs")
-    assumed = [f.name for f in fields(Convention) if f.name not in declared and f.name not in unsaid]
+    optional_fields = ("stamp_reference", "column_order", "declination", "geoid_undulation", "grid_crs")
+    assumed = [f.name for f in fields(Convention) if f.name not in declared and f.name not in optional_fields]
     return convention, assumed, clock_settings
 
 
@@ -250,13 +250,13 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
                 code="column-missing",
             )
         elif len(columns_by_name[name]) > 1:
-            shown = ", ".join(repr(column.shown) for column in columns_by_name[name])
-            problems.add(f"{shown} are all {name}", mend="keep one of them", code="column-duplicate")
+            headings = ", ".join(repr(column.shown) for column in columns_by_name[name])
+            problems.add(f"{headings} all mean {name}", mend="keep one of them", code="column-duplicate")
         elif name != "time" and columns_by_name[name][0].unit is None:
             heading, unit = columns_by_name[name][0].shown, "m" if name == "altitude" else "degree"
             problems.add(
                 f"column {heading!r} has no unit",
-                mend=f"call it for example '{heading} [{unit}]'",
+                mend=f"name it for example '{heading} [{unit}]'",
                 code="units-missing",
             )
         elif name != "time":
@@ -267,42 +267,44 @@ def _columns(header: list[_Column], problems: Problems) -> dict[str, _Column]:
     return {name: columns[0] for name, columns in columns_by_name.items()}
 
 
-def _values(table: Table, column: _Column, wanted: str, problems: Problems) -> NDArray[np.float64]:
+def _converted_column(
+    table: Table, column: _Column, target_unit: str, problems: Problems
+) -> NDArray[np.float64]:
     numbers = limited_numbers(table, column.shown, 1e6, problems, empty="nan")
-    if wanted == "degree" and conversion_factor(str(column.unit), "radian") == 1.0:
-        return np.degrees(numbers)  # all digits: the factors of units have twelve
-    factor = conversion_factor(str(column.unit), wanted)
+    if target_unit == "degree" and conversion_factor(str(column.unit), "radian") == 1.0:
+        return np.degrees(numbers)  # exact, unlike conversion factors, which have twelve digits
+    factor = conversion_factor(str(column.unit), target_unit)
     return numbers if factor == 1.0 else numbers * factor
 
 
 # --- time --------------------------------------------------------------------------------------------------
 
 
-def _stamps(
+def _time_column(
     table: Table, column: _Column, clock_settings: Mapping[str, Any], problems: Problems
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
-    # Nanoseconds, which rows have a time, and the origin of the stamps.
+    # Return stamps [ns], whether each row has one, and their origin as in `_CLOCKS`.
     clock = _CLOCKS[column.key]
     cells = [cell.strip().strip('"') for cell in table.columns[column.shown]]
     has_time = np.array([bool(cell) and cell != "NaT" for cell in cells])
     stamp = np.zeros(len(cells), np.int64)
-    first = next((cell for cell, has_stamp in zip(cells, has_time, strict=True) if has_stamp), "")
-    if not first:
+    first_stamp = next((cell for cell, has_stamp in zip(cells, has_time, strict=True) if has_stamp), "")
+    if not first_stamp:
         return stamp, has_time, clock
-    if ":" in first:
-        zoned = not clock and "time_scale" not in clock_settings
-        stamp, wrong = _iso(cells, has_time, table.rows, zoned=zoned)
-        if wrong.size:
-            zone = " with a zone (or '# time_scale: utc')" if zoned else ""
+    if ":" in first_stamp:
+        is_zone_required = not clock and "time_scale" not in clock_settings
+        stamp, wrong_rows = _iso_times(cells, has_time, table.rows, is_zone_required=is_zone_required)
+        if wrong_rows.size:
+            zone = " with a zone (or '# time_scale: utc')" if is_zone_required else ""
             problems.add(
-                f"column {column.shown!r} is unreadable in {name_rows(wrong)}",
+                f"column {column.shown!r} is unreadable in {name_rows(wrong_rows)}",
                 expected=f"times such as '2024-06-01T12:00:00.5Z'{zone}",
                 code="time-unreadable",
             )
         return stamp, has_time, clock if clock == "gps" else ""
     if clock in ("", "utc"):
         problems.add(
-            f"column {column.shown!r} holds numbers without an origin",
+            f"column {column.shown!r} contains numbers of unknown origin",
             mend="name it 'gps_time [s]' (from 1980-01-06), 'time_of_week [s]' or 'unix_time [s]'",
             code="time-origin-unknown",
         )
@@ -316,10 +318,10 @@ def _stamps(
             code="units-missing",
         )
         return stamp, has_time, clock
-    return _counted(table, column, [cell or "0" for cell in cells], factor, clock, problems, has_time)
+    return _numeric_times(table, column, [cell or "0" for cell in cells], factor, clock, problems, has_time)
 
 
-def _counted(
+def _numeric_times(
     table: Table,
     column: _Column,
     cells: list[str],
@@ -330,9 +332,9 @@ def _counted(
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], str]:
     maximum = (2.0 * WEEK_S if clock == "week" else _MAX_TIME_S) / factor
     numbers = Table(table.name, table.rows, {column.shown: cells})
-    count = len(problems)
+    problem_count = len(problems)
     seconds = limited_numbers(numbers, column.shown, maximum, problems) * factor
-    if len(problems) > count:
+    if len(problems) > problem_count:
         return np.zeros(len(cells), np.int64), has_time, clock
     has_time = has_time & ~np.isnan(seconds)
     if (seconds < 0.0).any():
@@ -346,22 +348,22 @@ def _counted(
     return (stamp + GPS_EPOCH if clock == "gps" else stamp), has_time, clock
 
 
-def _iso(
-    cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, zoned: bool
+def _iso_times(
+    cells: list[str], has_time: NDArray[np.bool_], rows: NDArray[np.int64], *, is_zone_required: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    # Nanoseconds since 1970, and the lines with an unreadable stamp.
+    # Return nanoseconds since 1970, and the line numbers of unreadable stamps.
     texts, shifts = ["1970-01-01"] * len(cells), np.zeros(len(cells), np.int64)
-    bad = np.zeros(len(cells), np.bool_)
-    for place in np.flatnonzero(has_time).tolist():
-        match = _STAMP.fullmatch(cells[place][:64])
-        if match is None or not "1980" <= match[1] < "2199" or (zoned and match[8] is None):
-            bad[place] = True
+    is_unreadable = np.zeros(len(cells), np.bool_)
+    for number in np.flatnonzero(has_time).tolist():
+        match = _STAMP.fullmatch(cells[number][:64])
+        if match is None or not "1980" <= match[1] < "2199" or (is_zone_required and match[8] is None):
+            is_unreadable[number] = True
             continue
-        texts[place] = f"{match[1]}-{match[2]}-{match[3]}T{match[4]}:{match[5]}:{match[6]}.{match[7] or 0}"
+        texts[number] = f"{match[1]}-{match[2]}-{match[3]}T{match[4]}:{match[5]}:{match[6]}.{match[7] or 0}"
         if match[8] and match[8][0] in "+-":
-            zone = match[8].replace(":", "")
-            minutes = int(zone[1:3]) * 60 + int(zone[3:5])
-            shifts[place] = (-minutes if zone[0] == "-" else minutes) * 60
+            zone_text = match[8].replace(":", "")
+            minutes = int(zone_text[1:3]) * 60 + int(zone_text[3:5])
+            shifts[number] = (-minutes if zone_text[0] == "-" else minutes) * 60
     stamps = instants(texts)
-    bad |= np.isnat(stamps)
-    return stamps.astype(np.int64) - shifts * NS_PER_S, rows[bad]
+    is_unreadable |= np.isnat(stamps)
+    return stamps.astype(np.int64) - shifts * NS_PER_S, rows[is_unreadable]

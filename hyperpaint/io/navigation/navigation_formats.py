@@ -1,17 +1,18 @@
 """Navigation in formats of vendors, each read into a `PoseRecord`.
 
-Applanix SBET: a smoothed best estimate of trajectory, post-processed by POSPac. Records of 17 little-endian
-float64 and nothing else, so that only the size and the values can tell whether a file is one. Stamps are
-seconds of a GPS week that the file does not name (POSPac exports seconds of the UTC week on request:
+Applanix SBET: a smoothed best estimate of trajectory, post-processed by POSPac. The file consists of records
+of 17 little-endian float64, so that only its size and values show whether it is an SBET file. Stamps are
+seconds of a GPS week that the file does not contain (POSPac exports seconds of the UTC week on request:
 ``time_scale="utc"``).
 
-Resonon ``.lcf``, the navigation beside a cube of an airborne Pika: a table without a header, its columns
-separated by blanks or tabs: time [s of GPS time], roll, pitch, heading [rad], longitude, latitude [degree],
-altitude [m], and two that are not used. No vendor description is public; the meaning of the columns follows
-public readers, which had it from the maker (massipipe, mi3nts). Roll is positive with the right wing UP.
+Resonon ``.lcf``, the navigation of an airborne Pika, stored beside the cube: a table without a header, with
+columns separated by blanks or tabs: time [s of GPS time], roll, pitch, heading [rad], longitude, latitude
+[degree], altitude [m], and two unused ones. The vendor has published no description; the meaning of the
+columns follows public readers whose authors asked the maker (massipipe, mi3nts). Roll is positive with the
+right wing UP.
 
-AVIRIS-NG ``ang<date>t<time>_eph_att``: an ENVI file, a line of which is a row of the record, a band a column,
-named by ``band names``.
+AVIRIS-NG ``ang<date>t<time>_eph_att``: an ENVI file. Each of its lines is a row of the record, each band a
+column with the name in ``band names``.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ _SBET_FIELDS = (
 _SBET_RECORD = np.dtype([(name, "<f8") for name in _SBET_FIELDS])
 #: Largest SBET file [bytes]: 44 hours at 200 Hz.
 _MAX_SBET_BYTES = 2**32
-_SBET_OTHERS = {
+_SBET_OTHER_MEANINGS = {
     "platform_heading": "Heading from the north of the wander frame",
     "wander_angle": "Platform heading less heading from true north",
 }
@@ -52,23 +53,24 @@ _SBET_CONVENTION = Convention(angle_unit="radian")
 def read_sbet(path: str | Path) -> PoseRecord:
     """Read an SBET file.
 
-    The wander frame's north turns against true north as the aircraft travels: ``heading`` is the platform's
-    heading less the wander angle, both of which are kept. (In the two records of PDAL's sample, velocities
-    are along the axes of that frame: with this sign they point where the displacement does.)
+    The north of the wander frame rotates relative to true north as the aircraft travels: ``heading`` is the
+    platform heading minus the wander angle, both of which are also returned. (In the two records of PDAL's
+    sample, velocities are along the axes of the wander frame; with this sign they agree with the
+    displacement.)
 
     Returns PoseRecord: Roll, pitch and heading [rad]: right wing down, nose up, clockwise from true north;
         heights above the ellipsoid.
-    Raises FormatError: Not whole records, or values that no trajectory has; all are listed.
+    Raises FormatError: The file does not consist of records, or values are out of range; all are listed.
     Raises TimeError: Time runs backwards.
     """
     path = Path(path)
     with open_input(path, "an SBET file", _MAX_SBET_BYTES) as file:
         size = os.fstat(file.fileno()).st_size
-        count, rest = divmod(size, _SBET_RECORD.itemsize)
-        if rest or not count:
+        count, extra_bytes = divmod(size, _SBET_RECORD.itemsize)
+        if extra_bytes or not count:
             raise FormatError(
                 f"{path}: {size} bytes",
-                expected=f"whole records of {_SBET_RECORD.itemsize} bytes",
+                expected=f"a multiple of {_SBET_RECORD.itemsize}, the size of a record",
                 mend="copy the file again, or check its format",
                 code="file-truncated",
             )
@@ -76,7 +78,7 @@ def read_sbet(path: str | Path) -> PoseRecord:
     if records.size != count:
         raise FormatError(f"{path}: became shorter during reading", code="file-truncated")
     values = {name: records[name].astype(np.float64) for name in ("altitude", "roll", "pitch")}
-    # numbers of a damaged file may overflow; the result is refused below
+    # values of damaged files may overflow; `check_poses` refuses the results
     with np.errstate(invalid="ignore", over="ignore"):
         values["latitude"] = np.degrees(records["latitude"])
         values["longitude"] = np.degrees(records["longitude"])
@@ -87,11 +89,13 @@ def read_sbet(path: str | Path) -> PoseRecord:
     problems.raise_if_any()
     stamp = unwrap_weeks(nanoseconds(records["time"]))
     refuse_backwards(path.name, stamp, row="record")
-    others = {
+    other_columns = {
         name: (records[name].astype(np.float64), {"units": "radian", "long_name": meaning})
-        for name, meaning in _SBET_OTHERS.items()
+        for name, meaning in _SBET_OTHER_MEANINGS.items()
     }
-    return PoseRecord(path.name, "Applanix SBET", stamp, "week", values, _SBET_CONVENTION, others=others)
+    return PoseRecord(
+        path.name, "Applanix SBET", stamp, "week", values, _SBET_CONVENTION, others=other_columns
+    )
 
 
 _LCF_COLUMNS = ("time", "roll", "pitch", "heading", "longitude", "latitude", "altitude")
@@ -106,9 +110,9 @@ def read_lcf(path: str | Path) -> PoseRecord:
     """Read a Resonon ``.lcf`` file.
 
     Returns PoseRecord: Roll, pitch and heading [rad]: right wing UP, nose up, clockwise from true north;
-        heights above the ellipsoid. Stamps count from the beginning of GPS time, or of a week where they are
+        heights above the ellipsoid. Stamps count from the beginning of GPS time, or of a GPS week if they are
         below two weeks.
-    Raises FormatError: Not such a table, or cells that are no numbers or no positions and angles; all are
+    Raises FormatError: The file is not such a table, or cells are not numbers, positions and angles; all are
         listed.
     Raises TimeError: Time runs backwards.
     """
@@ -120,40 +124,42 @@ def read_lcf(path: str | Path) -> PoseRecord:
         if line.strip()
     )
     first = next(cells, None)
-    width = 0 if first is None else min(len(first[1]), _MAX_LCF_CELLS)
+    column_count = 0 if first is None else min(len(first[1]), _MAX_LCF_CELLS)
     rows = itertools.chain(() if first is None else (first,), cells)
-    table = table_of(path, [*_LCF_COLUMNS, *map(str, range(len(_LCF_COLUMNS), width))], rows)
+    table = table_of(path, [*_LCF_COLUMNS, *map(str, range(len(_LCF_COLUMNS), column_count))], rows)
     problems = Problems(f"{path} cannot be used as a Resonon .lcf file", FormatError)
     values = {
         name: limited_numbers(table, name, _MAX_LCF_TIME_S if name == "time" else LIMITS[name], problems)
         for name in _LCF_COLUMNS
     }
     seconds = values.pop("time")
-    wrong = table.rows[~(seconds >= 0.0)]
-    in_week = seconds <= 2.0 * WEEK_S
-    if wrong.size:
+    invalid_rows = table.rows[~(seconds >= 0.0)]
+    is_in_week = seconds <= 2.0 * WEEK_S
+    if invalid_rows.size:
         problems.add(
-            f"time is negative or unknown in {name_rows(wrong)}",
+            f"time is negative or unknown in {name_rows(invalid_rows)}",
             expected="seconds of GPS time",
             code="value-out-of-range",
         )
-    elif in_week.any() and not in_week.all():
-        minority = table.rows[in_week] if 2 * in_week.sum() < in_week.size else table.rows[~in_week]
+    elif is_in_week.any() and not is_in_week.all():
+        minority_rows = (
+            table.rows[is_in_week] if 2 * is_in_week.sum() < is_in_week.size else table.rows[~is_in_week]
+        )
         problems.add(
-            f"time has another origin in {name_rows(minority)} than in the other rows",
+            f"time has another origin in {name_rows(minority_rows)} than in the other rows",
             code="time-origin-conflict",
         )
-    if not len(problems):  # the same cells would be named twice
+    if not len(problems):  # else the same cells would be listed twice
         check_poses(values, "radian", problems, "row")
     problems.raise_if_any()
-    weekly = bool(in_week.all())
-    stamp = unwrap_weeks(nanoseconds(seconds)) if weekly else nanoseconds(seconds) + GPS_EPOCH
+    is_week_time = bool(is_in_week.all())
+    stamp = unwrap_weeks(nanoseconds(seconds)) if is_week_time else nanoseconds(seconds) + GPS_EPOCH
     refuse_backwards(path.name, stamp, row="row")
     return PoseRecord(
         path.name,
         "Resonon lcf",
         stamp,
-        "week" if weekly else "1970",
+        "week" if is_week_time else "1970",
         values,
         _LCF_CONVENTION,
         assumed=("euler_order",),
@@ -183,10 +189,10 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     """Read navigation of AVIRIS-NG.
 
     path: The header or the data file.
-    Returns PoseRecord: Angles [degree]. Nothing published states their signs, or the reference of the height.
-        The aircraft of the sample turns as it should where roll is right wing down and heading clockwise:
-        heading rate = g tan(roll) / speed, within 6 %. The height is taken to be above the ellipsoid.
-    Raises FormatError: No such file, or values that no flight has; all are listed.
+    Returns PoseRecord: Angles [degree]. Their signs and the reference of the height are not published. In the
+        sample, heading rate = g tan(roll) / speed within 6 % if roll is positive with the right wing down and
+        heading clockwise. The height is assumed to be above the ellipsoid.
+    Raises FormatError: The file is not such a record, or values are out of range; all are listed.
     Raises TimeError: Time runs backwards.
     """
     header_path, data_path = find_pair(path)
@@ -196,9 +202,7 @@ def read_eph_att(path: str | Path) -> PoseRecord:
         names = ", ".join(header.band_names)[:120]
         problems.add(f"band names are {names!r}", expected=", ".join(_EPH_ATT_BANDS), code="column-missing")
     if header.samples != 1:
-        problems.add(
-            f"samples is {header.samples}", expected="1 (a row of navigation is a line)", code="dims-wrong"
-        )
+        problems.add(f"samples is {header.samples}", expected="1, as in navigation", code="dims-wrong")
     if header.dtype.kind != "f":
         problems.add(f"values are {header.dtype}", expected="float64 (data type 5)", code="type-wrong")
     stored_bytes = data_path.stat().st_size
@@ -216,11 +220,17 @@ def read_eph_att(path: str | Path) -> PoseRecord:
         stored = np.fromfile(file, header.dtype, header.lines * header.bands)
     if stored.size != header.lines * header.bands:
         raise FormatError(f"{data_path}: became shorter during reading", code="file-truncated")
-    # one sample a line leaves lines and bands
-    by_bands = header.interleave == "bsq"
-    table = stored.reshape((header.bands, header.lines)).T if by_bands else stored.reshape(header.lines, -1)
-    places = {name.lower(): place for place, name in enumerate(header.band_names)}
-    values = {name: table[:, places[band]].astype(np.float64) for band, name in _EPH_ATT_BANDS.items()}
+    # with one sample per line, the dims are lines and bands
+    is_band_sequential = header.interleave == "bsq"
+    table = (
+        stored.reshape((header.bands, header.lines)).T
+        if is_band_sequential
+        else stored.reshape(header.lines, -1)
+    )
+    column_numbers = {name.lower(): number for number, name in enumerate(header.band_names)}
+    values = {
+        name: table[:, column_numbers[band]].astype(np.float64) for band, name in _EPH_ATT_BANDS.items()
+    }
     seconds = values.pop("time")
     problems = Problems(f"{data_path} cannot be used as navigation", FormatError)
     check_seconds(data_path.name, seconds, 2.0 * WEEK_S, problems, "row")
@@ -240,17 +250,21 @@ def read_eph_att(path: str | Path) -> PoseRecord:
     )
 
 
-def _week_of_name(name: str, first: int) -> int | None:
-    # The GPS week of the date and time in a file name, if it agrees with the first stamp.
+def _week_of_name(name: str, first_stamp: int) -> int | None:
+    # Return the GPS week of the date and time in a file name if they agree with the first stamp, else None.
     match = _EPH_ATT_START.search(name)
     if match is None:
         return None
-    day, clock = match.groups()
-    text = f"{day[:4]}-{day[4:6]}-{day[6:]}T{clock[:2]}:{clock[2:4]}:{clock[4:]}"
+    date, clock = match.groups()
+    text = f"{date[:4]}-{date[4:6]}-{date[6:]}T{clock[:2]}:{clock[2:4]}:{clock[4:]}"
     try:
-        started = int(np.datetime64(text, "ns").astype(np.int64)) - GPS_EPOCH
+        start_ns = int(np.datetime64(text, "ns").astype(np.int64)) - GPS_EPOCH
     except ValueError:
         return None
-    week = round((started - first) / (WEEK_S * NS_PER_S))
-    late = abs(started - first - week * WEEK_S * NS_PER_S)
-    return week if week >= 0 and late < _MAX_START_DIFFERENCE_S * NS_PER_S and day[:4] < "2199" else None
+    week = round((start_ns - first_stamp) / (WEEK_S * NS_PER_S))
+    difference_ns = abs(start_ns - first_stamp - week * WEEK_S * NS_PER_S)
+    return (
+        week
+        if week >= 0 and difference_ns < _MAX_START_DIFFERENCE_S * NS_PER_S and date[:4] < "2199"
+        else None
+    )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.attitude_conventions import Convention
 from hyperpaint.base.errors import Findings, FormatError, Problems, SchemaError, TimeError
+from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.input_files import input_path, is_plain_file, open_input
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.store import load_group
@@ -28,7 +29,7 @@ from .navigation_formats import read_eph_att, read_lcf, read_sbet
 from .navigation_records import ASSUMED, POSE, Navigation, PoseRecord, read_gps_time, read_imu_gps
 from .nmea import is_nmea, read_nmea
 
-#: A file's record, its UTC [ns since 1970-01-01], and attributes on its origin.
+#: A file's record, its UTC [ns since 1970-01-01], and attributes that describe the conversion to UTC.
 Part = tuple[PoseRecord, NDArray[np.int64], dict[str, Any]]
 
 NAVIGATION_TIME = "navigation_time"
@@ -38,7 +39,7 @@ Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 _HEAD_BYTES = 4096
 _DATE = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _DAY_NS = 86_400 * NS_PER_S
-#: GPS week in the year 2199; nanoseconds overflow in the 23rd century.
+#: GPS week in the year 2199; int64 nanoseconds overflow in the 23rd century.
 _MAX_GPS_WEEK = 11_479
 _MEANINGS = {
     "latitude": "Latitude of the navigation's reference point, north positive",
@@ -76,36 +77,36 @@ def open_navigation(
     ``nmea``            a log of NMEA 0183 sentences: GGA with RMC or ZDA, and PASHR, HDT or THS; degree; UTC
     ==================  ===================================================================================
 
-    Each reader declares the known conventions of its format. Conventions that nothing published states are
-    listed in the attribute ``assumed``. The side of column 0 and the instant of the camera's stamps are in no
-    navigation file; they stay undeclared until ``convention`` declares them.
+    Each reader declares the published conventions of its format. Conventions that are not published are
+    listed in the attribute ``assumed``. Navigation files contain neither the side of column 0 nor the instant
+    of the camera's stamps; these remain undeclared unless ``convention`` declares them.
 
     Parameters
     ----------
     paths
-        One file, or several of one format that follow one another in time; or any Zarr that holds a record
-        as this function returns it, which keeps its times and, without ``convention``, its declarations.
+        One file, or several of one format whose times do not overlap; or any Zarr that contains a record
+        as this function returns it. Its times remain unchanged, and without ``convention`` its declarations.
     convention
-        Conventions of the numbers, in place of the format's; or a mapping that replaces some of its
+        Conventions of the numbers, used instead of the format's; or a mapping that replaces some of its
         choices, such as ``{"column_order": "left_to_right"}``.
     format
-        By default found from name and content.
+        Format of the files; by default detected from name and content.
     week, date
-        Of files that count seconds of a GPS week: weeks since 1980-01-06, or the day of the first row,
-        ``"2021-05-20"``. A date is checked against the day that the stamps say.
+        For files that count seconds of a GPS week: number of the week since 1980-01-06, or the day of the first
+        row, ``"2021-05-20"``. A date is also compared with the stamps.
     leap_seconds
-        GPS minus UTC [s]; by default of the table of the IERS. It is not used where stamps are UTC.
+        GPS minus UTC [s]; by default from the IERS table. Unused if stamps are UTC.
     time_scale
-        Time scale of the stamps, where it is not the format's usual one.
+        Time scale of the stamps, if it differs from the usual one of the format.
     clock_offset_s
-        UTC = stamp + ``clock_offset_s`` [s]. Needed, with ``date``, for an ``imu_gps.txt`` with the time of
-        day of the recording computer alone.
+        UTC = stamp + ``clock_offset_s`` [s]. An ``imu_gps.txt`` whose only time is the time of day of the
+        recording computer needs this and ``date``, or ``gps_time``.
     gps_time
-        ``gps_time.txt`` beside such a file, in its place.
+        The file ``gps_time.txt`` of the same flight, for such an ``imu_gps.txt``.
     columns
         Names and units of the columns of a table without a header, in their order:
-        ``["time_of_week [s]", "latitude [degree]", ..., "heading [degree]"]``, and anything else for those
-        that are not wanted.
+        ``["time_of_week [s]", "latitude [degree]", ..., "heading [degree]"]``, with any other name for columns
+        to ignore.
 
     Returns
     -------
@@ -118,17 +119,17 @@ def open_navigation(
     Raises
     ------
     FormatError
-        A file is damaged, or of another or unknown kind; all problems are listed.
+        A file is damaged, or of another or unknown format; all problems are listed.
     TimeError
-        The GPS week is not known, or contradicts the stamps; time runs backwards, within a file or from one
-        to the next; a clock that cannot be as described.
+        The GPS week is unknown, or contradicts the stamps; time runs backwards, within a file or from one
+        to the next; a clock setting is invalid.
     SchemaError
-        A convention that does not exist, or that contradicts the unit of the angles.
+        A convention is invalid, or contradicts the unit of the angles.
 
     Warns
     -----
     PaintWarning
-        Times beyond the table of leap seconds; a record whose inertial system never aligned.
+        Times after the end of the table of leap seconds; a record whose inertial system never aligned.
 
     Examples
     --------
@@ -147,56 +148,52 @@ def open_navigation(
     >>> scratch.cleanup()
     """  # noqa: E501
     if is_zarr(paths):
-        return _stored(paths, convention)
+        return _stored_record(paths, convention)
     files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
     if not files:
-        raise FormatError("no navigation file is given", expected="one or more", code="empty-input")
+        raise FormatError("an empty list of navigation files", expected="one or more", code="empty-input")
     source = TimeSource(week, date, leap_seconds, time_scale, clock_offset_s)
     source.check()
-    if format is not None and format not in get_args(NavigationFormat):
-        raise SchemaError(
-            f"format {format!r:.40}",
-            expected=", ".join(map(repr, get_args(NavigationFormat))),
-            code="choice-unknown",
-        )
+    if format is not None:
+        one_of(format, get_args(NavigationFormat), "format")
     parts: list[Part] = []
     findings = Findings("the navigation cannot be used")
     if columns is not None and format not in (None, "csv"):
         raise SchemaError(
             f"columns= with format {format!r}",
-            expected="format 'csv', a table without a header",
+            expected="format 'csv'",
             code="option-conflict",
         )
     for path in files:
         with findings.step():
             kind = format or ("csv" if columns is not None else navigation_format(path))
-            own_clock = None if gps_time is None else Path(gps_time)
+            gps_time_path = None if gps_time is None else Path(gps_time)
             if kind == "imu_gps":
-                record = _headwall(path, source, own_clock)
+                record = _headwall_record(path, source, gps_time_path)
             else:
                 record = read_record(path, kind, columns, source.midnight)
             parts.append((record, *utc_of_record(record, source)))
     findings.raise_if_any()
     parts.sort(key=lambda part: int(part[1][0]))
     _refuse_mixtures(parts)
-    meant = _convention(parts[0][0], convention)
+    chosen_convention = _convention(parts[0][0], convention)
     units = {"latitude": "degree", "longitude": "degree", "altitude": "m"}
     variables = {
         name: (
             NAVIGATION_TIME,
             np.concatenate([record.values[name] for record, _, _ in parts]),
-            {"long_name": _MEANINGS[name], "units": units.get(name, meant.angle_unit)},
+            {"long_name": _MEANINGS[name], "units": units.get(name, chosen_convention.angle_unit)},
         )
         for name in POSE
     }
-    for name, (_, about) in parts[0][0].others.items():
+    for name, (_, attrs) in parts[0][0].others.items():
         values = np.concatenate([record.others[name][0] for record, _, _ in parts])
-        variables[name] = (NAVIGATION_TIME, values, dict(about))
+        variables[name] = (NAVIGATION_TIME, values, dict(attrs))
     time = np.concatenate([utc for _, utc, _ in parts]).astype("datetime64[ns]")
     return xr.Dataset(
         variables,
         {NAVIGATION_TIME: (NAVIGATION_TIME, time, {"long_name": "UTC of the navigation record"})},
-        _attributes(parts, meant, convention),
+        _attributes(parts, chosen_convention, convention),
     )
 
 
@@ -215,8 +212,8 @@ def navigation_format(path: str | Path) -> NavigationFormat:
         return "sbet"
     if suffix == ".lcf":
         return "lcf"
-    first = head.partition(b"\n")[0].lower()
-    if b"\0" not in head and {b"roll", b"pitch", b"yaw", b"lat", b"lon", b"alt"} <= set(first.split()):
+    first_line = head.partition(b"\n")[0].lower()
+    if b"\0" not in head and {b"roll", b"pitch", b"yaw", b"lat", b"lon", b"alt"} <= set(first_line.split()):
         return "imu_gps"
     if is_nmea(head):
         return "nmea"
@@ -225,15 +222,15 @@ def navigation_format(path: str | Path) -> NavigationFormat:
     formats = ", ".join(map(repr, get_args(NavigationFormat)))
     content = "binary" if b"\0" in head else f"begins {head[:60].decode('latin-1')!r}"
     raise FormatError(
-        f"{path}: {content}, no known kind of navigation",
-        mend=f"give format=, one of {formats}",
+        f"{path}: {content}, no known format of navigation",
+        mend=f"pass format=, one of {formats}",
         code="format-unknown",
     )
 
 
-def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
+def _stored_record(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.Dataset:
     record = load_group(path)
-    problems = Problems(f"{path} holds no navigation record", FormatError)
+    problems = Problems(f"{path} cannot be used as navigation", FormatError)
     for name in (NAVIGATION_TIME, *POSE):
         if name not in record.variables:
             problems.add(
@@ -248,7 +245,7 @@ def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.
             )
         elif name != NAVIGATION_TIME and "units" not in record[name].attrs:
             problems.add(
-                f"{name!r} has no units", expected="those that open_navigation gives it", code="units-missing"
+                f"{name!r} has no units", expected="the units of open_navigation", code="units-missing"
             )
     problems.raise_if_any()
     time = record[NAVIGATION_TIME].values
@@ -270,11 +267,12 @@ def _stored(path: Any, convention: Convention | Mapping[str, Any] | None) -> xr.
 def read_record(
     path: Path, format: NavigationFormat, columns: Sequence[str] | None = None, midnight: int | None = None
 ) -> PoseRecord:
-    """Read a file of any format except ``imu_gps``, with uncorrected stamps.
+    """Read a file of any format except ``imu_gps``, with stamps as in the file.
 
-    ``columns`` as of `open_navigation`; ``midnight`` as of `read_nmea`.
+    columns: As for `open_navigation`.
+    midnight: As for `read_nmea`.
 
-    Raises FormatError, TimeError: As the reader of the format.
+    Raises FormatError, TimeError: By the reader of the format.
     """
     readers: Mapping[str, Callable[[Path], PoseRecord]] = {
         "sbet": read_sbet,
@@ -286,17 +284,17 @@ def read_record(
     return readers[format](path)
 
 
-def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
-    # Read ``imu_gps.txt`` with uncorrected stamps.
+def _headwall_record(path: Path, source: TimeSource, gps_time: Path | None) -> PoseRecord:
+    # Read ``imu_gps.txt`` with stamps before correction by ``clock_offset_s``.
     record: Navigation = read_imu_gps(path)
-    own_clock = record.utc is None
-    if own_clock and gps_time is not None:
+    needs_date = record.utc is None
+    if needs_date and gps_time is not None:
         record = record.dated_by(read_gps_time(gps_time))
-    elif own_clock and None not in (source.midnight, source.clock_offset_s):
+    elif needs_date and None not in (source.midnight, source.clock_offset_s):
         record = record.dated_at(int(source.midnight or 0))
     if record.utc is None or not record.utc.size:
         raise TimeError(
-            f"{path.name} holds no date",
+            f"{path.name} contains no date",
             mend=(
                 "pass gps_time= (gps_time.txt of the same flight), or date= and clock_offset_s= (UTC "
                 "= the computer's clock + clock_offset_s)"
@@ -316,7 +314,7 @@ def _headwall(path: Path, source: TimeSource, gps_time: Path | None) -> PoseReco
     )
 
 
-# --- its stamps as UTC -------------------------------------------------------------------------------------
+# --- stamps as UTC -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -330,11 +328,11 @@ class TimeSource:
     clock_offset_s: float | None = None
 
     def check(self) -> None:
-        """Raise one error that lists all invalid settings.
+        """Refuse invalid settings, all in one error.
 
-        Raises TimeError: A week, date, number of leap seconds, time scale or offset that does not exist.
+        Raises TimeError: A week, date, number of leap seconds, time scale or clock offset is invalid.
         """
-        problems = Problems("the clock of the navigation cannot be as described", TimeError)
+        problems = Problems("the clock settings of the navigation are invalid", TimeError)
         week, leap = self.week, self.leap_seconds
         if week is not None and not (_is_whole(week) and 0 <= week <= _MAX_GPS_WEEK):
             problems.add(
@@ -348,19 +346,17 @@ class TimeSource:
                 expected="GPS minus UTC in whole seconds, such as 18",
                 code="value-out-of-range",
             )
-        if self.time_scale not in (None, "gps", "utc"):
-            problems.add(
-                f"time_scale {self.time_scale!r:.40}", expected="'gps' or 'utc'", code="choice-unknown"
-            )
+        if self.time_scale is not None:
+            one_of(self.time_scale, ("gps", "utc"), "time_scale", problems=problems)
         if self.date is not None and self.midnight is None:
             problems.add(
                 f"date {str(self.date)!r:.40}", expected="a date such as '2024-06-01'", code="time-unreadable"
             )
         offset = self.clock_offset_s
-        if offset is not None and not abs(offset) <= 1e9:
+        if offset is not None and not (is_number(offset) and abs(offset) <= 1e9):
             problems.add(
                 f"clock_offset_s {offset!r:.40}",
-                expected="seconds, at most 1e9 either way",
+                expected="seconds, -1e9 to 1e9",
                 code="value-out-of-range",
             )
         problems.raise_if_any()
@@ -382,7 +378,7 @@ def _is_whole(value: Any) -> bool:
 
 
 def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.int64], dict[str, Any]]:
-    """Return UTC [ns since 1970-01-01] of the rows of a record, and attributes on its origin.
+    """Return UTC [ns since 1970-01-01] of the rows of a record, and attributes that describe the conversion.
 
     Raises TimeError: Seconds of the week without a week or date; a week or date that the stamps contradict;
         times before GPS time began.
@@ -394,7 +390,7 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
         week, week_source = _week_of(record, source)
         stamp = stamp + (GPS_EPOCH + week * WEEK_S * NS_PER_S)
         attrs = {"gps_week": week, "gps_week_source": week_source}
-    _refuse_another_date(record, int(stamp[0]), source)
+    _refuse_wrong_date(record, int(stamp[0]), source)
     scale = source.time_scale or record.time_scale
     leap = record.leap_seconds if source.leap_seconds is None else int(source.leap_seconds)
     correction = ClockCorrection(source.clock_offset_s or 0.0, scale, leap)
@@ -411,38 +407,40 @@ def utc_of_record(record: PoseRecord, source: TimeSource) -> tuple[NDArray[np.in
 
 
 def _week_of(record: PoseRecord, source: TimeSource) -> tuple[int, str]:
-    # The GPS week of the stamps, and its source.
+    # Return the GPS week of the stamps, and its source.
     if source.week is not None:
         return int(source.week), "given"
     if source.midnight is not None:
-        # the week that brings the first row nearest to noon of the day: a date may be local
+        # the week whose first row is nearest to noon of the day, since a date may be local
         noon = source.midnight + _DAY_NS // 2 - GPS_EPOCH
         return max(0, round((noon - int(record.stamp[0])) / (WEEK_S * NS_PER_S))), "from the date given"
     if record.week is not None:
         return record.week, f"said by {record.name}"
-    first = int(record.stamp[0]) // NS_PER_S
-    day = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[first // 86_400 % 7]
+    first_second = int(record.stamp[0]) // NS_PER_S
+    day = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[
+        first_second // 86_400 % 7
+    ]
     raise TimeError(
-        f"{record.name} counts seconds of an unknown GPS week (from {first} s: a {day})",
-        mend="give week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight",
+        f"{record.name} counts seconds of an unknown GPS week (from {first_second} s: a {day})",
+        mend="pass week=, the weeks since 1980-01-06, or date='YYYY-MM-DD' of the flight",
         code="gps-week-missing",
     )
 
 
-def _refuse_another_date(record: PoseRecord, first: int, source: TimeSource) -> None:
-    problems = Problems(f"{record.name} is of another day than was given", TimeError)
-    shown = np.datetime64(first // NS_PER_S, "s")
-    if source.midnight is not None and abs(first - source.midnight - _DAY_NS // 2) > 1.5 * _DAY_NS:
+def _refuse_wrong_date(record: PoseRecord, first_stamp: int, source: TimeSource) -> None:
+    problems = Problems(f"{record.name} contradicts week or date", TimeError)
+    first_time = np.datetime64(first_stamp // NS_PER_S, "s")
+    if source.midnight is not None and abs(first_stamp - source.midnight - _DAY_NS // 2) > 1.5 * _DAY_NS:
         problems.add(
-            f"it begins at {shown}, but date is {source.date}",
-            mend="correct the wrong one",
+            f"it begins at {first_time}, but date is {source.date}",
+            mend="correct date, or open another file",
             code="date-conflict",
         )
     if source.week is not None and record.counts_from != "week":
-        stamp_week = (first - GPS_EPOCH) // (WEEK_S * NS_PER_S)
+        stamp_week = (first_stamp - GPS_EPOCH) // (WEEK_S * NS_PER_S)
         if stamp_week != source.week:
             problems.add(
-                f"it begins at {shown}, in week {stamp_week}, but week is {source.week}",
+                f"it begins at {first_time}, in week {stamp_week}, but week is {source.week}",
                 code="gps-week-conflict",
             )
     problems.raise_if_any()
@@ -453,7 +451,7 @@ def _refuse_another_date(record: PoseRecord, first: int, source: TimeSource) -> 
 
 def _refuse_mixtures(parts: Sequence[Part]) -> None:
     first = parts[0][0]
-    for (before, earlier, _), (record, utc, _) in itertools.pairwise(parts):
+    for (earlier_record, earlier_utc, _), (record, utc, _) in itertools.pairwise(parts):
         if (record.format, record.convention, set(record.others)) != (
             first.format,
             first.convention,
@@ -461,17 +459,19 @@ def _refuse_mixtures(parts: Sequence[Part]) -> None:
         ):
             raise FormatError(
                 (
-                    f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format "
-                    "or convention"
+                    f"{first.name} ({first.format}) and {record.name} ({record.format}) differ in format, "
+                    "columns or convention"
                 ),
-                mend="open them apart",
+                mend="open them separately",
                 code="formats-mixed",
             )
-        if utc[0] <= earlier[-1]:
-            end, start = (np.datetime64(int(t), "ns").astype("datetime64[ms]") for t in (earlier[-1], utc[0]))
+        if utc[0] <= earlier_utc[-1]:
+            end, start = (
+                np.datetime64(int(t), "ns").astype("datetime64[ms]") for t in (earlier_utc[-1], utc[0])
+            )
             raise TimeError(
-                f"{before.name} ends at {end}, after {record.name} begins at {start}",
-                mend="give one of them",
+                f"{earlier_record.name} ends at {end}, after {record.name} begins at {start}",
+                mend="open one of them",
                 code="time-overlap",
             )
 
@@ -480,7 +480,7 @@ def _convention(record: PoseRecord, declared: Convention | Mapping[str, Any] | N
     if declared is None:
         return record.convention
     if isinstance(declared, Convention):
-        meant = declared
+        chosen = declared
     else:
         unknown = set(declared) - set(record.convention.__dataclass_fields__)
         if unknown:
@@ -489,33 +489,33 @@ def _convention(record: PoseRecord, declared: Convention | Mapping[str, Any] | N
                 mend="see Convention",
                 code="key-unknown",
             )
-        meant = record.convention.replace(**declared)
-    if "angle_unit" not in record.assumed and meant.angle_unit != record.convention.angle_unit:
-        held = record.convention.angle_unit
+        chosen = record.convention.replace(**declared)
+    if "angle_unit" not in record.assumed and chosen.angle_unit != record.convention.angle_unit:
+        unit = record.convention.angle_unit
         raise SchemaError(
             (
-                f"convention declares angle_unit {meant.angle_unit!r}, {record.name} ({record.format}) "
-                f"holds {held}"
+                f"convention declares angle_unit {chosen.angle_unit!r}, {record.name} ({record.format}) "
+                f"contains {unit}"
             ),
-            mend=f"give Convention(angle_unit={held!r}, ...), or a mapping of the fields that differ",
+            mend=f"pass Convention(angle_unit={unit!r}, ...), or a mapping of the fields that differ",
             code="units-conflict",
         )
-    return meant
+    return chosen
 
 
 def _attributes(
-    parts: Sequence[Part], meant: Convention, convention: Convention | Mapping[str, Any] | None
+    parts: Sequence[Part], chosen: Convention, convention: Convention | Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    record, _, timed = parts[0]
+    record, _, time_attrs = parts[0]
     attrs: dict[str, Any] = {
         "source": ", ".join(part[0].name for part in parts),
         "format": record.format,
         **record.attrs,
-        **timed,
-        **meant.to_attrs(),
+        **time_attrs,
+        **chosen.to_attrs(),
     }
     declared = (
-        set(meant.__dataclass_fields__) if isinstance(convention, Convention) else set(convention or ())
+        set(chosen.__dataclass_fields__) if isinstance(convention, Convention) else set(convention or ())
     )
     assumed = [name for name in record.assumed if name not in declared]
     if assumed:

@@ -1,6 +1,6 @@
 """Navigation records: position, attitude, and clocks of the camera.
 
-A reader of any format fills a `PoseRecord`, which `navigation_opening` turns into UTC and labels. Of the
+Each reader returns a `PoseRecord`, which `navigation_opening` converts to UTC and labels. Of the
 files of Headwall, ``imu_gps.txt`` is read by its header names (three generations of the program), and
 ``gps_time.txt`` ties the recording computer's clock to the receiver's.
 """
@@ -39,7 +39,7 @@ _DATE_TIME = re.compile(
     r"([0-9]{4})[-/]([0-9]{1,2}|[A-Za-z]{3})[-/]([0-9]{1,2})[ T]+"
     r"([0-9]{1,2}):([0-9]{2}):([0-9]{2})(?:\.([0-9]{1,9}))?Z?"
 )
-#: Name in the file to name in a flight line, and largest possible magnitude.
+#: Name of a variable and its largest magnitude, by its column in ``imu_gps.txt``.
 _COLUMNS = {
     "lat": ("latitude", 90.0),
     "lon": ("longitude", 360.0),
@@ -48,11 +48,11 @@ _COLUMNS = {
     "pitch": ("pitch", 360.0),
     "yaw": ("heading", 360.0),
 }
-#: Largest possible magnitude of positions and angles [degree, m].
+#: Largest magnitude of positions and angles [degree, m].
 LIMITS = dict(_COLUMNS.values())
 #: ``latitude longitude altitude roll pitch heading``.
 POSE = tuple(LIMITS)
-#: Fields of the convention of ``imu_gps.txt`` on which no statement of its maker is public.
+#: Fields of the convention of ``imu_gps.txt`` that its maker has not published.
 ASSUMED = (
     *("roll_positive", "pitch_positive", "heading_positive", "heading_reference"),
     *("angle_unit", "euler_order", "height_reference"),
@@ -64,57 +64,59 @@ _UTC_COLUMN = "gps_utc_date&time"
 
 @dataclass(frozen=True)
 class PoseRecord:
-    """One navigation file."""
+    """Content of one navigation file of any format."""
 
     name: str  # file name, for messages
     format: str  # name of the format
     stamp: NDArray[np.int64]  # nanoseconds, (row,)
-    # ``"1970"``, as the clock shows it; or the start of a GPS ``"week"``
+    # Origin of the stamps: 1970-01-01, or the start of a GPS week
     counts_from: Literal["1970", "week"]
     # `POSE` (row,), float64: latitude and longitude [degree], altitude [m], angles in the unit of the
     # convention; NaN where unknown
     values: Mapping[str, NDArray[np.float64]] = field(repr=False)
-    convention: Convention  # meaning of the numbers, by the format or the file
-    assumed: tuple[str, ...] = ()  # fields of the convention that nothing published states
-    time_scale: Literal["gps", "utc"] = "gps"  # time scale of the stamps, unless the caller gives another
-    week: int | None = None  # from the file itself
-    leap_seconds: int | None = None
+    convention: Convention  # of the format or the file
+    assumed: tuple[str, ...] = ()  # fields of the convention that are not published
+    time_scale: Literal["gps", "utc"] = "gps"  # of the stamps, unless the caller states another
+    week: int | None = None  # GPS week that the file states
+    leap_seconds: int | None = None  # GPS minus UTC [s] that the file states
     # Further columns (row,) with their attributes
     others: Mapping[str, tuple[NDArray[Any], Mapping[str, str]]] = field(default_factory=dict, repr=False)
-    attrs: Mapping[str, Any] = field(default_factory=dict)  # anything else that is to be kept
+    attrs: Mapping[str, Any] = field(default_factory=dict)  # further attributes of the dataset
 
 
 def check_poses(values: Mapping[str, NDArray[np.float64]], unit: str, problems: Problems, row: str) -> None:
-    """Note positions and angles out of range; NaN is allowed.
+    """Note positions and angles that are out of range; NaN is accepted.
 
     values: `POSE`: latitude and longitude [degree], altitude [m].
-    unit: Of roll, pitch and heading: ``"degree"`` or ``"radian"``.
-    problems: Takes the faults.
+    unit: Unit of roll, pitch and heading: ``"degree"`` or ``"radian"``.
+    problems: Receives the faults.
     row: Name of a row of the file in messages.
     """
     for name, limit in LIMITS.items():
-        # a heading less an angle of wander may pass a full turn
+        # heading minus wander angle may exceed a full turn
         maximum = 2.0 * np.pi * 1.25 if name in _ATTITUDE and unit == "radian" else limit * 1.25
         maximum = limit if name not in _ATTITUDE else maximum
         with np.errstate(invalid="ignore"):
-            wrong = np.flatnonzero(~(np.abs(values[name]) <= maximum) & ~np.isnan(values[name]))
-        if wrong.size:
-            where = name_rows(wrong + 1, row)
+            invalid_rows = np.flatnonzero(~(np.abs(values[name]) <= maximum) & ~np.isnan(values[name]))
+        if invalid_rows.size:
+            rows_text = name_rows(invalid_rows + 1, row)
             problems.add(
-                f"{name} is {values[name][wrong[0]]:g} in {where}",
+                f"{name} is {values[name][invalid_rows[0]]:g} in {rows_text}",
                 expected=f"within +-{maximum:.4g}",
                 code="value-out-of-range",
             )
 
 
-def check_seconds(name: str, seconds: NDArray[np.float64], most: float, problems: Problems, row: str) -> None:
-    """Note times that are not finite, negative, or beyond ``most`` seconds."""
-    wrong = np.flatnonzero(~((seconds >= 0.0) & (seconds <= most)))
-    if wrong.size:
+def check_seconds(
+    name: str, seconds: NDArray[np.float64], max_seconds: float, problems: Problems, row: str
+) -> None:
+    """Note times that are not finite, negative, or greater than ``max_seconds``."""
+    invalid_rows = np.flatnonzero(~((seconds >= 0.0) & (seconds <= max_seconds)))
+    if invalid_rows.size:
         problems.add(
-            f"time is {seconds[wrong[0]]:g} s in {name_rows(wrong + 1, row)}",
-            expected=f"0 to {most:g} s",
-            mend=f"check that {name} is of this format",
+            f"time is {seconds[invalid_rows[0]]:g} s in {name_rows(invalid_rows + 1, row)}",
+            expected=f"0 to {max_seconds:g} s",
+            mend=f"check the format of {name}",
             code="value-out-of-range",
         )
 
@@ -124,63 +126,66 @@ def check_seconds(name: str, seconds: NDArray[np.float64], most: float, problems
 
 @dataclass(frozen=True)
 class Navigation:
-    """One navigation record."""
+    """Content of one ``imu_gps.txt``."""
 
     name: str  # file name, for messages
-    rows: NDArray[np.int64]  # line of the file of each row
-    # Clock column (lower case) to microseconds, (row,); ``"time of day"`` counts from midnight of the first
-    # row's day
+    rows: NDArray[np.int64]  # line number in the file of each row
+    # Microseconds (row,) by the name of the clock's column in lower case; ``"time of day"`` counts from
+    # midnight of the first row's day
     stamps: Mapping[str, NDArray[np.int64]]
-    # UTC, nanoseconds since 1970-01-01, (row,); None where the file holds no date
+    # UTC [ns since 1970-01-01] (row,); None if the file contains no date
     utc: NDArray[np.int64] | None
-    # ``latitude longitude altitude roll pitch heading`` [degree, m], (row,); NaN where unknown
+    # `POSE` (row,) [degree, m]; NaN if unknown
     values: Mapping[str, NDArray[np.float64]] = field(repr=False)
 
     def clock_for(self, index: FrameIndex) -> Clock:
-        """Return the clock of the frame index, tied to UTC by this record.
+        """Return the relation of the frame index's clock to UTC.
 
-        Raises TimeError: The record holds no UTC or no such clock, its stamps repeat or run backwards, its
-            clocks step against each other, or it does not overlap the frame index.
+        Raises TimeError: The record contains no UTC or no such clock, its stamps repeat or run backwards, one
+            of its clocks jumps relative to the other, or it does not overlap the frame index.
         """
-        wanted = _CLOCK_COLUMNS if index.clock == "instrument" else ("time of day",)
-        spans: list[str] = []
-        for column in wanted:
+        clock_columns = _CLOCK_COLUMNS if index.clock == "instrument" else ("time of day",)
+        uncovered_spans: list[str] = []
+        for column in clock_columns:
             stamp = self.stamps.get(column)
             if stamp is None or self.utc is None:
                 continue
             daily = column == "time of day"
             if not daily and not overlap(index.stamp, stamp):
-                spans.append(f"{column} {stamp.min()} to {stamp.max()}")
+                uncovered_spans.append(f"{column} {stamp.min()} to {stamp.max()}")
                 continue
             return tie_clock(stamp, self.utc, self.rows, f"{self.name}: {column}", daily=daily)
-        held = "; ".join(spans) or f"columns {sorted(self.stamps)}, {'no ' if self.utc is None else ''}UTC"
+        contents_text = (
+            "; ".join(uncovered_spans)
+            or f"columns {sorted(self.stamps)}, {'no ' if self.utc is None else ''}UTC"
+        )
         raise TimeError(
             (
                 f"{index.name} counts {index.clock} {index.stamp[0]} to {index.stamp[-1]} us, which "
-                f"{self.name} does not cover ({held})"
+                f"{self.name} does not cover ({contents_text})"
             ),
-            mend="give the navigation of this flight, or gps_time or date",
+            mend="pass the navigation of this flight, or gps_time or date",
             code="time-uncovered",
         )
 
     def dated_by(self, clock: Clock) -> Navigation:
-        """Return the record with UTC from a clock of the recording computer; rows outside are dropped."""
+        """Return the record with UTC from a clock of the recording computer; drop rows outside its range."""
         stamp = self.stamps.get("time of day")
         if self.utc is not None or stamp is None:
             return self
         check_increasing(stamp, self.rows, f"{self.name}: column 'time'")
         utc = clock.at(stamp).astype(np.int64)
-        return replace(self, utc=utc)._where(utc != NAT)
+        return replace(self, utc=utc)._of_rows(utc != NAT)
 
     def dated_at(self, midnight: int) -> Navigation:
         """Return the record with UTC from the recording computer's time of day.
 
-        midnight: 0 h of the first row's day on that clock [ns since 1970-01-01].
+        midnight: 0 h of the first row's day by the computer's clock [ns since 1970-01-01].
         """
         stamp = self.stamps.get("time of day")
         return self if stamp is None else replace(self, utc=midnight + stamp * 1000)
 
-    def _where(self, keep: NDArray[np.bool_]) -> Navigation:
+    def _of_rows(self, keep: NDArray[np.bool_]) -> Navigation:
         stamps = {name: stamp[keep] for name, stamp in self.stamps.items()}
         values = {name: value[keep] for name, value in self.values.items()}
         utc = None if self.utc is None else self.utc[keep]
@@ -192,38 +197,38 @@ class Navigation:
         """Return position and attitude at times, linear between rows.
 
         time: UTC [datetime64[ns]], NaT allowed, (along_track,).
-        max_gap_s: Longest interval [s] that is interpolated; by default 2.5 times the median one, at least
-            0.1 s.
-        Returns dict of (along_track,) float64: The names of `values`; NaN in gaps, outside the record and at
-            NaT.
-        Raises TimeError: The record has no UTC, or it runs backwards.
+        max_gap_s: Longest interval [s] that is interpolated; by default 2.5 times the median interval, at
+            least 0.1 s.
+        Returns dict of (along_track,) float64: By the names of `values`; NaN in gaps, outside the record and
+            at NaT.
+        Raises TimeError: The record contains no UTC, or UTC runs backwards.
         """
         if self.utc is None:
             raise TimeError(
-                f"{self.name} holds no UTC",
-                mend="give gps_time, or date and clock_offset_s",
+                f"{self.name} contains no UTC",
+                mend="pass gps_time, or date and clock_offset_s",
                 code="time-missing",
             )
         refuse_backwards(self.name, self.utc, self.rows)
-        new = np.concatenate([[True], np.diff(self.utc) > 0])
-        knots = self.utc[new]
-        place, weight, inside = bracket(knots, time.astype("datetime64[ns]").astype(np.int64))
-        after = np.minimum(place + 1, len(knots) - 1)
+        is_new_time = np.concatenate([[True], np.diff(self.utc) > 0])
+        knots = self.utc[is_new_time]
+        knot, weight_after, is_inside = bracket(knots, time.astype("datetime64[ns]").astype(np.int64))
+        next_knot = np.minimum(knot + 1, len(knots) - 1)
         steps = np.diff(knots) / NS_PER_S
         gap = max_gap_s or max(2.5 * float(np.median(steps)) if steps.size else 0.0, 0.1)
-        covered = inside & ((knots[after] - knots[place]) / NS_PER_S <= gap)
+        is_covered = is_inside & ((knots[next_knot] - knots[knot]) / NS_PER_S <= gap)
         poses: dict[str, NDArray[np.float64]] = {}
         for name, value in self.values.items():
-            before = value[new][place]
-            step = value[new][after] - before
+            value_before = value[is_new_time][knot]
+            difference = value[is_new_time][next_knot] - value_before
             if name in ("heading", "longitude"):
-                step = (step + 180.0) % 360.0 - 180.0  # the short way round
-            result = before + weight * step
+                difference = (difference + 180.0) % 360.0 - 180.0  # the shorter way round
+            pose = value_before + weight_after * difference
             if name == "heading":
-                result %= 360.0
+                pose %= 360.0
             elif name == "longitude":
-                result = (result + 180.0) % 360.0 - 180.0
-            poses[name] = np.where(covered, result, np.nan)
+                pose = (pose + 180.0) % 360.0 - 180.0
+            poses[name] = np.where(is_covered, pose, np.nan)
         return poses
 
 
@@ -232,25 +237,25 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
 
     All have ``Roll Pitch Yaw Lat Lon Alt`` [degree, m]; the clock is ``Timestamp`` in microseconds with
     ``Gps_UTC_Date&Time``, or ``Time`` of the recording computer, or ``SystemTime`` and ``GPS_UTC`` with a
-    date that spells its month. ``heading`` is ``Yaw``, which belongs to roll and pitch; what the column
-    ``Heading`` means is not published. Rows before the inertial system has aligned (``Roll`` exactly 0) have
-    no attitude, and are dropped where their date does not agree with the others.
+    date whose month is a word. ``heading`` is ``Yaw``, which belongs to roll and pitch; the meaning of the
+    column ``Heading`` is not published. Rows before the inertial system has aligned (``Roll`` exactly 0) have
+    no attitude, and are dropped if their date disagrees with the other rows.
 
-    correction: How ``Gps_UTC_Date&Time`` becomes UTC; by default it is UTC.
-    Raises FormatError: Binary (some systems write another log under this name), without the columns, or cells
-        that are not numbers, angles or dates.
+    correction: Conversion of ``Gps_UTC_Date&Time`` to UTC; by default it is UTC.
+    Raises FormatError: The file is binary (some systems write another log under this name), lacks columns, or
+        contains cells that are not numbers, angles or dates.
     """
     table = read_table(path, "navigation record", needs=list(_COLUMNS))
     problems = Problems(f"{path} cannot be used as navigation", FormatError)
     values = {name: limited_numbers(table, key, limit, problems) for key, (name, limit) in _COLUMNS.items()}
     problems.raise_if_any()
-    unaligned = np.cumsum(values["roll"] != 0.0) == 0
-    nowhere = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
+    is_unaligned = np.cumsum(values["roll"] != 0.0) == 0
+    has_no_position = (values["latitude"] == 0.0) & (values["longitude"] == 0.0)
     for name in _ATTITUDE:
-        values[name][unaligned] = np.nan
+        values[name][is_unaligned] = np.nan
     for name in ("latitude", "longitude", "altitude"):
-        values[name][nowhere] = np.nan
-    utc = _dates(table, _UTC_COLUMN, unaligned) if _UTC_COLUMN in table.columns else None
+        values[name][has_no_position] = np.nan
+    utc = _dates(table, _UTC_COLUMN, is_unaligned) if _UTC_COLUMN in table.columns else None
     stamps: dict[str, NDArray[np.int64]] = {}
     for column in _CLOCK_COLUMNS:
         if column not in table.columns:
@@ -260,41 +265,41 @@ def read_imu_gps(path: str | Path, correction: ClockCorrection | None = None) ->
         except FormatError:
             if column == "timestamp":
                 raise
-            # of SystemTime and GPS_UTC either may be no count of microseconds
+            # SystemTime or GPS_UTC may be in another unit than microseconds, and is then ignored
     if "time" in table.columns:
         stamps["time of day"] = time_of_day(table, "time")[0]
     record = Navigation(table.name, table.rows, stamps, utc=None, values=values)
-    if unaligned.all():
+    if is_unaligned.all():
         message = f"{path}: Roll is 0 throughout, the inertial system never aligned: no attitude"
         warnings.warn(PaintWarning(message, code="attitude-missing"), stacklevel=2)
     if utc is None:
         return record
-    keep = _dated(utc, next(iter(record.stamps.values()), None), unaligned)
+    keep = _has_valid_date(utc, next(iter(record.stamps.values()), None), is_unaligned)
     if not keep.any():
         raise FormatError(f"{path}: no row with a date", code="date-missing")
     return replace(
         record, utc=(correction or ClockCorrection()).apply(np.where(keep, utc, utc[keep][0]))
-    )._where(keep)
+    )._of_rows(keep)
 
 
 def limited_numbers(
     table: Table, column: str, limit: float, problems: Problems, empty: str = ""
 ) -> NDArray[np.float64]:
-    """Return a column of numbers, NaN allowed; other cells and values beyond the limit are noted.
+    """Return a column of numbers or NaN; note other cells, and values beyond the limit.
 
-    empty: What an empty cell stands for, if for a number.
+    empty: Text to parse in place of an empty cell.
     """
     cells = [cell if cell.strip() else empty for cell in table.columns[column]]
     try:
         numbers = np.array(list(map(float, cells)))
     except ValueError:
         numbers = np.array([_number(cell) for cell in cells])
-    if "_" in "".join(cells):  # 1_000 is a number to Python only
+    if "_" in "".join(cells):  # float() would accept 1_000
         numbers[["_" in cell for cell in cells]] = np.inf
-    wrong = table.rows[np.abs(numbers) > limit]
-    if wrong.size:
+    invalid_rows = table.rows[np.abs(numbers) > limit]
+    if invalid_rows.size:
         problems.add(
-            f"column {column!r} is not a number within {limit:g} in {name_rows(wrong)}",
+            f"column {column!r} is not a number within {limit:g} in {name_rows(invalid_rows)}",
             code="value-out-of-range",
         )
     return numbers
@@ -307,25 +312,25 @@ def _number(cell: str) -> float:
         return np.inf
 
 
-def _dates(table: Table, column: str, unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
-    # Nanoseconds since 1970-01-01; NaT where an unaligned row has no date.
-    dates = instants([_iso(cell) for cell in table.columns[column]])
-    wrong = table.rows[np.isnat(dates) & ~unaligned]
-    if wrong.size:
+def _dates(table: Table, column: str, is_unaligned: NDArray[np.bool_]) -> NDArray[np.int64]:
+    # Return nanoseconds since 1970-01-01; NaT for an unaligned row without a date.
+    dates = instants([_iso_text(cell) for cell in table.columns[column]])
+    invalid_rows = table.rows[np.isnat(dates) & ~is_unaligned]
+    if invalid_rows.size:
         raise FormatError(
-            f"{table.name}: column {column!r} is unreadable in {name_rows(wrong)}",
+            f"{table.name}: column {column!r} is unreadable in {name_rows(invalid_rows)}",
             expected="times such as '2021/07/23 12:34:56.789'",
             code="time-unreadable",
         )
     return dates.astype(np.int64)
 
 
-def _iso(cell: str) -> str:
+def _iso_text(cell: str) -> str:
     match = _DATE_TIME.fullmatch(cell.strip())
     if match is None:
         return "NaT"
     year, month, day, hour, minute, second, fraction = match.groups()
-    # beyond these years nanoseconds overflow, and a receiver without a fix shows its epoch
+    # outside these years nanoseconds may overflow, or a receiver without a fix writes its epoch
     if not "1980" <= year < "2200":
         return "NaT"
     if not month.isdigit():
@@ -335,16 +340,18 @@ def _iso(cell: str) -> str:
     return f"{year}-{month:0>2}-{day:0>2}T{hour:0>2}:{minute}:{second}.{fraction or '0'}"
 
 
-def _dated(
-    utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, unaligned: NDArray[np.bool_]
+def _has_valid_date(
+    utc: NDArray[np.int64], stamp: NDArray[np.int64] | None, is_unaligned: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    # Which rows have a date; an unaligned row needs one that agrees with the aligned rows.
-    dated: NDArray[np.bool_] = np.not_equal(utc, NAT)
-    aligned = dated & ~unaligned
-    if stamp is None or not aligned.any():
-        return dated
+    # Return which rows have a date; that of an unaligned row must agree with the aligned rows.
+    has_time: NDArray[np.bool_] = np.not_equal(utc, NAT)
+    is_aligned = has_time & ~is_unaligned
+    if stamp is None or not is_aligned.any():
+        return has_time
     offset = utc / 1e9 - stamp / 1e6
-    has_date: NDArray[np.bool_] = dated & ((np.abs(offset - np.median(offset[aligned])) < 1.0) | ~unaligned)
+    has_date: NDArray[np.bool_] = has_time & (
+        (np.abs(offset - np.median(offset[is_aligned])) < 1.0) | ~is_unaligned
+    )
     return has_date
 
 
@@ -352,17 +359,17 @@ def _dated(
 
 
 def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -> Clock:
-    """Read ``gps_time.txt``, which ties the recording computer's time of day to the receiver's clock.
+    """Read ``gps_time.txt``, which relates the recording computer's time of day to the receiver's clock.
 
-    path: The file: ``HH:MM:SS <microseconds>``, a tab, date and time. A first line that is neither is taken
-        for a header.
-    correction: How the receiver's stamps become UTC; by default they are UTC.
-    Raises FormatError: Binary, or rows that are not such pairs.
-    Raises TimeError: Stamps repeat or run backwards, or the two clocks step against each other.
+    path: Rows of ``HH:MM:SS <microseconds>``, a tab, date and time. A first line of other content is ignored
+        as a header.
+    correction: Conversion of the receiver's stamps to UTC; by default they are UTC.
+    Raises FormatError: The file is binary, or rows are not such pairs.
+    Raises TimeError: Stamps repeat or run backwards, or one clock jumps relative to the other.
     """
     path = Path(path)
     lines = [(number, line) for number, line in enumerate(read_text(path).split("\n"), 1) if line.strip()]
-    if lines and _iso(lines[0][1].partition("\t")[2]) == "NaT":
+    if lines and _iso_text(lines[0][1].partition("\t")[2]) == "NaT":
         del lines[0]
     if not lines:
         raise FormatError(
@@ -370,13 +377,14 @@ def read_gps_time(path: str | Path, correction: ClockCorrection | None = None) -
         )
     rows = np.array([number for number, _ in lines], np.int64)
     pairs = [line.split("\t") for _, line in lines]
-    wrong = [int(row) for row, pair in zip(rows, pairs, strict=True) if len(pair) < 2]
-    if wrong:
+    rows_without_tab = [int(row) for row, pair in zip(rows, pairs, strict=True) if len(pair) < 2]
+    if rows_without_tab:
         raise FormatError(
-            f"{path}: {name_rows(wrong)} without a tab between computer time and receiver time",
+            f"{path}: {name_rows(rows_without_tab)} without a tab between computer time and receiver time",
             code="row-unreadable",
         )
-    table = Table(path.name, rows, {"pc": [pair[0] for pair in pairs], "pos": [pair[1] for pair in pairs]})
-    utc = _dates(table, "pos", np.zeros(len(rows), bool))
+    columns = {name: [pair[k] for pair in pairs] for k, name in enumerate(("computer", "receiver"))}
+    table = Table(path.name, rows, columns)
+    utc = _dates(table, "receiver", np.zeros(len(rows), bool))
     utc = (correction or ClockCorrection()).apply(utc)
-    return tie_clock(time_of_day(table, "pc")[0], utc, rows, path.name, daily=True)
+    return tie_clock(time_of_day(table, "computer")[0], utc, rows, path.name, daily=True)

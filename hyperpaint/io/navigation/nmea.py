@@ -29,45 +29,44 @@ _ANGLE = re.compile(r"([0-9]{1,3})([0-9]{2}(?:\.[0-9]{1,12})?)")
 _NUMBER = re.compile(r"[+-]?[0-9]{1,9}(?:\.[0-9]{0,12})?")
 _DAY_S = 86_400
 _HALF_DAY_S = 43_200.0
-#: Qualities of GGA that are measured positions; not estimated, manual and simulated ones.
-_FIXES = (1, 2, 3, 4, 5, 9)
-#: Share of sentences with a wrong checksum above which a log is refused [1].
+#: Quality codes of GGA for measured positions, without estimated, manual and simulated ones.
+_MEASURED_QUALITIES = (1, 2, 3, 4, 5, 9)
+#: Largest share of sentences with a wrong checksum [1].
 _MAX_DAMAGED_SHARE = 0.5
 
 
 def is_nmea(head: bytes) -> bool:
-    """Return whether the first bytes of a file hold positions in NMEA sentences."""
+    """Return whether the first bytes of a file contain NMEA sentences with positions."""
     return any("GGA" in match[1][:6] for match in _SENTENCE.finditer(head.decode("latin-1")))
 
 
 def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     """Read a log of NMEA 0183 sentences.
 
-    A row is a GGA sentence with a fix: its time of day in UTC, position, and height above the ellipsoid, the
-    sum of its height above mean sea level and the geoid's; above the geoid where a sentence lacks the latter.
-    The date comes from RMC or ZDA. Roll, pitch and heading come from PASHR of the same time, heading else
-    from HDT or THS beside it; the course over ground is not the heading, and is not read. Other text in a
-    line, before a sentence or instead of one, is passed over, and so are sentences with a wrong checksum,
-    which are counted.
+    Each GGA sentence with a fix gives a row: time of day in UTC, position, and height above the ellipsoid,
+    which is the sum of its heights above mean sea level and of the geoid. If a sentence lacks the latter, all
+    heights are above the geoid. The date comes from RMC or ZDA. Roll, pitch and heading come from PASHR of
+    the same time; without it, heading comes from the HDT or THS before or after the GGA sentence. The course
+    over ground is not the heading, and is ignored, as are other texts, and sentences with a wrong checksum.
 
     path: The log.
-    midnight: 0 h UTC of the first row's day [ns since 1970-01-01], where no sentence says the date.
-    Returns PoseRecord: Angles [degree], NaN where none is known. What a receiver calls roll and pitch is not
-        in the standard: their signs are assumed.
-    Raises FormatError: No position with a fix, damaged sentences, or values that are no positions and angles.
-    Raises TimeError: No date, or time runs backwards.
-    Warns PaintWarning: Damaged sentences; no attitude in the whole log.
+    midnight: 0 h UTC of the first row's day [ns since 1970-01-01], for a log without dates.
+    Returns PoseRecord: Angles [degree], NaN if unknown. The standard does not define the signs of roll and
+        pitch, which are assumed.
+    Raises FormatError: No position with a fix, too many damaged sentences, or positions and angles out of
+    range. Raises TimeError: No date, or time runs backwards. Warns PaintWarning: Damaged sentences; no
+    attitude in the whole log.
     """
     path = Path(path)
     text = read_text(path, _MAX_BYTES, MAX_TABLE_ROWS)
     log = _Log(path)
-    for fields in _sound_sentences(path, text):
+    for fields in _valid_sentences(path, text):
         log.take(fields)
         if len(log.rows) > _MAX_POSITIONS:
             raise FormatError(
                 f"{path}: over {_MAX_POSITIONS} positions",
                 expected="a log of hours",
-                mend="cut the log to the flight",
+                mend="shorten the log to the flight",
                 code="file-too-large",
             )
     log.problems.raise_if_any()
@@ -75,14 +74,14 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
         raise FormatError(
             f"{path}: no position with a fix", expected="GGA sentences of NMEA 0183", code="position-missing"
         )
-    day = log.first_day if log.first_day is not None else midnight
-    if day is None:
+    midnight_ns = log.first_day if log.first_day is not None else midnight
+    if midnight_ns is None:
         raise TimeError(
-            f"{path.name} holds no date (RMC or ZDA)",
-            mend="give date='YYYY-MM-DD' of its first row",
+            f"{path.name} contains no date (RMC or ZDA)",
+            mend="pass date='YYYY-MM-DD' of its first row",
             code="date-missing",
         )
-    stamp = np.rint(np.array(list(log.rows)) * NS_PER_S).astype(np.int64) + day
+    stamp = np.rint(np.array(list(log.rows)) * NS_PER_S).astype(np.int64) + midnight_ns
     names = (*POSE, "separation")
     values = {name: np.array([row.get(name, np.nan) for row in log.rows.values()]) for name in names}
     separation = values.pop("separation")
@@ -93,7 +92,7 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     log.problems.raise_if_any()
     refuse_backwards(path.name, stamp, row="position")
     if all(np.isnan(values[name]).all() for name in ("roll", "pitch", "heading")):
-        text = f"{path.name} holds positions alone: no roll, pitch or heading (PASHR, HDT or THS)"
+        text = f"{path.name} contains no roll, pitch or heading (PASHR, HDT or THS)"
         warnings.warn(PaintWarning(text, code="attitude-missing"), stacklevel=3)
     return PoseRecord(
         path.name,
@@ -107,8 +106,8 @@ def read_nmea(path: str | Path, midnight: int | None = None) -> PoseRecord:
     )
 
 
-def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
-    # The fields of sentences with a correct checksum.
+def _valid_sentences(path: Path, text: str) -> Iterator[list[str]]:
+    # Yield the fields of each sentence with a correct checksum; warn of others, or refuse the log.
     damaged = total = 0
     for match in _SENTENCE.finditer(text):
         total += 1
@@ -123,19 +122,19 @@ def _sound_sentences(path: Path, text: str) -> Iterator[list[str]]:
             code="checksum-wrong",
         )
     if damaged:
-        message = f"{path.name}: {damaged} of {total} sentences have a wrong checksum, and are left out"
+        message = f"{path.name}: {damaged} of {total} sentences have a wrong checksum, and are ignored"
         warnings.warn(PaintWarning(message, code="checksum-wrong"), stacklevel=4)
 
 
 class _Log:
-    # Rows of a log, built from its sentences.
+    # Collects the sentences of a log into rows.
     def __init__(self, path: Path) -> None:
-        self.rows: dict[float, dict[str, float]] = {}  # seconds from 0 h of the first day to a position
-        self.first_day: int | None = None  # [ns since 1970-01-01]
+        self.rows: dict[float, dict[str, float]] = {}  # poses by seconds from 0 h of the first day
+        self.first_day: int | None = None  # 0 h of the first day [ns since 1970-01-01]
         self.problems = Problems(f"{path} cannot be used as a log of NMEA sentences", FormatError)
-        self._last: float | None = None
-        self._heading: float | None = None  # of the position that is still to come
-        self._heading_first = False  # whether an epoch begins with it
+        self._last_seconds: float | None = None  # of the previous sentence with a time
+        self._heading_ahead: float | None = None  # for the next position
+        self._is_heading_first = False  # whether the heading precedes its position
         self._readers: dict[str, Callable[[list[str]], None]] = {
             "GGA": self._take_gga,
             "RMC": self._take_rmc,
@@ -144,22 +143,24 @@ class _Log:
             "HDT": self._take_hdt,
             "THS": self._take_ths,
         }
-        self._turned: dict[float, dict[str, float]] = {}  # attitudes whose position is still to come
+        self._attitudes_ahead: dict[
+            float, dict[str, float]
+        ] = {}  # attitudes of positions that follow, by seconds
 
     def take(self, fields: list[str]) -> None:
         kind = fields[0][-3:] if fields[0] != "PASHR" else "PASHR"
         try:
             self._readers[kind](fields)
         except (ValueError, LookupError):
-            if len(self.problems) < 5:  # the first ones suffice
+            if len(self.problems) < 5:
                 self.problems.add(
                     f"sentence {','.join(fields)[:60]!r} does not follow NMEA 0183", code="row-unreadable"
                 )
 
     def _take_gga(self, fields: list[str]) -> None:
-        if int(fields[6] or 0) not in _FIXES or not fields[2]:
+        if int(fields[6] or 0) not in _MEASURED_QUALITIES or not fields[2]:
             return
-        seconds = self._seconds(fields[1])
+        seconds = self._record_seconds(fields[1])
         if seconds in self.rows:
             return
         row = self.rows[seconds] = {
@@ -168,14 +169,14 @@ class _Log:
             "altitude": _number(fields[9]),
             "separation": _number(fields[11]),
         }
-        if self._heading is not None:
-            row["heading"], self._heading = self._heading, None
-        row.update(self._turned.pop(seconds, {}))
-        self._turned.clear()
+        if self._heading_ahead is not None:
+            row["heading"], self._heading_ahead = self._heading_ahead, None
+        row.update(self._attitudes_ahead.pop(seconds, {}))
+        self._attitudes_ahead.clear()
 
     def _take_rmc(self, fields: list[str]) -> None:
         if fields[2] == "A":
-            day, month, year = (int(fields[9][at : at + 2]) for at in (0, 2, 4))
+            day, month, year = (int(fields[9][start : start + 2]) for start in (0, 2, 4))
             self._date(fields[1], f"{2000 + year if year < 80 else 1900 + year}-{month:02}-{day:02}")
 
     def _take_zda(self, fields: list[str]) -> None:
@@ -184,22 +185,22 @@ class _Log:
 
     def _take_pashr(self, fields: list[str]) -> None:
         if len(fields) < 6 or not _CLOCK.fullmatch(fields[1]):
-            return  # another of its maker's sentences
-        seconds = self._seconds(fields[1])
-        places = {"heading": 2, "roll": 4, "pitch": 5}
-        pose = {name: _number(fields[place]) for name, place in places.items() if fields[place]}
+            return  # another sentence of the same maker
+        seconds = self._record_seconds(fields[1])
+        field_numbers = {"heading": 2, "roll": 4, "pitch": 5}
+        pose = {name: _number(fields[number]) for name, number in field_numbers.items() if fields[number]}
         if seconds in self.rows:
             self.rows[seconds].update(pose)
         else:
-            self._turned[seconds] = pose
+            self._attitudes_ahead[seconds] = pose
 
     def _take_hdt(self, fields: list[str]) -> None:
         if not fields[1]:
             return
-        # it has no time: it belongs to the position before or after it, as the log begins
-        self._heading_first |= not self.rows
-        if self._heading_first:
-            self._heading = _number(fields[1])
+        # without a time: belongs to the next position if the log begins with it, else to the previous one
+        self._is_heading_first |= not self.rows
+        if self._is_heading_first:
+            self._heading_ahead = _number(fields[1])
         else:
             self.rows[next(reversed(self.rows))].setdefault("heading", _number(fields[1]))
 
@@ -207,27 +208,27 @@ class _Log:
         if fields[2] == "A":
             self._take_hdt(fields)
 
-    def _seconds(self, clock: str) -> float:
-        # Seconds from 0 h of the first row's day.
+    def _record_seconds(self, clock: str) -> float:
+        # Return seconds from 0 h of the first row's day.
         match = _CLOCK.fullmatch(clock)
         if match is None:
             raise ValueError(clock)
-        of_day = int(match[1]) * 3600.0 + int(match[2]) * 60.0 + float(match[3])
-        if self._last is None:
-            self._last = of_day
-        # the day that brings it nearest to the sentence before: some are late
-        self._last += (of_day - self._last + _HALF_DAY_S) % _DAY_S - _HALF_DAY_S
-        return round(self._last, 9)
+        seconds_of_day = int(match[1]) * 3600.0 + int(match[2]) * 60.0 + float(match[3])
+        if self._last_seconds is None:
+            self._last_seconds = seconds_of_day
+        # some sentences are late: choose the day that is nearest to the previous sentence
+        self._last_seconds += (seconds_of_day - self._last_seconds + _HALF_DAY_S) % _DAY_S - _HALF_DAY_S
+        return round(self._last_seconds, 9)
 
     def _date(self, clock: str, date: str) -> None:
-        days = int(self._seconds(clock) // _DAY_S)
-        day = int(np.datetime64(date, "ns").astype(np.int64)) - days * _DAY_S * NS_PER_S
+        days = int(self._record_seconds(clock) // _DAY_S)
+        first_midnight = int(np.datetime64(date, "ns").astype(np.int64)) - days * _DAY_S * NS_PER_S
         if self.first_day is None:
-            self.first_day = day
+            self.first_day = first_midnight
 
 
 def _angle(text: str) -> float:
-    # ``dddmm.mmmm`` to degrees.
+    # Convert ``dddmm.mmmm`` to degrees.
     match = _ANGLE.fullmatch(text)
     if match is None:
         raise ValueError(text)

@@ -447,7 +447,7 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
     Raises
     ------
     FormatError
-        A file lacks these lines: runs over a filter are refused, because they print sums.
+        A file lacks these lines, as runs over a filter do, which print sums over wavelengths.
     SchemaError
         The sun is not above the horizon.
 
@@ -473,8 +473,8 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
     rows = np.array([_run(path) for path in paths], np.float64).reshape(-1, 4)
     micron, direct, diffuse, environment = rows.T
     per_nm = 1e-3
-    level = per_nm * direct / np.cos(np.radians(sun_zenith))
-    return sky_dataset("6S", 1000.0 * micron, level, per_nm * (diffuse + environment))
+    direct_normal = per_nm * direct / np.cos(np.radians(sun_zenith))
+    return sky_dataset("6S", 1000.0 * micron, direct_normal, per_nm * (diffuse + environment))
 
 
 def _run(path: str | Path) -> tuple[float, ...]:

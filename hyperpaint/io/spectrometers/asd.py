@@ -16,6 +16,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.schema import VARIABLES, label
 
@@ -38,10 +39,10 @@ from .spectrum_files import (
 Kind = Literal["binary", "text", "csv", "unknown"]
 
 _QUANTITY_OF_DATA_TYPE = {"raw": "counts", **{name: name for name in QUANTITIES[1:]}}
-#: Keys of calibration files, and the kind of block that each replaces.
+#: Kind of the block that a calibration file replaces, by its key in ``calibration``.
 _CALIBRATION_KEYS = {"lamp": "LMP", "fore_optic": "FO", "panel": "BSE", "absolute": "ABS"}
 
-_NEEDED_BLOCKS = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
+_BLOCKS_BY_QUANTITY = {"irradiance": ("LMP", "FO"), "radiance": ("LMP", "FO", "BSE")}
 _HEAD_BYTES = 16 * 1024
 _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 
@@ -50,18 +51,18 @@ _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 class Spectrum:
     """One spectrum in one quantity, from any kind of file."""
 
-    source: str  # file name; for one of many in a file, with its column
-    wavelength: Floats  # (wavelength), float64; [nm] and the units of the quantity
+    source: str  # file name, with the column if the file holds several spectra
+    wavelength: Floats  # (wavelength) [nm], float64
     values: Floats
-    # Stamp of the logging PC, its zone [h] and the averaging window [s]; None where the file does not say
+    # Local time of the logging PC, its UTC offset [h], and the averaging window [s]; None if not in the file
     local_time: dt.datetime | None = None
     utc_offset_h: float | None = None
     averaging_s: float | None = None
     dark_utc: dt.datetime | None = None  # as in `AsdFile`
     gps: AsdGps | None = None
-    # (wavelength), where the file flags the detector as saturated
+    # (wavelength), True at channels of a detector that the file flags as saturated
     saturated: npt.NDArray[np.bool_] | None = None
-    path: Path | None = None  # where the file is
+    path: Path | None = None
     # White panel whose reflectance scales the spectrum; empty where reflectance is relative
     panel: str = ""
 
@@ -141,17 +142,17 @@ def open_asd(
     """
     files = find_files(paths)
     spectra, quantity = read_spectra(files, quantity, absolute=absolute, calibration=calibration)
-    stamped = [s for s in spectra if s.local_time is not None]
-    if utc_offset_h is None and (silent := [s for s in stamped if s.utc_offset_h is None]):
-        text = f"local times are NaT, since {_zoneless(silent)}"
+    with_stamp = [s for s in spectra if s.local_time is not None]
+    if utc_offset_h is None and (without_zone := [s for s in with_stamp if s.utc_offset_h is None]):
+        text = f"local times are NaT, since {_missing_zone_text(without_zone)}"
         warnings.warn(PaintWarning(text, code="zone-missing"), stacklevel=2)
-        stamped = [s for s in stamped if s.utc_offset_h is not None]
-    offsets = dict(zip(map(id, stamped), utc_offsets(stamped, utc_offset_h), strict=True))
+        with_stamp = [s for s in with_stamp if s.utc_offset_h is not None]
+    offsets = dict(zip(map(id, with_stamp), utc_offsets(with_stamp, utc_offset_h), strict=True))
     times = np.full(len(spectra), np.datetime64("NaT", "ns"))
-    for place, spectrum in enumerate(spectra):
+    for number, spectrum in enumerate(spectra):
         if spectrum.local_time is not None and id(spectrum) in offsets:
             offset = np.timedelta64(round(offsets[id(spectrum)] * 3600e9), "ns")
-            times[place] = np.datetime64(spectrum.local_time, "ns") - offset
+            times[number] = np.datetime64(spectrum.local_time, "ns") - offset
     order = np.argsort(times, kind="stable")  # NaT last
     spectra = [spectra[i] for i in order]
     values = xr.DataArray(np.stack([s.values for s in spectra]), dims=("spectrum", "wavelength"))
@@ -171,23 +172,23 @@ def open_asd(
 
 
 def _coords(spectra: Sequence[Spectrum], times: npt.NDArray[np.datetime64]) -> dict[str, Any]:
-    names = name_spectra([(s.path or Path(s.source), _name_of(s)) for s in spectra])
-    about_wavelength = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
+    names = name_spectra([(s.path or Path(s.source), _column_or_file_name(s)) for s in spectra])
+    wavelength_attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
     coords: dict[str, Any] = {
         "spectrum": ("spectrum", np.array(names, object), {"long_name": "Name of the spectrum"}),
-        "wavelength": ("wavelength", spectra[0].wavelength, about_wavelength),
+        "wavelength": ("wavelength", spectra[0].wavelength, wavelength_attrs),
         "time": ("spectrum", times, {"long_name": "UTC at which the spectrum was saved"}),
         "source": ("spectrum", np.array([s.source for s in spectra], object), {"long_name": "File"}),
     }
     for name in ("latitude", "longitude", "altitude"):
-        coordinates = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
+        positions = [np.nan if s.gps is None else getattr(s.gps, name) for s in spectra]
         attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
-        coords[name] = ("spectrum", np.array(coordinates, np.float64), attrs)
+        coords[name] = ("spectrum", np.array(positions, np.float64), attrs)
     return coords
 
 
-def _name_of(spectrum: Spectrum) -> str:
-    # The name of a file without its suffixes, or of a column in it.
+def _column_or_file_name(spectrum: Spectrum) -> str:
+    # Return the column of a text export, or else the file name, without file endings.
     name = spectrum.source.rpartition(":")[2]
     while name.lower().endswith((".asd", *_TEXT_SUFFIXES)):  # ViewSpec adds its ending: paint.asd.txt
         name = name[:-4]
@@ -197,9 +198,9 @@ def _name_of(spectrum: Spectrum) -> str:
 def find_files(paths: Paths) -> list[Path]:
     """Return the files of ``paths``: a file, a glob, a folder of spectra, or a list of these.
 
-    Of a folder, the ``.asd`` files (or the numbered ``.000`` ones of old software), else its text files.
+    From a folder, the ``.asd`` files (of old software: ``.000`` and other numbers), or else its text files.
 
-    Raises FormatError: Nothing is there.
+    Raises FormatError: No such file is found.
     """
 
     def of_folder(files: list[Path]) -> list[Path]:
@@ -223,10 +224,8 @@ def read_spectra(
     Raises FormatError: See `open_asd`.
     Raises SchemaError: See `open_asd`.
     """
-    if quantity is not None and quantity not in QUANTITIES:
-        raise SchemaError(
-            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
-        )
+    if quantity is not None:
+        one_of(quantity, QUANTITIES, "quantity")
     # calibration files of the caller, by kind of block
     calibration = calibration or {}
     if unknown := sorted(set(calibration) - set(_CALIBRATION_KEYS)):
@@ -236,32 +235,34 @@ def read_spectra(
             code="key-unknown",
         )
     calibration_files = for_all(calibration.values(), read_asd)
-    external = {
+    external_files = {
         _CALIBRATION_KEYS[key]: file for key, file in zip(calibration, calibration_files, strict=True)
     }
     contents = for_all(files, _read_file)
-    wanted = quantity or _common_quantity(contents)
-    if absolute and wanted != "reflectance":
+    target_quantity = quantity or _common_quantity(contents)
+    if absolute and target_quantity != "reflectance":
         raise SchemaError(
-            f"absolute=True with quantity {wanted!r}",
+            f"absolute=True with quantity {target_quantity!r}",
             expected="reflectance",
             mend="omit absolute=, or pass quantity='reflectance'",
             code="option-conflict",
         )
-    derived = for_all(contents, lambda content: _spectra_of(content, wanted, external, absolute))
+    spectra_by_file = for_all(
+        contents, lambda content: _spectra_of(content, target_quantity, external_files, absolute)
+    )
     spectra = [
         replace(spectrum, path=path)
-        for path, of_file in zip(files, derived, strict=True)
-        for spectrum in of_file
+        for path, file_spectra in zip(files, spectra_by_file, strict=True)
+        for spectrum in file_spectra
     ]
     require_one_grid((spectrum.source, spectrum.wavelength) for spectrum in spectra)
-    with_dark = [
+    names_with_dark = [
         content.name for content in contents if isinstance(content, AsdFile) and not content.dark_subtracted
     ]
-    if with_dark and wanted != "counts":
-        text = f"the dark current was not subtracted, so that {wanted} is biased, in: {listed(with_dark)}"
+    if names_with_dark and target_quantity != "counts":
+        text = f"{target_quantity} is biased: dark current not subtracted in {listed(names_with_dark)}"
         warnings.warn(PaintWarning(text, code="dark-not-subtracted"), stacklevel=2)
-    return mask_undefined(spectra, wanted), wanted
+    return mask_undefined(spectra, target_quantity), target_quantity
 
 
 def _read_file(path: Path) -> AsdFile | AsdText:
@@ -310,11 +311,11 @@ def _common_quantity(contents: Sequence[AsdFile | AsdText]) -> str:
 
 
 def _spectra_of(
-    content: AsdFile | AsdText, quantity: str, external: Mapping[str, AsdFile], absolute: bool
+    content: AsdFile | AsdText, quantity: str, external_files: Mapping[str, AsdFile], absolute: bool
 ) -> list[Spectrum]:
     if isinstance(content, AsdFile):
-        wavelength, values, saturated = _derived(content, quantity, external, absolute=absolute)
-        panel = external.get("ABS", content.calibrations.get("ABS"))
+        wavelength, values, saturated = _in_quantity(content, quantity, external_files, absolute=absolute)
+        panel = external_files.get("ABS", content.calibrations.get("ABS"))
         return [
             Spectrum(
                 content.name,
@@ -331,17 +332,17 @@ def _spectra_of(
         ]
     if absolute:
         raise FormatError(
-            f"{content.name}: a text export cannot be scaled by the reflectance of its panel",
-            mend="give the binary file",
+            f"{content.name}: a text export does not contain the panel's reflectance, which absolute= needs",
+            mend="open the binary file",
             code="option-conflict",
         )
     averaging_s = None
     if content.integration_ms is not None:
         averaging_s = content.integration_ms * 1e-3 * max(content.sample_averages or 1, 1)
-    several = len(content.spectra) > 1
+    has_several = len(content.spectra) > 1
     return [
         Spectrum(
-            f"{content.name}:{column}" if several else content.name,
+            f"{content.name}:{column}" if has_several else content.name,
             content.wavelength,
             values,
             content.local_time,
@@ -352,21 +353,21 @@ def _spectra_of(
 
 
 def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
-    """Replace saturated and undefined samples, and empty spectra, by NaN, with a warning."""
+    """Replace saturated and undefined samples, and spectra of only zeros, by NaN, with a warning."""
     reasons: dict[str, list[str]] = {}
     masked = []
     for spectrum in spectra:
-        undefined = ~np.isfinite(spectrum.values)
-        if undefined.any():
+        is_undefined = ~np.isfinite(spectrum.values)
+        if is_undefined.any():
             reasons.setdefault("undefined (not finite)", []).append(spectrum.source)
         if quantity != "counts" and not spectrum.values.any():
             reasons.setdefault("zero throughout", []).append(spectrum.source)
-            undefined[:] = True
-        # raw counts stay as they are: their user looks for saturation there
+            is_undefined[:] = True
+        # saturated counts are kept: users examine them for saturation
         if quantity != "counts" and spectrum.saturated is not None and spectrum.saturated.any():
             reasons.setdefault("saturated", []).append(spectrum.source)
-            undefined |= spectrum.saturated
-        masked.append(replace(spectrum, values=np.where(undefined, np.nan, spectrum.values)))
+            is_undefined |= spectrum.saturated
+        masked.append(replace(spectrum, values=np.where(is_undefined, np.nan, spectrum.values)))
     for reason, names in reasons.items():
         text = (
             f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
@@ -381,10 +382,10 @@ def utc_offsets(
     """Return local time minus UTC [h] of each spectrum.
 
     spectra: With the zone of the logging PC, where the file holds it.
-    utc_offset_h: The user's word, which wins over the files', with a warning where these differ.
-    one_clock: The spectra are one series off one PC: files that say nothing take the offset of those that do,
+    utc_offset_h: Given by the user. It takes precedence over the files' offsets; a difference is warned of.
+    one_clock: Whether one PC stamped all spectra. Files without an offset then get that of the other files,
         which must agree.
-    Raises TimeError: An offset is unknown or impossible, or the files of one series contradict one another.
+    Raises TimeError: An offset is unknown or impossible, or the offsets of one PC differ.
     """
     sources_by_offset: dict[float, list[str]] = {}
     for spectrum in spectra:
@@ -394,7 +395,7 @@ def utc_offsets(
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
         if set(sources_by_offset) - {utc_offset_h}:
-            text = f"utc_offset_h={utc_offset_h:+g} is used although the files say otherwise: {offsets_text}"
+            text = f"utc_offset_h={utc_offset_h:+g} is used, although the files have {offsets_text}"
             warnings.warn(PaintWarning(text, code="utc-offset-conflict"), stacklevel=2)
         return [utc_offset_h] * len(spectra)
     if one_clock and len(sources_by_offset) > 1:
@@ -405,26 +406,28 @@ def utc_offsets(
         )
     if one_clock and sources_by_offset:
         return [next(iter(sources_by_offset))] * len(spectra)
-    silent = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
-    if silent:
-        raise TimeError(f"the time stamps are local, and {_zoneless(silent)}", code="zone-missing")
+    without_zone = [spectrum for spectrum in spectra if spectrum.utc_offset_h is None]
+    if without_zone:
+        raise TimeError(
+            f"the time stamps are local, and {_missing_zone_text(without_zone)}", code="zone-missing"
+        )
     return [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
 
 
-def _zoneless(silent: Sequence[Spectrum]) -> str:
-    hint = next((hint for hint in map(_offset_hint, silent) if hint), "")
-    files = listed([spectrum.source for spectrum in silent])
+def _missing_zone_text(without_zone: Sequence[Spectrum]) -> str:
+    hint = next((hint for hint in map(_offset_hint, without_zone) if hint), "")
+    files = listed([spectrum.source for spectrum in without_zone])
     return (
-        "the files do not say their zone; pass utc_offset_h= (local time minus UTC in hours)"
+        "the files contain no UTC offset; pass utc_offset_h= (local time minus UTC in hours)"
         f"{hint}. Files: {files}"
     )
 
 
 def _offset_hint(spectrum: Spectrum) -> str:
-    # A UTC offset suggested by the GPS, or by the dark current, which is stamped in UTC.
+    # Return a hint at the UTC offset from the GPS time, or from the UTC stamp of the dark current.
     if spectrum.gps is not None and spectrum.local_time is not None:
-        fix = dt.datetime.combine(spectrum.local_time.date(), spectrum.gps.utc)
-        hours = round((spectrum.local_time - fix) / dt.timedelta(hours=1))
+        gps_time = dt.datetime.combine(spectrum.local_time.date(), spectrum.gps.utc)
+        hours = round((spectrum.local_time - gps_time) / dt.timedelta(hours=1))
         return f", perhaps {(hours + 11) % 24 - 11:+d} by the GPS"
     if spectrum.dark_utc is None or spectrum.local_time is None:
         return ""
@@ -435,13 +438,13 @@ def _offset_hint(spectrum: Spectrum) -> str:
 # --- from counts to quantities -----------------------------------------------------------------------------
 
 
-def _derived(
-    file: AsdFile, quantity: str, external: Mapping[str, AsdFile], *, absolute: bool = False
+def _in_quantity(
+    file: AsdFile, quantity: str, external_files: Mapping[str, AsdFile], *, absolute: bool = False
 ) -> tuple[Floats, Floats, npt.NDArray[np.bool_]]:
     """Return the wavelengths, the values in ``quantity``, and where the detector was saturated.
 
-    See the notes of `open_asd` for the formulas; ``external`` holds calibration files by kind, which win
-    over the blocks in the file. ``absolute`` multiplies reflectance by the panel's reflectance.
+    See the notes of `open_asd` for the formulas; ``external_files`` are calibration files by kind, used
+    instead of the blocks in the file. ``absolute`` multiplies reflectance by the panel's reflectance.
 
     Raises FormatError: The reference or calibration blocks that the quantity needs are missing.
     """
@@ -449,7 +452,7 @@ def _derived(
     # saturation flags of the detectors VNIR, SWIR 1 and SWIR 2, whose ends are infinite if they are the last
     ends = [splice if splice > 0 else np.inf for splice in file.splices]
     detector = np.searchsorted([ends[0], max(ends)], wavelength)
-    saturated = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])[detector]
+    is_saturated = np.array([name in file.saturated for name in ("VNIR", "SWIR1", "SWIR2")])[detector]
     if quantity == "reflectance":
         if file.reference is None:
             raise FormatError(
@@ -460,9 +463,12 @@ def _derived(
         values = ratio(file.spectrum, file.reference)
         if absolute:
             with np.errstate(all="ignore"):
-                values = values * _needed_blocks(file, ("ABS",), "absolute reflectance", external)["ABS"][0]
-    elif quantity in _NEEDED_BLOCKS:
-        blocks = _needed_blocks(file, _NEEDED_BLOCKS[quantity], quantity, external)
+                values = (
+                    values
+                    * _calibration_blocks(file, ("ABS",), "absolute reflectance", external_files)["ABS"][0]
+                )
+    elif quantity in _BLOCKS_BY_QUANTITY:
+        blocks = _calibration_blocks(file, _BLOCKS_BY_QUANTITY[quantity], quantity, external_files)
         lamp_counts, lamp_ms = blocks["FO"]
         if file.integration_ms <= 0 or lamp_ms <= 0:
             raise FormatError(
@@ -475,28 +481,29 @@ def _derived(
             if quantity == "radiance":
                 per_count = per_count * blocks["BSE"][0] / np.pi
             values = file.spectrum * per_count
-        vnir = wavelength <= ends[0]
-        if not vnir.any():
+        is_vnir = wavelength <= ends[0]
+        if not is_vnir.any():
             raise FormatError(
                 f"{file.name}: all wavelengths lie beyond the first splice",
                 mend="copy the file again",
                 code="wavelength-range",
             )
-        return wavelength[vnir], values[vnir], saturated[vnir]
-    return wavelength, values, saturated
+        return wavelength[is_vnir], values[is_vnir], is_saturated[is_vnir]
+    return wavelength, values, is_saturated
 
 
-def _needed_blocks(
-    file: AsdFile, kinds: tuple[str, ...], purpose: str, external: Mapping[str, AsdFile]
+def _calibration_blocks(
+    file: AsdFile, kinds: tuple[str, ...], purpose: str, external_files: Mapping[str, AsdFile]
 ) -> dict[str, tuple[Floats, float]]:
-    # Values and integration time [ms] of the calibration blocks of the given kinds.
+    # Return values and integration time [ms] of the calibration blocks, by kind; all of ``kinds`` exist.
     blocks = {kind: (block.values, block.integration_ms) for kind, block in file.calibrations.items()}
-    for kind, other in external.items():
-        if kind in kinds and not np.array_equal(other.wavelength, file.wavelength):
+    for kind, external_file in external_files.items():
+        if kind in kinds and not np.array_equal(external_file.wavelength, file.wavelength):
             raise FormatError(
-                f"{file.name}: wavelengths differ from calibration file {other.name}", code="grid-mismatch"
+                f"{file.name}: wavelengths differ from calibration file {external_file.name}",
+                code="grid-mismatch",
             )
-        blocks[kind] = (other.spectrum, other.integration_ms)
+        blocks[kind] = (external_file.spectrum, external_file.integration_ms)
     missing = [kind for kind in kinds if kind not in blocks]
     if missing:
         keys = [key for key, kind in _CALIBRATION_KEYS.items() if kind in missing]

@@ -2,8 +2,9 @@
 
 The layout follows "ASD File Format, version 8, revision B" as corrected by reading real files to their last
 byte: little-endian throughout, a fixed header, the spectrum, and from version 2 on the white reference and
-blocks that each version added. A file carries no checksum, so that the structure is all there is to check:
-every declared count is held against the bytes that are left, and the last block must end where the file ends.
+blocks that later versions added. A file has no checksum, so that only its structure can be checked: every
+declared count is compared with the number of bytes not yet read, and the last block must end at the file's
+end.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from hyperpaint.base.input_files import read_limited
 HEADER_BYTES = 484
 _MAX_BYTES = 64 * 2**20  # ten times the size of 65,535 channels with every calibration block
 
-# name and struct format of each field of the header, in file order
-# ``saved`` is a C struct tm, the PC's local time; ``averages`` are of dark, reference, sample
+# name and struct format of each header field, in file order;
+# ``saved`` is the PC's local time as a C struct tm; ``averages`` counts dark, reference and sample spectra
 _HEADER = (
     ("version", "3s"), ("comment", "157s"), ("saved", "9h"), ("program_version", "B"), ("file_version", "B"),
     ("unused_itime", "B"), ("dark_subtracted", "B"), ("dark_epoch", "i"), ("data_type", "B"),
@@ -59,31 +60,31 @@ class AsdFile:
 
     name: str  # file name without its folder
     version: int  # 1 to 8
-    comment: str  # of the operator, on the spectrum; `description` is on the white reference
-    description: str
-    # When the spectrum was saved, by the clock of the logging PC, in whole seconds, without a zone
+    comment: str  # of the operator on the spectrum
+    description: str  # of the white reference
+    # Local time of the logging PC when it saved the spectrum, in whole seconds, without a zone
     local_time: dt.datetime
-    # Local time minus UTC [h], or None where the file has no white reference to take it from
+    # Local time minus UTC [h], derived from the white reference; None without one
     utc_offset_h: float | None
-    dark_utc: dt.datetime | None  # when the dark current was measured, or None
-    # ``raw``, ``reflectance``, ``radiance``, ``irradiance`` ...: the quantity on display. The spectrum is
-    # in raw counts in any case
+    dark_utc: dt.datetime | None  # UTC of the measurement of the dark current
+    # Quantity displayed to the operator: ``raw``, ``reflectance``, ``radiance``, ``irradiance`` ...; it does
+    # not describe ``spectrum``, which is always raw counts
     data_type: str
     wavelength: Floats  # nanometres
     spectrum: Floats  # counts
-    reference: Floats | None  # counts over the white panel, or None where none was taken
+    reference: Floats | None  # counts of the white panel; None if it was not measured
     integration_ms: float  # integration time of the VNIR detector, see `nominal_integration_ms`
     sample_averages: int  # spectra averaged into this one
     gains: tuple[int, int]  # SWIR 1 and SWIR 2
-    # Wavelengths [nm] where VNIR ends and where SWIR 1 ends; -1 where there is no such detector
+    # Wavelengths [nm] at which VNIR and SWIR 1 end; -1 for a detector that the instrument lacks
     splices: tuple[float, float]
     gps: AsdGps | None  # None without a fix
     calibrations: Mapping[str, AsdCalibration]  # calibration blocks by kind
     instrument: str  # model and serial number
     instrument_number: int
-    fore_optic: int  # field of view [degree], 0 none, 180 and more a cosine receptor
-    dark_subtracted: bool  # whether the dark current was subtracted
-    saturated: frozenset[str]  # detectors that the instrument found saturated: ``VNIR``, ``SWIR1``, ``SWIR2``
+    fore_optic: int  # field of view [degree]; 0 for no optic, 180 or more for a cosine receptor
+    dark_subtracted: bool
+    saturated: frozenset[str]  # detectors flagged as saturated: ``VNIR``, ``SWIR1``, ``SWIR2``
 
 
 def is_asd(head: bytes) -> bool:
@@ -120,13 +121,13 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
                 f"white reference flag {flag:#06x}", expected="0x0000 or 0xffff", code="file-damaged"
             )
         description = cursor.text("the description of the white reference")
-        # a file without a reference holds zeros or an old one in its place
+        # without a white reference, the file contains zeros or an outdated reference here
         values = cursor.array(channels, dtype, "the white reference")
         reference = values if flag and np.any(values != 0.0) else None
     calibrations = _read_later_blocks(cursor, version, channels)
     if not cursor.at_end:
         raise cursor.error(
-            f"{cursor.left} bytes follow the last block of a version {version} file", code="file-damaged"
+            f"{cursor.remaining} bytes follow the last block of a version {version} file", code="file-damaged"
         )
     first, step, dark_s = header["first_wavelength"], header["wavelength_step"], header["dark_epoch"]
     local_time = _local_time(cursor, header["saved"])
@@ -139,7 +140,7 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
     return AsdFile(
         name=path.name,
         version=version,
-        comment=_plain_text(header["comment"]),
+        comment=_text_of_bytes(header["comment"]),
         description=description,
         local_time=local_time,
         utc_offset_h=None if reference is None else _utc_offset_h(reference_ole, header["reference_epoch"]),
@@ -152,7 +153,7 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
         sample_averages=header["averages"][2],
         gains=header["swir_gains_offsets"][:2],
         splices=header["splices"],
-        gps=_parse_gps(cursor, header["gps"]),
+        gps=_gps_fix(cursor, header["gps"]),
         calibrations=MappingProxyType(calibrations),
         instrument=_INSTRUMENTS.get(header["instrument"], f"unknown ({header['instrument']})"),
         instrument_number=header["instrument_number"],
@@ -187,22 +188,22 @@ def _local_time(cursor: Cursor, tm: tuple[int, ...]) -> dt.datetime:
     try:
         if not (80 <= year < 250 and 0 <= second <= 61):
             raise ValueError
-        # C allows the second 60
+        # C's struct tm allows second 60, datetime does not
         return dt.datetime(year + 1900, month + 1, day, hour, minute) + dt.timedelta(seconds=second)
     except ValueError as error:
         raise cursor.error(f"time of the spectrum {tm[:6]} is not a date", code="time-unreadable") from error
 
 
 def _utc_offset_h(ole_days: float, epoch_s: int) -> float | None:
-    # Local time minus UTC [h] from the white reference, which is stamped in both.
+    # Return local time minus UTC [h], from the two stamps of the white reference.
     if epoch_s <= 0 or not 0 < ole_days < 1e5:
         return None
     seconds = (ole_days - _OLE_EPOCH_DAYS) * 86400.0 - epoch_s
-    hours = round(seconds / 900.0) / 4.0  # zones differ by quarters of an hour
+    hours = round(seconds / 900.0) / 4.0  # UTC offsets are multiples of a quarter of an hour
     return hours if abs(seconds - hours * 3600.0) < 60.0 and -12.0 <= hours <= 14.0 else None
 
 
-_TRAILER = b"\xff\xfe\xfd"  # newer software appends it to files that it saves again
+_TRAILER = b"\xff\xfe\xfd"  # appended by newer software when it saves a file again
 _CALIBRATION_KINDS = ("ABS", "BSE", "LMP", "FO")
 
 
@@ -210,19 +211,20 @@ _CALIBRATION_KINDS = ("ABS", "BSE", "LMP", "FO")
 class AsdGps:
     """Position of the spectrometer by its GPS."""
 
-    latitude: float  # degrees, north and east positive (the file itself counts west positive)
-    longitude: float
+    latitude: float  # degrees, north positive
+    longitude: float  # degrees, east positive (in the file, west is positive)
     altitude: float  # metres
-    utc: dt.time  # time of day of the fix; the date is not in the file
+    utc: dt.time  # time of day of the fix; the file has no date of it
 
 
 @dataclass(frozen=True, eq=False)
 class AsdCalibration:
-    """One calibration block."""
+    """One calibration block of a file."""
 
-    # ABS panel reflectance, BSE panel for radiance, LMP lamp irradiance [W m-2 nm-1], FO lamp counts
+    # ABS: panel reflectance; BSE: panel reflectance for radiance; LMP: lamp irradiance [W m-2 nm-1]; FO: lamp
+    # counts
     kind: str
-    name: str  # file the block was copied from
+    name: str  # name of the calibration file that the block was copied from
     integration_ms: float  # integration time of the calibration, see `nominal_integration_ms`
     gains: tuple[int, int]  # SWIR 1 and SWIR 2
     values: Floats  # (wavelength)
@@ -231,7 +233,7 @@ class AsdCalibration:
 def nominal_integration_ms(milliseconds: int) -> float:
     """Return the integration time for a nominal whole number of milliseconds.
 
-    The file says 8 or 9 where the instrument integrates for 8.5 ms; the longer times (17, 34, 68 ...) are
+    The file contains 8 or 9 if the instrument integrates for 8.5 ms; longer times (17, 34, 68 ...) are
     exact.
 
     Examples
@@ -248,40 +250,40 @@ class Cursor:
     def __init__(self, data: bytes, name: str) -> None:
         self._data = data
         self._name = name
-        self._at = 0
+        self._position = 0
 
     def error(self, found: str, *, expected: str = "", mend: str = "", code: str) -> FormatError:
         return FormatError(f"{self._name}: {found}", expected=expected, mend=mend, code=code)
 
     @property
-    def left(self) -> int:
+    def remaining(self) -> int:
         """Number of bytes not read yet."""
-        return len(self._data) - self._at
+        return len(self._data) - self._position
 
     @property
     def at_end(self) -> bool:
-        """True at the end of the file, or before the trailer of newer software."""
-        return self.left == 0 or self._data[self._at :] == _TRAILER
+        """Whether nothing, or only the trailer of newer software, remains to be read."""
+        return self.remaining == 0 or self._data[self._position :] == _TRAILER
 
     def bytes(self, count: int, part: str) -> bytes:
         """Read bytes; ``part`` names them in messages."""
-        if count > self.left:
+        if count > self.remaining:
             raise self.error(
-                f"{part} needs {count} bytes at offset {self._at}, {self.left} are left",
+                f"{part} needs {count} bytes at offset {self._position}, {self.remaining} remain",
                 mend="copy the file again from the instrument",
                 code="file-truncated",
             )
-        self._at += count
-        return self._data[self._at - count : self._at]
+        self._position += count
+        return self._data[self._position - count : self._position]
 
     def values(self, fmt: str, part: str) -> tuple[Any, ...]:
         """Read the values of a struct format, little-endian."""
         return struct.unpack("<" + fmt, self.bytes(struct.calcsize("<" + fmt), part))
 
     def text(self, part: str) -> str:
-        """Read a text with its length before it."""
+        """Read a text, which is stored after its length."""
         (length,) = self.values("H", f"the length of {part}")
-        return _plain_text(self.bytes(length, part))
+        return _text_of_bytes(self.bytes(length, part))
 
     def array(self, count: int, dtype: np.dtype[Any], part: str) -> Floats:
         """Read ``count`` numbers as read-only float64."""
@@ -294,21 +296,21 @@ class Cursor:
     def safe_array(self, item_bytes: int, part: str) -> int:
         """Read the head of an OLE SAFEARRAY and return the number of items that follow."""
         (dims,) = self.values("H", part)
-        if dims * 8 > self.left or dims > 60:
+        if dims * 8 > self.remaining or dims > 60:
             raise self.error(f"{part} has {dims} dimensions", code="file-damaged")
         count = 1 if dims else 0
         for _ in range(dims):
             count *= self.values("Ii", part)[0]
-        if count * item_bytes > self.left:
+        if count * item_bytes > self.remaining:
             raise self.error(
-                f"{part} declares {count} items, more than the {self.left} bytes left can hold",
+                f"{part} declares {count} items, which do not fit into the remaining {self.remaining} bytes",
                 code="file-damaged",
             )
         return count
 
 
 def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str, AsdCalibration]:
-    # Read the blocks of versions 6, 7 and 8, and return the calibration blocks by kind.
+    # Read the blocks that versions 6, 7 and 8 added; return the calibration blocks by kind.
     blocks: dict[str, AsdCalibration] = {}
     if version < 6 or (version == 6 and cursor.at_end):
         return blocks
@@ -328,7 +330,7 @@ def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str,
             cursor.text("the label of a dependent variable")
         count = cursor.safe_array(4, "the dependent variables")
         cursor.bytes(4 * count, "the dependent variables")
-        # calibration blocks: all heads, then all values
+        # calibration blocks: the heads of all, then the values of all
         (count,) = cursor.values("B", "the number of calibration blocks")
         heads = [cursor.values("b20sihh", "the head of a calibration block") for _ in range(count)]
         for number, name, milliseconds, *gains in heads:
@@ -343,7 +345,7 @@ def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str,
                 )
             values = cursor.array(channels, np.dtype("<f8"), f"the {kind} calibration block")
             ms = nominal_integration_ms(milliseconds)
-            blocks[kind] = AsdCalibration(kind, _plain_text(name), ms, (gains[0], gains[1]), values)
+            blocks[kind] = AsdCalibration(kind, _text_of_bytes(name), ms, (gains[0], gains[1]), values)
     if version >= 8:
         # audit log and signature
         cursor.values("i", "the audit count")
@@ -356,8 +358,8 @@ def _read_later_blocks(cursor: Cursor, version: int, channels: int) -> dict[str,
     return blocks
 
 
-def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
-    # The fix in the header's GPS block, None without one.
+def _gps_fix(cursor: Cursor, block: bytes) -> AsdGps | None:
+    # Return the position in the GPS block of the header; None if the GPS had no fix.
     values = struct.unpack("<5dhbbbbbh5sbb", block)
     _, _, latitude, longitude, altitude, _, _, second, minute, hour = values[:10]
     if latitude == longitude == altitude == 0.0:
@@ -365,9 +367,9 @@ def _parse_gps(cursor: Cursor, block: bytes) -> AsdGps | None:
     try:
         if not abs(altitude) < 1e5:
             raise ValueError
-        fix = dt.time(hour, minute, second)
-        # west positive in the file
-        return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), altitude, fix)
+        utc_time = dt.time(hour, minute, second)
+        # in the file, west is positive
+        return AsdGps(_degrees(latitude, 90.0), -_degrees(longitude, 180.0), altitude, utc_time)
     except ValueError as error:
         raise cursor.error(
             f"GPS position {latitude}, {longitude}, {altitude} m at {hour}:{minute}:{second}",
@@ -385,5 +387,5 @@ def _degrees(ddmm: float, limit: float) -> float:
     return math.copysign(degrees + minutes / 60.0, ddmm)
 
 
-def _plain_text(raw: bytes) -> str:
+def _text_of_bytes(raw: bytes) -> str:
     return raw.split(b"\0", 1)[0].decode("latin-1").strip()

@@ -1,9 +1,9 @@
 """Text exports of ASD spectra, as ViewSpec writes them.
 
-The variants that are known: a table ``Wavelength;name.asd`` with a semicolon, tab or comma, one column a
-spectrum or (exported by rows) one row a spectrum, alone or under a preamble of sentences. The preamble may
-hold the comment field as NUL bytes, a blank first line and sentences that nobody documented. What no variant
-holds is the quantity, its units, and the UTC offset of the time stamp: the reader cannot tell them either.
+Known variants: a table ``Wavelength;name.asd`` whose cells are separated by semicolons, tabs or commas, with
+one column or (exported by rows) one row for each spectrum, with or without a preamble of sentences. The
+preamble may contain the comment field as NUL bytes, a blank first line and undocumented sentences. No variant
+contains the quantity, its units, or the UTC offset of the time stamp.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _MAX_BYTES = 512 * 2**20
 _SEPARATORS = (";", "\t", ",")
 _NUMBER = r"([-+]?[0-9]+(?:\.[0-9]*)?(?:[Ee][-+]?[0-9]+)?)"
 _TABLE = re.compile(r'"?wavelengths?"?\s*[;,\t]', re.IGNORECASE)
-# spellings of NaN and infinity by Windows' C library
-_NO_NUMBERS = {"1.#qnan": math.nan, "-1.#ind": math.nan, "1.#ind": math.nan, "1.#inf": math.inf}
+# NaN and infinity as Windows' C library prints them
+_NON_FINITE_SPELLINGS = {"1.#qnan": math.nan, "-1.#ind": math.nan, "1.#ind": math.nan, "1.#inf": math.inf}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,22 +41,21 @@ class AsdText:
     spectra: tuple[str, ...]  # names of the spectra
     wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
     values: npt.NDArray[np.float64]  # (spectrum, wavelength), in the exported quantity
-    # When the spectrum was saved, by the clock of the logging PC, or None without a preamble
+    # Local time of the logging PC when it saved the spectrum; None without a preamble
     local_time: dt.datetime | None
-    # As in the binary, None where the preamble does not say. ``ymax`` is the upper end of the operator's
-    # plot, the only hint at the quantity
+    # As in binary files; None if not in the preamble
     instrument_number: str | None
     integration_ms: float | None
     sample_averages: int | None
-    ymax: float | None
+    ymax: float | None  # upper end of the operator's plot, the only hint at the quantity
     splices: tuple[float, float] | None
-    # Whether a cosine receptor was attached, whether the spectrum was compared to a panel; or None
+    # Whether a cosine receptor was attached, and whether a white reference was measured; or None
     cosine_receptor: bool | None
     white_reference: bool | None
 
     @property
     def likely_quantity(self) -> str | None:
-        """Quantity guessed from ``ymax``, by files of known quantity."""
+        """Quantity guessed from ``ymax``."""
         return {1.25: "reflectance", 2.5: "irradiance", 65535.0: "counts"}.get(self.ymax or 0.0)
 
 
@@ -135,7 +134,7 @@ def _local_time(name: str, match: re.Match[str]) -> dt.datetime:
     if match[7]:
         hour = hour % 12 + (12 if match[7].upper() == "PM" else 0)
     try:
-        # older programs write the years since 1900
+        # older programs write years since 1900
         stamp = dt.datetime(year + 1900 if year < 1000 else year, month, day, hour, minute, second)
         if not 1980 <= stamp.year < 2150:
             raise ValueError
@@ -161,12 +160,15 @@ def _table(name: str, lines: list[str]) -> _Table:
             mend="export the spectra again",
             code="column-missing",
         )
-    by_rows = all(_number(cell) is not None for cell in cells[1:])
-    labels, values = _rows(name, lines[1:], separator, len(cells), words=by_rows)
-    if by_rows:
-        spectra, wavelength = tuple(labels), np.array([_number(cell) for cell in cells[1:]], np.float64)
+    is_spectrum_per_row = all(_cell_number(cell) is not None for cell in cells[1:])
+    labels, values = _labelled_rows(name, lines[1:], separator, len(cells), is_row_names=is_spectrum_per_row)
+    if is_spectrum_per_row:
+        spectra, wavelength = tuple(labels), np.array([_cell_number(cell) for cell in cells[1:]], np.float64)
     else:
-        spectra, wavelength = tuple(cells[1:]), np.array([_number(label) for label in labels], np.float64)
+        spectra, wavelength = (
+            tuple(cells[1:]),
+            np.array([_cell_number(label) for label in labels], np.float64),
+        )
         values = values.T
     if not (np.all(np.isfinite(wavelength)) and np.all(wavelength > 0) and np.all(np.diff(wavelength) > 0)):
         raise FormatError(
@@ -179,30 +181,31 @@ def _table(name: str, lines: list[str]) -> _Table:
     return spectra, wavelength, values
 
 
-def _rows(
-    name: str, lines: list[str], separator: str, width: int, *, words: bool
+def _labelled_rows(
+    name: str, lines: list[str], separator: str, cell_count: int, *, is_row_names: bool
 ) -> tuple[list[str], npt.NDArray[np.float64]]:
-    # The first cells of the rows of a table, and the numbers of the others.
-    # Other lines, such as ``x2bar``, occur above and below a table of columns, never inside it.
+    # Return the first cell of each row, and the numbers in its other cells.
+    # Lines of another kind, such as ``x2bar``, may precede and follow the rows of wavelengths, but not
+    # interrupt them.
     labels: list[str] = []
     values: list[list[float]] = []
-    ended_at: int | None = None
-    for number, line in enumerate(lines, start=2):
+    table_end: int | None = None
+    for line_number, line in enumerate(lines, start=2):
         cells = [cell.strip() for cell in line.rstrip().rstrip(separator).split(separator)]
-        row = [_number(cell) for cell in cells[1:]]
-        whole = [value for value in row if value is not None]
-        if not (line.strip() and (words or _number(cells[0]) is not None)):
-            ended_at = ended_at or (number if labels and line.strip() else None)
+        row = [_cell_number(cell) for cell in cells[1:]]
+        row_values = [value for value in row if value is not None]
+        if not (line.strip() and (is_row_names or _cell_number(cells[0]) is not None)):
+            table_end = table_end or (line_number if labels and line.strip() else None)
             continue
-        if len(cells) != width or len(whole) != len(row) or ended_at is not None:
+        if len(cells) != cell_count or len(row_values) != len(row) or table_end is not None:
             raise FormatError(
-                f"{name}: line {number} of the table holds {line.strip()[:60]!r}",
-                expected=f"{width} cells separated by {separator!r}",
+                f"{name}: line {line_number} of the table holds {line.strip()[:60]!r}",
+                expected=f"{cell_count} cells separated by {separator!r}",
                 mend="export the spectra again",
                 code="row-unreadable",
             )
         labels.append(cells[0])
-        values.append(whole)
+        values.append(row_values)
     if not labels:
         raise FormatError(
             f"{name}: the table is empty", mend="export the spectra again", code="table-missing"
@@ -210,9 +213,9 @@ def _rows(
     return labels, np.array(values, np.float64)
 
 
-def _number(cell: str) -> float | None:
+def _cell_number(cell: str) -> float | None:
     try:
-        # a comma left in a cell is a decimal comma; float() would take 1_000 for a number
+        # a comma within a cell is a decimal comma; float() would accept 1_000
         return None if "_" in cell else float(cell.replace(",", "."))
     except ValueError:
-        return _NO_NUMBERS.get(cell.lower())
+        return _NON_FINITE_SPELLINGS.get(cell.lower())

@@ -18,6 +18,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
 from hyperpaint.base.daylight import DULL_MEDIAN, HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
+from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require
 from hyperpaint.base.units import conversion_factor, convert, takes_quantities
 
@@ -28,19 +29,19 @@ from .spectrum_files import Paths, check_utc_offset, for_all, listed
 Stamp = Literal["start", "mid", "end"]
 
 _GAP_INTERVALS = 2.5
-_MARGIN = np.timedelta64(60, "s")
-#: Range of sunlight, and range of the resolutions of spectrometers [nm].
-_SUNLIT_NM, _WIDTHS_NM = (200.0, 2600.0), (0.02, 100.0)
+_LINE_MARGIN = np.timedelta64(60, "s")
+#: Wavelengths of sunlight, and resolutions of spectrometers [nm].
+_SUNLIGHT_RANGE_NM, _FWHM_RANGE_NM = (200.0, 2600.0), (0.02, 100.0)
 #: Largest number of sample pairs in a message.
 _MAX_SHOWN = 20
 
 
 @dataclass(frozen=True, eq=False)
 class _Series:
-    # Samples as logged, before correction of clocks and units.
+    # Samples as logged, before correction of clocks and units, or as stored.
     sources: Sequence[str]
     stamps: npt.NDArray[np.datetime64]  # (sample), in the zone of utc_offset_h
-    utc_offset_h: Sequence[float]
+    utc_offset_h: Sequence[float]  # (sample)
     averaging_s: Floats  # (sample)
     wavelength: Floats
     values: Floats  # (sample, wavelength)
@@ -78,15 +79,15 @@ def open_irradiance(
         file or an xarray object, with ``irradiance`` on a time and a wavelength dim (of a collect's store,
         the group ``irradiance``); or a netCDF product of HYPERNETS, L1A to L1C.
     quantity
-        ``irradiance``, to say so where text exports do not; without it their plot range is taken as a hint,
+        ``irradiance`` states what text exports do not state. Without it, it is guessed from their plot range,
         with a warning. Binary files become irradiance through their calibration.
     utc_offset_h
         Clock of the logging PC minus UTC [h], zones only. By default from the files; csv stamps may carry
         their zone; xarray objects are in UTC.
     clock_offset_s
-        What has to be added to the logging PC's clock [s]: UTC = stamp - utc_offset_h + clock_offset_s.
+        Correction added to the stamps of the logging PC [s]: UTC = stamp - utc_offset_h + clock_offset_s.
     stamp
-        What a stamp marks: ``start``, ``mid`` or ``end`` of the averaging window.
+        Instant of the averaging window that a stamp marks: ``start``, ``mid`` or ``end``.
     fwhm_nm
         Full width at half maximum of the spectrometer [nm]: a number, or pairs of wavelength and width,
         linear between and constant beyond them. For ASD instruments 3 nm are assumed, and 10 nm beyond
@@ -101,8 +102,8 @@ def open_irradiance(
         Length of the averaging window [s]. By default from the file (integration time times the spectra
         averaged), else 0.
     clock_uncertainty_s
-        How far the clocks of camera and spectrometer may still disagree [s]. Without it they count as not
-        checked; see `hyperpaint.light.synchrony`.
+        Largest remaining difference between the clocks of camera and spectrometer [s]. Without it they are
+        not checked; see `hyperpaint.light.synchrony`.
 
     Returns
     -------
@@ -123,7 +124,7 @@ def open_irradiance(
     UnitsError
         Units are missing or wrong, or the sun cannot have been as bright or as dim as they say.
     SchemaError
-        An argument is none of those above, the width is unknown, or an xarray object is not such a series.
+        An argument is invalid, the spectral width is unknown, or an xarray object is not such a series.
     IncompleteStoreError
         The store is hyperpaint's own, and its group was never finished.
 
@@ -164,15 +165,15 @@ def open_irradiance(
     order = np.argsort(times, kind="stable")
     _refuse_duplicates(series, times, order)
     factor = conversion_factor(series.units, VARIABLES["irradiance"].units)
-    # in the units of the table, within float32
+    # in the units of the schema; refused where float32 would overflow
     raw = series.values[order]
     with np.errstate(over="ignore"):
         values: Floats = raw * factor
-    lost = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
-    if lost.any():
-        where = listed([series.sources[place] for place in order[lost.any(axis=1)]])
+    is_overflow = np.isfinite(raw) & ~(np.abs(values) <= np.finfo(np.float32).max)
+    if is_overflow.any():
+        sources_text = listed([series.sources[number] for number in order[is_overflow.any(axis=1)]])
         raise FormatError(
-            f"irradiance up to {np.abs(raw[lost]).max():.3g} {series.units}: {where}",
+            f"irradiance up to {np.abs(raw[is_overflow]).max():.3g} {series.units}: {sources_text}",
             mend="check whether the file is damaged",
             code="value-out-of-range",
         )
@@ -200,7 +201,7 @@ def _check_arguments(
     averaging_s: float | None,
     clock_uncertainty_s: float | None,
 ) -> None:
-    problems = Problems("an irradiance series cannot be opened as asked", SchemaError)
+    problems = Problems("an irradiance series cannot be opened with these arguments", SchemaError)
     if quantity not in (None, "irradiance"):
         problems.add(
             f"quantity={quantity!r}",
@@ -208,13 +209,10 @@ def _check_arguments(
             mend="hp.open_asd opens other quantities",
             code="choice-unknown",
         )
-    if not np.isfinite(clock_offset_s):
+    if not is_number(clock_offset_s):
         problems.add(f"clock_offset_s={clock_offset_s}", expected="seconds", code="not-finite")
-    if stamp not in MID_EXPOSURE_OFFSETS:
-        problems.add(
-            f"stamp={stamp!r}", expected=f"one of {', '.join(MID_EXPOSURE_OFFSETS)}", code="choice-unknown"
-        )
-    if max_gap_s is not None and not (np.isfinite(max_gap_s) and max_gap_s > 0):
+    one_of(stamp, MID_EXPOSURE_OFFSETS, "stamp", problems=problems)
+    if max_gap_s is not None and not (is_number(max_gap_s) and max_gap_s > 0):
         problems.add(f"max_gap_s={max_gap_s}", expected="a positive number", code="value-out-of-range")
     if fwhm_nm is not None and not are_widths(fwhm_nm):
         problems.add(
@@ -223,7 +221,7 @@ def _check_arguments(
             code="value-out-of-range",
         )
     for name, value in (("averaging_s", averaging_s), ("clock_uncertainty_s", clock_uncertainty_s)):
-        if value is not None and not (np.isfinite(value) and value >= 0):
+        if value is not None and not (is_number(value) and value >= 0):
             problems.add(f"{name}={value}", expected="seconds, not negative", code="value-out-of-range")
     problems.raise_if_any()
 
@@ -237,31 +235,31 @@ def _from_files(
 ) -> _Series:
     kinds = [sniff(path) for path in files]
     if "csv" in kinds:
-        foreign = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
-        if foreign:
+        other_names = [path.name for path, kind in zip(files, kinds, strict=True) if kind != "csv"]
+        if other_names:
             raise FormatError(
-                f"csv and other files in one series; not csv: {listed(foreign)}",
-                mend="open them apart",
+                f"csv and other files in one series; not csv: {listed(other_names)}",
+                mend="open them separately",
                 code="formats-mixed",
             )
         return _from_csv(files, utc_offset_h, units)
     if quantity is None and "text" not in kinds:
-        quantity = "irradiance"  # a binary file holds it by its calibration, whatever was on display
-    spectra, held_quantity = read_spectra(files, quantity, calibration=calibration)
-    if held_quantity != "irradiance":
+        quantity = "irradiance"  # binary files yield it by their calibration, whatever quantity was displayed
+    spectra, file_quantity = read_spectra(files, quantity, calibration=calibration)
+    if file_quantity != "irradiance":
         raise FormatError(
-            f"the files seem to hold {held_quantity}: {listed([path.name for path in files])}",
+            f"the files seem to hold {file_quantity}: {listed([path.name for path in files])}",
             expected="irradiance",
             mend="pass quantity='irradiance' if they hold it",
             code="quantity-wrong",
         )
-    vendors = VARIABLES["irradiance"].units
+    default_units = VARIABLES["irradiance"].units
     widths, source = asd_widths(spectra[0].wavelength)
-    assumed = {"irradiance_units_source": f"assumed: {vendors}, the vendor's; text exports do not say"}
+    assumed = {"irradiance_units_source": f"assumed: {default_units}, the vendor's; text exports do not say"}
     return _from_spectra(
         spectra,
         utc_offset_h,
-        units or vendors,
+        units or default_units,
         fwhm=widths,
         fwhm_source=source,
         attrs=assumed if units is None and "text" in kinds else {},
@@ -277,7 +275,7 @@ def _from_csv(files: Sequence[Path], utc_offset_h: float | None, units: str | No
         ):
             raise FormatError(
                 f"the csv files differ in their {field_name}: {names}",
-                mend="open them apart",
+                mend="open them separately",
                 code="series-mismatch",
             )
     found_units = units or tables[0].units
@@ -320,7 +318,7 @@ def _from_spectra(
             code="time-missing",
         )
     sources = [spectrum.source for spectrum in spectra]
-    several = f" to {sources[-1]} ({len(sources)} spectra)" if len(sources) > 1 else ""
+    last_source_text = f" to {sources[-1]} ({len(sources)} spectra)" if len(sources) > 1 else ""
     return _Series(
         sources=sources,
         stamps=np.array([spectrum.local_time for spectrum in spectra], "datetime64[ns]"),
@@ -329,7 +327,7 @@ def _from_spectra(
         wavelength=spectra[0].wavelength,
         values=np.stack([spectrum.values for spectrum in spectra]),
         units=units,
-        origin=f"{sources[0]}{several}",
+        origin=f"{sources[0]}{last_source_text}",
         **extra,
     )
 
@@ -389,7 +387,7 @@ def _from_xarray(
     if not (np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)):
         raise SchemaError(
             f"{origin}: {wavelength.name!r} does not increase",
-            mend="sort by it and drop repeats",
+            mend="sort by it, and remove repeated values",
             code="wavelength-unordered",
         )
     count = array.sizes[time.name]
@@ -419,21 +417,21 @@ def _from_xarray(
 def _refuse_duplicates(
     series: _Series, times: npt.NDArray[np.datetime64], order: npt.NDArray[np.intp]
 ) -> None:
-    twice = np.flatnonzero(np.diff(times[order]) == np.timedelta64(0, "ns"))
-    if not len(twice):
+    repeats = np.flatnonzero(np.diff(times[order]) == np.timedelta64(0, "ns"))
+    if not len(repeats):
         return
-    advice = "leave one of each pair out, or write a csv series with finer stamps"
+    advice = "remove one spectrum of each pair, or write a csv series with finer stamps"
     problems = Problems(f"samples of one series have the same time stamp; {advice}", TimeError)
-    shown = twice[:_MAX_SHOWN]
-    for first, second in zip(order[shown], order[shown + 1], strict=True):
-        same = np.array_equal(series.values[first], series.values[second], equal_nan=True)
-        remark = " (the same spectrum twice)" if same else ""
+    shown_repeats = repeats[:_MAX_SHOWN]
+    for first, second in zip(order[shown_repeats], order[shown_repeats + 1], strict=True):
+        is_same_spectrum = np.array_equal(series.values[first], series.values[second], equal_nan=True)
+        remark = " (the same spectrum twice)" if is_same_spectrum else ""
         problems.add(
             f"{series.stamps[second]}: {series.sources[first]} and {series.sources[second]}{remark}",
             code="time-duplicate",
         )
-    if len(twice) > len(shown):
-        problems.add(f"... ({len(twice)} pairs in all)", code="time-duplicate")
+    if len(repeats) > len(shown_repeats):
+        problems.add(f"... ({len(repeats)} pairs in all)", code="time-duplicate")
     problems.raise_if_any()
 
 
@@ -466,10 +464,10 @@ def _dataset(
             expected="a positive number, or one per wavelength",
             code="value-out-of-range",
         )
-    if not _WIDTHS_NM[0] <= width.min() <= width.max() <= _WIDTHS_NM[1]:
+    if not _FWHM_RANGE_NM[0] <= width.min() <= width.max() <= _FWHM_RANGE_NM[1]:
         raise SchemaError(
             f"{series.origin}: irradiance_fwhm from {width.min():g} to {width.max():g} nm",
-            expected=f"{_WIDTHS_NM[0]:g} to {_WIDTHS_NM[1]:g} nm",
+            expected=f"{_FWHM_RANGE_NM[0]:g} to {_FWHM_RANGE_NM[1]:g} nm",
             mend="check whether it is in micrometres or angstroms",
             code="value-out-of-range",
         )
@@ -493,15 +491,15 @@ def _dataset(
 
 
 def _check_magnitude(wavelength: Floats, values: Floats) -> None:
-    """Refuse a series of a magnitude that daylight never has, as with wrong units.
+    """Refuse a series whose magnitude is impossible for daylight, as with wrong units.
 
     wavelength : (irradiance_wavelength,): [nm].
     values : (irradiance_time, irradiance_wavelength): [W m-2 nm-1].
-    Raises UnitsError: The brightest sample's median over 400-1000 nm is not that of daylight; or the sun has
-        nothing at these wavelengths.
-    Warns PaintWarning: It is as dim as before sunrise.
+    Raises UnitsError: The brightest sample's median over 400-1000 nm is impossible for daylight; or the
+        wavelengths are outside sunlight.
+    Warns PaintWarning: The brightest sample is as dim as before sunrise.
     """
-    if wavelength[-1] < _SUNLIT_NM[0] or wavelength[0] > _SUNLIT_NM[1]:
+    if wavelength[-1] < _SUNLIGHT_RANGE_NM[0] or wavelength[0] > _SUNLIGHT_RANGE_NM[1]:
         raise UnitsError(
             f"wavelengths from {wavelength[0]:g} to {wavelength[-1]:g} nm, where there is no sunlight",
             mend="convert micrometres, angstroms or wavenumbers to nanometres",
@@ -517,9 +515,9 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
     if np.isnan(brightest) or LOWEST_MEDIAN <= brightest <= HIGHEST_MEDIAN:
         return
     direction = (
-        f"brighter than the sun above the atmosphere (at most {HIGHEST_MEDIAN:g} is believed)"
+        f"brighter than the sun above the atmosphere (expected at most {HIGHEST_MEDIAN:g})"
         if brightest > HIGHEST_MEDIAN
-        else f"darker than deep twilight (at least {LOWEST_MEDIAN:g} is believed)"
+        else f"darker than deep twilight (expected at least {LOWEST_MEDIAN:g})"
     )
     slip = unit_slip(brightest) or "uW labelled as W?"
     raise UnitsError(
@@ -533,7 +531,7 @@ def _check_magnitude(wavelength: Floats, values: Floats) -> None:
 
 
 def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> xr.Dataset:
-    """Cut an irradiance record to a line +- 60 s, and at least to its bracketing samples.
+    """Cut an irradiance record to a flight line +- 60 s, or to its bracketing samples where these are wider.
 
     irradiance: ``irradiance`` (irradiance_time, irradiance_wavelength), ``irradiance_fwhm``,
         ``irradiance_max_gap`` and, where known, ``irradiance_clock_uncertainty``.
@@ -550,24 +548,30 @@ def cut_irradiance(irradiance: xr.Dataset, time: npt.NDArray[np.datetime64]) -> 
     if np.isnat(stamps).any() or (np.diff(stamps) <= np.timedelta64(0, "ns")).any():
         raise TimeError(
             "irradiance times repeat, run backwards or are missing",
-            mend="sort them and drop repeats",
+            mend="sort them, and remove repeated ones",
             code="time-unordered",
         )
-    flown = time[~np.isnat(time)]
-    if not flown.size or not stamps.size or stamps[-1] < flown.min() or stamps[0] > flown.max():
+    line_times = time[~np.isnat(time)]
+    if (
+        not line_times.size
+        or not stamps.size
+        or stamps[-1] < line_times.min()
+        or stamps[0] > line_times.max()
+    ):
         raise TimeError(
             (
-                f"the irradiance record covers {_span(stamps) or 'nothing'}, the line was flown "
-                f"{_span(flown) or 'at unknown times'}"
+                f"the irradiance record covers {_span(stamps) or 'nothing'}, the flight line was recorded "
+                f"{_span(line_times) or 'at unknown times'}"
             ),
             mend="check utc_offset_h and clock_offset_s",
             code="time-uncovered",
         )
-    first, last = flown.min(), flown.max()
+    first, last = line_times.min(), line_times.max()
     start = min(
-        np.searchsorted(stamps, first - _MARGIN), max(np.searchsorted(stamps, first, side="right") - 1, 0)
+        np.searchsorted(stamps, first - _LINE_MARGIN),
+        max(np.searchsorted(stamps, first, side="right") - 1, 0),
     )
-    stop = max(np.searchsorted(stamps, last + _MARGIN, side="right"), np.searchsorted(stamps, last) + 1)
+    stop = max(np.searchsorted(stamps, last + _LINE_MARGIN, side="right"), np.searchsorted(stamps, last) + 1)
     cut = xr.Dataset({name: label(array, name) for name, array in variables.items()})
     cut = cut.isel({IRRADIANCE_TIME: slice(int(start), int(stop))}).load()
     cut = cut.assign_coords({IRRADIANCE_TIME: cut[IRRADIANCE_TIME].astype("datetime64[ns]")})

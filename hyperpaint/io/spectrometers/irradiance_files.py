@@ -22,30 +22,30 @@ from hyperpaint.io.files.reading import load_netcdf, number, numbered_lines, num
 from hyperpaint.io.store import list_groups, load_group
 from hyperpaint.io.store.reader import is_zarr
 
-#: Widths of ASD instruments as their maker states them, at 700 nm and at 1400 to 2100 nm [nm].
+#: Spectral resolution of ASD instruments [nm], as the maker states it for 700 nm and for 1400 to 2100 nm.
 ASD_FWHM_NM, ASD_SWIR_FWHM_NM = 3.0, 10.0
-#: Wavelengths at which the silicon detector ends, beside another detector and alone.
-_ASD_SPLICE_NM, _ASD_VNIR_ENDS_NM = 1000.0, 1100.0
+#: Last wavelength of the silicon detector [nm], of instruments with a further detector and without.
+_ASD_SPLICE_NM, _ASD_VNIR_END_NM = 1000.0, 1100.0
 
 _MAX_BYTES = 2**29
-#: Largest number of values of a file: three hours of an ASD instrument, one spectrum a second.
+#: Largest number of values in a file: three hours of an ASD instrument with one spectrum per second.
 _MAX_VALUES = 24_000_000
 
-_MAX_TIME_S = 7.2e9  # to the year 2198
-_YEARS = range(1970, 2200)  # datetime64[ns] would wrap around in silence from 2262 on
+_MAX_TIME_S = 7.2e9  # [s since 1970], the year 2198
+_YEARS = range(1970, 2200)  # datetime64[ns] overflows silently from 2262 on
 
 
 @dataclass(frozen=True, eq=False)
 class IrradianceTable:
-    """Content of one file."""
+    """Content of one csv file."""
 
     name: str  # file name without its folder
     times: tuple[dt.datetime, ...]  # (sample), with a zone where the file gives one
     lines: tuple[int, ...]  # (sample), line numbers in the file
     wavelength: npt.NDArray[np.float64]  # (wavelength) [nm]
     values: npt.NDArray[np.float64]  # (sample, wavelength), NaN where a cell is empty
-    units: str | None  # as the comments say, or None
-    fwhm_nm: float | None
+    units: str | None  # from a comment, or None
+    fwhm_nm: float | None  # from a comment, or None
 
 
 def is_irradiance_csv(head: bytes) -> bool:
@@ -58,12 +58,12 @@ def is_irradiance_csv(head: bytes) -> bool:
 def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     r"""Read an irradiance series from comma-separated values.
 
-    The layout: comments ``# units: W m-2 nm-1`` and ``# fwhm_nm: 3`` (both may be missing), a header ``time``
-    with the wavelengths in nanometres, then a row a sample that begins with an ISO 8601 stamp, with a zone
-    (``2024-05-21T12:00:00.5Z``) or, all of them, without.
+    The file contains comments ``# units: W m-2 nm-1`` and ``# fwhm_nm: 3`` (both optional), a header of
+    ``time`` and the wavelengths in nanometres, and one row for each sample: an ISO 8601 stamp and the values.
+    Either all stamps have a zone (``2024-05-21T12:00:00.5Z``), or none has.
 
-    Returns IrradianceTable: Values (sample, wavelength) and the units and width in the comments.
-    Raises FormatError: The file cannot be read, or its header or rows are not as above.
+    Returns IrradianceTable: Values (sample, wavelength), and units and spectral width from the comments.
+    Raises FormatError: The file cannot be read, or its header or a row deviates from this.
 
     Examples
     --------
@@ -77,20 +77,20 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     path = Path(path)
     name = path.name
     data = read_limited_text(path, _MAX_BYTES, "an irradiance series (a longer one fits Zarr)")
-    if (commas := data.count(b",")) > _MAX_VALUES:
+    if (comma_count := data.count(b",")) > _MAX_VALUES:
         raise FormatError(
-            f"{path}: {commas} values",
+            f"{path}: {comma_count} values",
             expected=f"at most {_MAX_VALUES}",
-            mend="make several files of it, or Zarr",
+            mend="split it into several files, or convert it to Zarr",
             code="file-too-large",
         )
     text = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").decode("utf-8-sig", errors="replace")
-    del data  # it may be large
+    del data  # to free memory
     comments: dict[str, str] = {}
-    # rows are split one at a time
+    # the text is split row by row, to save memory
     rows = (
         (line_number, [cell.strip().strip('"') for cell in line.strip().split(",")])
-        for line_number, line in _beside_comments(text, comments)
+        for line_number, line in _rows_without_comments(text, comments)
     )
     _, header = next(rows, (0, [""]))
     if header[0].lower() != "time":
@@ -107,7 +107,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
             code="header-unreadable",
         )
     times, lines = [], []
-    values = np.empty((commas // len(wavelength) + 1, len(wavelength)))
+    values = np.empty((comma_count // len(wavelength) + 1, len(wavelength)))
     for index, (line_number, cells) in enumerate(rows):
         try:
             time = dt.datetime.fromisoformat(cells[0])
@@ -131,7 +131,7 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     if len({time.tzinfo is None for time in times}) > 1:
         raise FormatError(
             f"{name}: some stamps have a zone and some have not",
-            mend="give a zone to all stamps, or to none",
+            mend="write a zone in all stamps, or in none",
             code="zone-missing",
         )
     width = number(comments.get("fwhm_nm", ""))
@@ -152,8 +152,8 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     )
 
 
-def _beside_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
-    # Its comments go into the dict ``comments``.
+def _rows_without_comments(text: str, comments: dict[str, str]) -> Iterator[tuple[int, str]]:
+    # Yield number and text of each line that is not a comment; add comments on the way to ``comments``.
     for line_number, line in numbered_lines(text):
         if line.startswith("#"):
             key, _, value = line[1:].partition(":")
@@ -172,22 +172,24 @@ def is_store(path: Any) -> bool:
 
 
 def stored_series(path: Any) -> xr.Dataset:
-    """Return the dataset with the series: the root, or the group irradiance of a collect."""
+    """Return the dataset with the series: the root of the store, or a collect's group ``irradiance``."""
     try:
         if not is_zarr(path):
-            return _of_hypernets(load_netcdf(input_path(path, "an irradiance series")))
-        return _of_hypernets(load_group(path, "irradiance" if "irradiance" in list_groups(path) else None))
+            return _series_of_hypernets(load_netcdf(input_path(path, "an irradiance series")))
+        return _series_of_hypernets(
+            load_group(path, "irradiance" if "irradiance" in list_groups(path) else None)
+        )
     except IncompleteStoreError:
         raise
-    except Exception as error:  # h5py and xarray leak classes of their own on damaged files
+    except Exception as error:  # damaged files make h5py and xarray raise errors of many classes
         raise FormatError(
             f"{path}: no readable Zarr or netCDF store ({type(error).__name__}: {error!s:.400})",
             code="file-unreadable",
         ) from error
 
 
-def _of_hypernets(data: xr.Dataset) -> xr.Dataset:
-    # A product of HYPERNETS (L1A to L1C, irradiance) as a series; other data unchanged.
+def _series_of_hypernets(data: xr.Dataset) -> xr.Dataset:
+    # Return an irradiance product of HYPERNETS (L1A to L1C) as a series, and other data unchanged.
     # Its dims are ``wavelength`` and ``scan`` or ``series``; ``acquisition_time`` counts seconds of UTC from
     # 1970, and ``bandwidth`` [nm] is the width at half maximum (hypernets_processor, variables of its data
     # format).
@@ -234,7 +236,7 @@ def are_widths(value: Any) -> bool:
 
 
 def widths_at(wavelength: Floats, widths: Any) -> Any:
-    """Return a number unchanged, pairs (n, 2) as one width for each channel [nm]."""
+    """Return widths [nm] at wavelengths, from pairs (n, 2) of wavelength and width; a number unchanged."""
     pairs = np.asarray(widths, np.float64)
     return np.interp(wavelength, pairs[:, 0], pairs[:, 1]) if pairs.ndim == 2 else pairs
 
@@ -242,7 +244,7 @@ def widths_at(wavelength: Floats, widths: Any) -> Any:
 def asd_widths(wavelength: Floats) -> tuple[Floats | float, str]:
     """Return the widths assumed for an ASD instrument [nm], and the text of the assumption."""
     text = f"assumed: {ASD_FWHM_NM:g} nm, the resolution of ASD instruments at 700 nm"
-    if wavelength.max() <= _ASD_VNIR_ENDS_NM:
+    if wavelength.max() <= _ASD_VNIR_END_NM:
         return ASD_FWHM_NM, text
     swir_text = f"; {ASD_SWIR_FWHM_NM:g} nm beyond {_ASD_SPLICE_NM:g} nm, of their other detectors"
     return np.where(wavelength <= _ASD_SPLICE_NM, ASD_FWHM_NM, ASD_SWIR_FWHM_NM), text + swir_text

@@ -14,8 +14,8 @@ from hyperpaint.io.files.reading import number, numbers, read_limited_text
 
 _MAX_BYTES = 16 << 20
 _MAX_ROWS = 100_000
-_FIRST = ("!FRM4SOC_CP", "!RADCAL")
-#: Columns of the tables; of the last, two are the instrument's own.
+_FIRST_LINES = ("!FRM4SOC_CP", "!RADCAL")
+#: Number of columns of each table.
 _TABLES = {"LAMPDATA": 4, "PANELDATA": 4, "CALDATA": 10}
 _TEXTS = {
     "DEVICE": "device",
@@ -25,8 +25,8 @@ _TEXTS = {
     "PANEL_ID": "panel",
 }
 _NUMBERS = {"AMBIENT_TEMP": "ambient_temperature_degC", "DEVICE_TEMP": "device_temperature_degC"}
-#: Standard uncertainty, a fraction, of an expanded one (k = 2) in percent.
-_HALF_OF_PERCENT = 1.0 / 200.0
+#: Factor from an expanded uncertainty (k = 2) in percent to a standard uncertainty as a fraction.
+_STANDARD_PER_EXPANDED_PERCENT = 1.0 / 200.0
 
 
 def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
@@ -35,8 +35,8 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     Parameters
     ----------
     path
-        Text that begins ``!FRM4SOC_CP``, ``!RADCAL``, with sections ``[LAMPDATA]``, ``[PANELDATA]`` and
-        ``[CALDATA]``, such as ``CP_SAT0385_RADCAL_20220606105303.TXT``.
+        Text file that begins with ``!FRM4SOC_CP`` and ``!RADCAL``, with sections ``[LAMPDATA]``,
+        ``[PANELDATA]`` and ``[CALDATA]``, such as ``CP_SAT0385_RADCAL_20220606105303.TXT``.
 
     Returns
     -------
@@ -45,8 +45,8 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
         (panel_wavelength) [1]; ``panel_radiance`` (lamp_wavelength) [W m-2 sr-1 nm-1] of the panel under
         the lamp, NaN outside the wavelengths of its certificate; ``coefficient`` (wavelength), in units of
         the instrument's class, NaN where missing, ``dark`` and two series of ``counts`` (series,
-        wavelength). With each of the first two and the coefficient comes a relative standard uncertainty,
-        ``..._u``, half of what the file gives for k = 2. All float64. Attributes: device, time, laboratory,
+        wavelength). The first two and the coefficient have a relative standard uncertainty each,
+        ``..._u``, half of the file's value for k = 2. All float64. Attributes: device, time, laboratory,
         lamp, panel and temperatures.
 
     Raises
@@ -90,33 +90,41 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
     path = Path(path)
     text = read_limited_text(path, _MAX_BYTES, "a radiometric calibration").decode("utf-8", "replace")
     lines = [line.strip() for line in text.splitlines()]
-    if tuple(lines[:2]) != _FIRST:
+    if tuple(lines[:2]) != _FIRST_LINES:
         raise FormatError(
-            f"{path} begins {' '.join(lines[:2])[:60]!r}",
-            expected=" and ".join(_FIRST),
+            f"{path} begins with {' '.join(lines[:2])[:60]!r}",
+            expected=" and ".join(_FIRST_LINES),
             code="format-unknown",
         )
     problems = Problems(f"{path} cannot be used as a radiometric calibration", FormatError)
     sections = _sections(lines)
     tables = {name: _table(name, sections, columns, problems) for name, columns in _TABLES.items()}
     problems.raise_if_any()
-    lamp, panel, device = (tables[name] for name in _TABLES)
-    device = device[1:]  # the first row holds integration times
-    lamp_nm, lamp_irradiance = lamp[:, 0], lamp[:, 2] * 1e-3
-    reflectance = np.interp(lamp_nm, panel[:, 0], panel[:, 2], np.nan, np.nan)
-    is_known = device[:, 2] > 0
+    lamp_table, panel_table, channel_table = (tables[name] for name in _TABLES)
+    channel_table = channel_table[1:]  # the first row holds integration times
+    lamp_nm, lamp_irradiance = lamp_table[:, 0], lamp_table[:, 2] * 1e-3
+    reflectance = np.interp(lamp_nm, panel_table[:, 0], panel_table[:, 2], np.nan, np.nan)
+    has_coefficient = channel_table[:, 2] > 0
     values = {
         "lamp_irradiance": ("lamp_wavelength", lamp_irradiance, "W m-2 nm-1"),
-        "lamp_irradiance_u": ("lamp_wavelength", lamp[:, 3] * _HALF_OF_PERCENT, "1"),
-        "panel_reflectance": ("panel_wavelength", panel[:, 2], "1"),
-        "panel_reflectance_u": ("panel_wavelength", panel[:, 3] * _HALF_OF_PERCENT, "1"),
+        "lamp_irradiance_u": ("lamp_wavelength", lamp_table[:, 3] * _STANDARD_PER_EXPANDED_PERCENT, "1"),
+        "panel_reflectance": ("panel_wavelength", panel_table[:, 2], "1"),
+        "panel_reflectance_u": ("panel_wavelength", panel_table[:, 3] * _STANDARD_PER_EXPANDED_PERCENT, "1"),
         "panel_radiance": ("lamp_wavelength", lamp_irradiance * reflectance / np.pi, "W m-2 sr-1 nm-1"),
-        "coefficient": ("wavelength", np.where(is_known, device[:, 2], np.nan), ""),
-        "coefficient_u": ("wavelength", np.where(is_known, device[:, 3] * _HALF_OF_PERCENT, np.nan), "1"),
-        "dark": ("wavelength", device[:, 4], "count"),
-        "counts": (("series", "wavelength"), device[:, [6, 8]].T, "count"),
+        "coefficient": ("wavelength", np.where(has_coefficient, channel_table[:, 2], np.nan), ""),
+        "coefficient_u": (
+            "wavelength",
+            np.where(has_coefficient, channel_table[:, 3] * _STANDARD_PER_EXPANDED_PERCENT, np.nan),
+            "1",
+        ),
+        "dark": ("wavelength", channel_table[:, 4], "count"),
+        "counts": (("series", "wavelength"), channel_table[:, [6, 8]].T, "count"),
     }
-    coords = {"lamp_wavelength": lamp_nm, "panel_wavelength": panel[:, 0], "wavelength": device[:, 1]}
+    coords = {
+        "lamp_wavelength": lamp_nm,
+        "panel_wavelength": panel_table[:, 0],
+        "wavelength": channel_table[:, 1],
+    }
     attrs: dict[str, str | float] = {
         key: sections[name][0][1] for name, key in _TEXTS.items() if sections.get(name)
     }
@@ -136,22 +144,22 @@ def read_radcal(path: str | os.PathLike[str]) -> xr.Dataset:
 
 def _sections(lines: list[str]) -> dict[str, list[tuple[int, str]]]:
     sections: dict[str, list[tuple[int, str]]] = {}
-    current: list[tuple[int, str]] | None = None
-    for place, line in enumerate(lines, 1):
+    section_rows: list[tuple[int, str]] | None = None
+    for line_number, line in enumerate(lines, 1):
         if not line or line.startswith(("#", "!")):
             continue
         if line.startswith("[") and line.endswith("]"):
             name = line[1:-1].upper()
-            current = None if name.startswith("END_OF_") else sections.setdefault(name, [])
+            section_rows = None if name.startswith("END_OF_") else sections.setdefault(name, [])
             if name.startswith("END_OF_"):
                 sections[name] = []
-        elif current is not None:
-            current.append((place, line))
+        elif section_rows is not None:
+            section_rows.append((line_number, line))
     return sections
 
 
 def _table(name: str, sections: dict[str, list[tuple[int, str]]], columns: int, problems: Problems) -> Floats:
-    # The numbers of a section (row, column); faults are noted.
+    # Return the numbers of a section (row, column); note faults in ``problems``.
     rows = sections.get(name, [])
     if len(rows) < 2 or f"END_OF_{name}" not in sections or len(rows) > _MAX_ROWS:
         problems.add(
@@ -161,19 +169,19 @@ def _table(name: str, sections: dict[str, list[tuple[int, str]]], columns: int, 
         )
         return np.zeros((0, columns))
     table = []
-    for line, text in rows:
+    for line_number, text in rows:
         cells = numbers(text.split())
         if cells is None or len(cells) != columns:
             problems.add(
-                f"line {line}: {text[:60]!r}",
+                f"line {line_number}: {text[:60]!r}",
                 expected=f"{columns} numbers of [{name}]",
                 code="row-unreadable",
             )
             return np.zeros((0, columns))
         table.append(cells)
     values = np.array(table, np.float64)
-    at = values[1:, 1] if name == "CALDATA" else values[:, 0]
-    if not np.isfinite(values).all() or (np.diff(at) <= 0).any():
+    wavelengths = values[1:, 1] if name == "CALDATA" else values[:, 0]
+    if not np.isfinite(values).all() or (np.diff(wavelengths) <= 0).any():
         problems.add(
             f"[{name}] has wavelengths that do not increase, or values that are not finite",
             code="wavelength-unordered",

@@ -26,11 +26,11 @@ def read_spectrum_csv(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Read a spectrum: lines of wavelength [nm] and value, separated by a comma, semicolon, tab or blanks.
 
-    Lines that are empty or begin with ``#`` are passed over, and so are headings before the first numbers.
+    Ignores empty lines, lines that begin with ``#``, and headings before the first numbers.
 
-    headings: Lines at the top that may be headings.
+    headings: Number of lines at the top that may be headings.
     Returns wavelength, value : numpy.ndarray: float64, shape (wavelength,).
-    Raises FormatError: A line is not two numbers, wavelengths do not increase or are none in nanometres, or
+    Raises FormatError: A line is not two numbers, wavelengths do not increase or are not in nanometres, or
         there are fewer than two lines; the first problems are listed.
     """
     wavelength, values, _ = _table(Path(path), headings)
@@ -38,16 +38,16 @@ def read_spectrum_csv(
 
 
 def _table(
-    path: Path, headings: int, *, in_units: bool = False
+    path: Path, headings: int, *, has_units: bool = False
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], list[str]]:
-    # The columns of `read_spectrum_csv`, the first in nanometres, and the headings above them.
-    # in_units: Whether headings, then with the comments above the numbers, name units.
-    problems = Problems(f"{path} is no spectrum", FormatError)
+    # Return both columns, the wavelengths in nanometres, and the headings above them.
+    # has_units: Whether the headings, and the comments above the numbers, may contain units.
+    problems = Problems(f"{path} cannot be used as a spectrum", FormatError)
     rows: list[list[float]] = []
-    above: list[str] = []
+    headings_above: list[str] = []
     comments: list[str] = []
     text = read_limited_text(path, _MAX_BYTES, "a spectrum of two columns").decode("utf-8", "replace")
-    for number, line in enumerate(text.splitlines(), 1):
+    for line_number, line in enumerate(text.splitlines(), 1):
         content = line.strip().lstrip("\ufeff")
         if not content or content.startswith("#"):
             if content and not rows:
@@ -56,20 +56,20 @@ def _table(
         row = numbers(content.replace(",", " ").replace(";", " ").split())
         if row is not None and len(row) == 2:
             rows.append(row)
-        elif rows or number > headings:
+        elif rows or line_number > headings:
             problems.add(
-                f"line {number}: {content[:60]!r}",
+                f"line {line_number}: {content[:60]!r}",
                 expected="a wavelength [nm] and a value",
                 code="row-unreadable",
             )
             if len(problems) == _MAX_SHOWN:
                 problems.raise_if_any()
         else:
-            above.append(content)
+            headings_above.append(content)
     table = np.array(rows, dtype=np.float64).reshape(-1, 2)
-    if in_units:
-        above = [*comments, *above]
-        table[:, 0] *= _factor(above, 0, path)
+    if has_units:
+        headings_above = [*comments, *headings_above]
+        table[:, 0] *= _factor(headings_above, 0, path)
     wavelength, values = table.T.copy()
     if len(rows) < 2:
         problems.add(f"{len(rows)} lines of numbers", expected="at least two", code="table-missing")
@@ -85,7 +85,7 @@ def _table(
             code="wavelength-range",
         )
     problems.raise_if_any()
-    return wavelength, values, above
+    return wavelength, values, headings_above
 
 
 _LENGTHS = {
@@ -101,69 +101,83 @@ _SHARES = {
 }
 _UNITS = ("nm", _LENGTHS), ("1", _SHARES)
 _BRACKETS = re.compile(r"[\[(]([^\[\]()]*)[\])]")
-_AT_END = re.compile(r"/ *([^ /\d]+)$|(?:^|[ _,])(nm|um|µm|μm|percent|per cent|pct)$|(?<!\d)(?<!\d )(%)$")
+_UNIT_AT_END = re.compile(
+    r"/ *([^ /\d]+)$|(?:^|[ _,])(nm|um|µm|μm|percent|per cent|pct)$|(?<!\d)(?<!\d )(%)$"
+)
 _PERCENT = re.compile(r"(?<!\d)(?<!\d )(?:%|\bper ?cent\b)", re.IGNORECASE)
 _WAVELENGTH = re.compile(r"(?:cent(?:er|re|ral) |band )?(?:wave ?lengths?|wvl?|wl|lambda|λ)?(?: in)?[ _/,:]*")
-_ASIDE = re.compile(r"uncert|error|deviation|\bstd\b|\bsd\b")
+_UNCERTAINTY_WORDS = re.compile(r"uncert|error|deviation|\bstd\b|\bsd\b")
 
 
 def _factor(headings: Sequence[str], column: int, path: Path) -> float:
-    # The factor of a column to nm or to a fraction, by its headings; 1 without units.
-    wanted, exact = _UNITS[column]
+    # Return the factor from the unit in a column's headings to nm or to a fraction; 1 without a unit.
+    base_unit, unit_names = _UNITS[column]
     units: dict[str, str] = {}
     for heading in headings:
-        for name in _names(heading, column, last=heading == headings[-1]):
-            unit = exact.get(name.lower())
+        for name in _units_in_heading(heading, column, is_last=heading == headings[-1]):
+            unit = unit_names.get(name.lower())
             if unit is not None:
                 units[unit] = name
             elif is_unit(name):
                 raise FormatError(
-                    f"{path}: heading {heading[:60]!r} names {name!r:.40}",
-                    expected=f"a unit such as {wanted!r}",
+                    f"{path}: heading {heading[:60]!r} contains {name!r:.40}",
+                    expected=f"a unit such as {base_unit!r}",
                     mend="correct the heading",
                     code="units-unknown",
                 )
     if len(units) > 1:
         names = " and ".join(map(repr, units.values()))
         raise FormatError(
-            f"{path}: headings name {names} for one column",
-            expected="one",
+            f"{path}: headings contain {names} for one column",
+            expected="one unit",
             mend="correct the headings",
             code="units-conflict",
         )
     percent = next((heading for heading in headings if _PERCENT.search(" ".join(heading.split()))), None)
     if column == 1 and not units and percent is not None:
         raise FormatError(
-            f"{path}: {percent[:60]!r} names percent, but not for which column",
-            mend=(
-                "write [%] or [1] behind the name of the values, such as 'wavelength [nm],reflectance [%]'"
-            ),
+            f"{path}: {percent[:60]!r} contains percent, but not for which column",
+            mend=("write [%] or [1] after the name of the values, such as 'wavelength [nm],reflectance [%]'"),
             code="units-ambiguous",
         )
-    return conversion_factor(next(iter(units), wanted), wanted)
+    return conversion_factor(next(iter(units), base_unit), base_unit)
 
 
-def _names(heading: str, column: int, last: bool) -> list[str]:
-    comment, text = heading.startswith("#"), heading.lstrip("# \t").replace('"', " ")
-    # the content of brackets is put aside, so that it separates no cells
-    aside = _BRACKETS.findall(text)
+def _units_in_heading(heading: str, column: int, is_last: bool) -> list[str]:
+    # Return the texts of a two-column heading that may be the unit of a column: in brackets, or at the end.
+    is_comment, text = heading.startswith("#"), heading.lstrip("# \t").replace('"', " ")
+    # replace brackets by NUL, so that separators within them split no cell; their texts are units or labels
+    bracket_texts = _BRACKETS.findall(text)
     text = re.sub(r" *\x00", "\x00", _BRACKETS.sub("\x00", text.replace("\x00", " ")))
-    mark = next((mark for mark in (";", "\t", ",", "  ") if mark in text.strip()), None)
-    cells = [cell.strip() for cell in text.strip().split(mark, 1)]
-    if mark in (None, "  ") and len(cells) == 2 and cells[1].startswith(("nm ", "um ", "µm ", "μm ", "/")):
+    separator = next((separator for separator in (";", "\t", ",", "  ") if separator in text.strip()), None)
+    cells = [cell.strip() for cell in text.strip().split(separator, 1)]
+    if (
+        separator in (None, "  ")
+        and len(cells) == 2
+        and cells[1].startswith(("nm ", "um ", "µm ", "μm ", "/"))
+    ):
         cells = [f"{cells[0]} {cells[1].split(None, 1)[0]}", "".join(cells[1].split(None, 1)[1:])]
     if len(cells) != 2:
         return []
-    names: list[list[str]] = []
+    texts_by_column: list[list[str]] = []
     for cell in cells:
-        inside = [aside.pop(0).strip() for _ in range(cell.count("\x00"))]
-        end = _AT_END.search(" ".join(cell.replace("\x00", " ").split()))
-        names.append([*inside, *([] if end is None else [end[1] or end[2] or end[3]])])
-    plain = [" ".join(_AT_END.sub("", cell.replace("\x00", " ").strip()).split()).lower() for cell in cells]
-    of_columns = bool(_WAVELENGTH.fullmatch(plain[0])) and (plain[0] != "" or bool(names[0]))
-    if _ASIDE.search(plain[1]) or not (of_columns or (last and not comment)):
+        cell_units = [bracket_texts.pop(0).strip() for _ in range(cell.count("\x00"))]
+        unit_at_end = _UNIT_AT_END.search(" ".join(cell.replace("\x00", " ").split()))
+        texts_by_column.append(
+            [
+                *cell_units,
+                *([] if unit_at_end is None else [unit_at_end[1] or unit_at_end[2] or unit_at_end[3]]),
+            ]
+        )
+    cell_words = [
+        " ".join(_UNIT_AT_END.sub("", cell.replace("\x00", " ").strip()).split()).lower() for cell in cells
+    ]
+    is_column_heading = bool(_WAVELENGTH.fullmatch(cell_words[0])) and (
+        cell_words[0] != "" or bool(texts_by_column[0])
+    )
+    if _UNCERTAINTY_WORDS.search(cell_words[1]) or not (is_column_heading or (is_last and not is_comment)):
         return []
-    return [re.sub(r"^in ", "", " ".join(name.split())) for name in names[column]]
+    return [re.sub(r"^in ", "", " ".join(unit.split())) for unit in texts_by_column[column]]
 
 
 _MAX_HEADING_LINES = 40
@@ -176,8 +190,8 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     Parameters
     ----------
     path
-        Text of two columns, separated by a comma, semicolon, tab or blanks, below 40 lines of headings or
-        less. Units that these name, ``Wavelength [um];R [%]``, are converted, in comments too; other
+        Text of two columns, separated by a comma, semicolon, tab or blanks, below up to 40 lines of headings.
+        Units in headings and comments, ``Wavelength [um];R [%]``, are converted; other
         text in brackets, ``R (8/h)``, is a label.
 
     Returns
@@ -188,8 +202,8 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     Raises
     ------
     FormatError
-        The file is no such table, a heading names a unit of something else, or values are no fractions;
-        percent that no heading names is refused rather than guessed.
+        The file is not such a table, a heading contains a unit of another dimension, or values are not
+        fractions; percent without a heading that says so is refused.
 
     Examples
     --------
@@ -200,7 +214,7 @@ def read_certificate(path: str | os.PathLike[str]) -> xr.DataArray:
     array([0.981, 0.985])
     """
     path = Path(path)
-    wavelength, values, headings = _table(path, _MAX_HEADING_LINES, in_units=True)
+    wavelength, values, headings = _table(path, _MAX_HEADING_LINES, has_units=True)
     values = values * _factor(headings, 1, path)
     if not ((values > 0.0) & (values <= _MAX_PANEL_REFLECTANCE)).all():
         raise FormatError(

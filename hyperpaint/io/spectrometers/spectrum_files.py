@@ -31,9 +31,9 @@ def find_paths(
 ) -> list[Path]:
     """Return the files of ``paths``: a file, a glob, a folder, or a list of these.
 
-    of_folder, of_pattern: Pick the spectra among the files of a folder, and among what a glob matches.
-    expected: What is looked for, for messages.
-    Raises FormatError: Nothing is there, or a glob leads out of its folder or matches too much.
+    of_folder, of_pattern: Select the spectra among the files of a folder, and among the matches of a glob.
+    expected: Names the accepted files in messages.
+    Raises FormatError: No file is found, or a glob leads out of its folder or matches too many files.
     """
     if isinstance(paths, str | os.PathLike):
         paths = [paths]
@@ -43,14 +43,16 @@ def find_paths(
         path = input_path(entry, expected)
         if path.is_dir():
             # pipes and broken links are kept, so that reading reports them
-            inside = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
-            matches = of_folder(inside)
+            folder_files = sorted(p for p in path.iterdir() if not p.is_dir() and not p.name.startswith("."))
+            matches = of_folder(folder_files)
         elif os.path.lexists(path) or not is_pattern(str(path)):
             matches = [path]
         else:
-            first = next(at for at, part in enumerate(path.parts) if is_pattern(part))
+            pattern_start = next(number for number, part in enumerate(path.parts) if is_pattern(part))
             try:
-                matches = of_pattern(matching_files(Path(*path.parts[:first]), "/".join(path.parts[first:])))
+                matches = of_pattern(
+                    matching_files(Path(*path.parts[:pattern_start]), "/".join(path.parts[pattern_start:]))
+                )
             except ValueError as error:
                 problems.add(f"{path}: {error}", code="pattern-unusable")
                 continue
@@ -64,9 +66,10 @@ def find_paths(
 
 
 def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
-    """Return ``function`` of each item, in their order.
+    """Return the results of a function for all items, in their order.
 
-    Raises FormatError: It raised that for some: one error names all of them, each reason once.
+    Raises FormatError: The function raised it for some items. One error lists each reason once, with its
+    items.
     """
     outputs: list[_R] = []
     names_by_problem: dict[Problem, list[str]] = {}
@@ -88,7 +91,7 @@ def for_all(items: Iterable[_T], function: Callable[[_T], _R]) -> list[_R]:
 def same_grids(
     grids: Iterable[tuple[str, npt.NDArray[np.float64]]],
 ) -> list[tuple[npt.NDArray[np.float64], list[str]]]:
-    """Return each set of wavelengths with the names of its spectra."""
+    """Return each distinct set of wavelengths with the names of its spectra."""
     groups: dict[bytes, tuple[npt.NDArray[np.float64], list[str]]] = {}
     for name, wavelength in grids:
         groups.setdefault(wavelength.tobytes(), (wavelength, []))[1].append(name)
@@ -100,20 +103,24 @@ def require_one_grid(
 ) -> None:
     """Refuse spectra on several sets of wavelengths; ``advice`` completes the message.
 
-    Raises FormatError: There are several; each is listed with the names of its spectra.
+    Raises FormatError: There are several sets; each is listed with the names of its spectra.
     """
     groups = same_grids(grids)
     if len(groups) > 1:
-        remarks = [", overlap kept" if np.any(np.diff(nm) <= 0.0) else "" for nm, _ in groups]
+        overlap_texts = [
+            ", overlap kept" if np.any(np.diff(wavelengths) <= 0.0) else "" for wavelengths, _ in groups
+        ]
         problems = [
             Problem(
-                f"{len(nm)} from {nm[0]:g} to {nm[-1]:g} nm{remark}: {', '.join(names)}", code="grid-mismatch"
+                f"{len(wavelengths)} from {wavelengths[0]:g} to {wavelengths[-1]:g} nm{overlap_text}: "
+                f"{', '.join(names)}",
+                code="grid-mismatch",
             )
-            for (nm, names), remark in zip(groups, remarks, strict=True)
+            for (wavelengths, names), overlap_text in zip(groups, overlap_texts, strict=True)
         ]
         raise FormatError(
             "spectra differ in their wavelengths",
-            mend=f"open them apart{advice()}",
+            mend=f"open them separately{advice()}",
             problems=problems,
             code="grid-mismatch",
         )
@@ -123,15 +130,15 @@ def common_quantity(quantities: Iterable[tuple[str | None, str]]) -> str:
     """Return the quantity that all files hold.
 
     quantities: Quantity, None where unknown, and name of each file.
-    Raises FormatError: One is unknown, or they differ; all are listed.
+    Raises FormatError: A quantity is unknown, or they differ; all are listed.
     """
     names_by_quantity: dict[str | None, list[str]] = {}
     for quantity, name in quantities:
         names_by_quantity.setdefault(quantity, []).append(name)
     if len(names_by_quantity) > 1 or None in names_by_quantity:
         problems = [
-            Problem(f"{key or 'unknown'}: {', '.join(of)}", code="quantity-ambiguous")
-            for key, of in names_by_quantity.items()
+            Problem(f"{key or 'unknown'}: {', '.join(file_names)}", code="quantity-ambiguous")
+            for key, file_names in names_by_quantity.items()
         ]
         raise FormatError(
             "the spectra hold several or unknown quantities",
@@ -147,7 +154,7 @@ def ratio(
 ) -> npt.NDArray[np.float64]:
     """Return the ratio, NaN where the denominator is zero or undefined."""
     quotient = np.full(numerator.shape, np.nan)
-    with np.errstate(all="ignore"):  # damaged values; those not finite are reported later
+    with np.errstate(all="ignore"):  # values of damaged files; non-finite results are reported later
         np.divide(numerator, denominator, out=quotient, where=denominator != 0.0)
     return quotient
 
@@ -155,8 +162,8 @@ def ratio(
 def name_spectra(sources: Sequence[tuple[Path, str]]) -> list[str]:
     """Return a distinct name for each spectrum.
 
-    sources: File of each spectrum and its name. Where names repeat, their folder is put before them; where
-        that does not help, a number behind.
+    sources: File and name of each spectrum. Repeated names get their folder as prefix; if they still repeat,
+        a number as suffix.
 
     Examples
     --------
@@ -183,7 +190,7 @@ def check_utc_offset(hours: float) -> None:
         )
 
 
-def listed(names: Sequence[str], most: int = 20) -> str:
-    """Return the names as text, shortened to the first ``most``."""
-    rest = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + rest
+def listed(names: Sequence[str], max_names: int = 20) -> str:
+    """Return the names as text, shortened to the first ``max_names``."""
+    remainder = f" and {len(names) - max_names} more" if len(names) > max_names else ""
+    return ", ".join(names[:max_names]) + remainder

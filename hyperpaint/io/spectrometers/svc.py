@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import VARIABLES, label
 
 from .spectrum_files import (
@@ -49,10 +50,14 @@ from .svc_layout import (
 Scan = Literal["reference", "target"]
 Overlap = Literal["keep", "trim"]
 
-#: Wavelengths at which the vendor's software ends a detector by default [nm].
+#: Wavelengths [nm] at which the vendor's software changes detectors by default.
 SVC_JOINS = (990.0, 1900.0)
 
-_SCALE = {"radiance": 1e-6, "irradiance": 1e-6, "counts": 1.0}  # files count in 1e-10 W cm-2 [sr-1] nm-1
+_SCALE = {
+    "radiance": 1e-6,
+    "irradiance": 1e-6,
+    "counts": 1.0,
+}  # to SI, from the files' 1e-10 W cm-2 [sr-1] nm-1
 
 
 def open_svc(
@@ -75,20 +80,20 @@ def open_svc(
         ``reflectance`` (target / white reference), ``radiance``, ``counts`` or ``irradiance``. By default
         reflectance from two scans in radiance, else the quantity of the scan.
     scan
-        Which scan radiance, counts or irradiance are of: of the ``target`` or of the white ``reference``.
+        Scan to return as radiance, counts or irradiance: of the ``target`` or of the white ``reference``.
     overlap
-        ``keep`` returns every channel of the file, in its order: where detectors overlap, wavelengths fall
-        back and occur twice. ``trim`` takes one detector at each join, so that wavelengths increase.
+        ``keep`` returns all channels in the file's order: where detectors overlap, wavelengths step
+        back, and a range of them occurs twice. ``trim`` keeps one detector's channels, so that they increase.
     joins
-        Where ``trim`` hands over from VNIR to SWIR 1 and from SWIR 1 to SWIR 2 [nm]: a channel at the join
-        is the lower detector's, the next one the higher's. By default 990 and 1900, as in the vendor's
-        software, or the end of the overlap that is next to these. It chooses among channels and changes no
-        value; the attribute ``overlap_trimmed_at_nm`` tells where.
+        Wavelengths [nm] at which ``trim`` changes from VNIR to SWIR 1 and from SWIR 1 to SWIR 2: a channel at
+        the join is the lower detector's, the next one the higher's. By default 990 and 1900, as in the
+        vendor's software, or the nearest end of the overlap. No value changes; the attribute
+        ``overlap_trimmed_at_nm`` contains the wavelengths.
     dayfirst
-        How to read dates with slashes that make sense both ways. By default as the other files of the same
-        instrument read where these leave no doubt; else their time is NaT, with a warning.
+        Whether dates with slashes that are valid in both orders begin with the day. By default as in files of
+        the same instrument whose order is unambiguous; else their time is NaT, with a warning.
     utc_offset_h
-        Local time minus UTC [h], for files without GPS time. Where there is GPS time, UTC is that.
+        Local time minus UTC [h], for files without GPS time; with GPS time it is not needed.
 
     Returns
     -------
@@ -139,21 +144,17 @@ def open_svc(
     >>> opened["spectrum"].values.tolist(), opened["time"].values
     (['red'], array(['2025-05-27T07:42:59.000000000'], dtype='datetime64[ns]'))
     """
-    problems = Problems("SVC files cannot be opened as asked", SchemaError)
-    if quantity is not None and quantity not in QUANTITIES:
-        problems.add(
-            f"quantity={quantity!r}", expected=f"one of {', '.join(QUANTITIES)}", code="choice-unknown"
-        )
-    if scan not in SCANS:
-        problems.add(f"scan={scan!r}", expected="'target' or 'reference'", code="choice-unknown")
+    problems = Problems("SVC files cannot be opened with these arguments", SchemaError)
+    if quantity is not None:
+        one_of(quantity, QUANTITIES, "quantity", problems=problems)
+    one_of(scan, SCANS, "scan", problems=problems)
     if scan == "reference" and quantity == "reflectance":
         problems.add(
             "scan='reference' with quantity='reflectance', which is a ratio of both scans",
-            mend="leave scan out, or pass quantity='radiance'",
+            mend="omit scan, or pass quantity='radiance'",
             code="option-conflict",
         )
-    if overlap not in ("keep", "trim"):
-        problems.add(f"overlap={overlap!r}", expected="'keep' or 'trim'", code="choice-unknown")
+    one_of(overlap, get_args(Overlap), "overlap", problems=problems)
     if joins is not None and not (np.size(joins) == 2 and 0.0 < joins[0] < joins[1] < math.inf):
         problems.add(
             f"joins={joins!r}", expected="two increasing wavelengths in nm", code="value-out-of-range"
@@ -161,95 +162,123 @@ def open_svc(
     problems.raise_if_any()
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
-    files = find_paths(paths, lambda inside: [p for p in inside if p.suffix.lower() == ".sig"], ".sig files")
+    files = find_paths(
+        paths, lambda folder_files: [p for p in folder_files if p.suffix.lower() == ".sig"], ".sig files"
+    )
     contents = for_all(files, read_svc)
-    side = SCANS.index(scan)
-    # by default reflectance from targets with both scans in radiance
-    wanted = quantity or common_quantity(
+    scan_number = SCANS.index(scan)
+    # by default, reflectance of targets whose two scans are in radiance
+    target_quantity = quantity or common_quantity(
         (
             "reflectance"
-            if side == 1 and file.units == ("radiance", "radiance") and file.has_reference
-            else file.units[side],
+            if scan_number == 1 and file.units == ("radiance", "radiance") and file.has_reference
+            else file.units[scan_number],
             file.name,
         )
         for file in contents
     )
 
-    def measure(pair_: tuple[SvcFile, Path]) -> SvcMeasurement:
-        return _measurement(*pair_, wanted, side, joins, trim=overlap == "trim")
+    def measure(file_and_path: tuple[SvcFile, Path]) -> SvcMeasurement:
+        return _measurement(*file_and_path, target_quantity, scan_number, joins, trim=overlap == "trim")
 
-    measured = for_all(zip(contents, files, strict=True), measure)
+    measurements = for_all(zip(contents, files, strict=True), measure)
     require_one_grid(
-        ((item.file.name, item.wavelength) for item in measured), lambda: _joins_that_help(measured)
+        ((measurement.file.name, measurement.wavelength) for measurement in measurements),
+        lambda: _joins_advice(measurements),
     )
-    values = np.stack([np.where(np.isfinite(item.values), item.values, np.nan) for item in measured])
+    values = np.stack(
+        [
+            np.where(np.isfinite(measurement.values), measurement.values, np.nan)
+            for measurement in measurements
+        ]
+    )
     warn_of(
         "samples that are undefined (not finite) become NaN",
-        [item.file.name for item, row in zip(measured, values, strict=True) if np.isnan(row).any()],
+        [
+            measurement.file.name
+            for measurement, row in zip(measurements, values, strict=True)
+            if np.isnan(row).any()
+        ],
         "samples-undefined",
     )
     coords = {
-        **coords_of_channels(measured),
-        **coords_of_times(contents, 1 if wanted == "reflectance" else side, wanted, dayfirst, utc_offset_h),
-        **coords_of_places(contents, side),
-        **coords_of_files(measured, wanted),
+        **coords_of_channels(measurements),
+        **coords_of_times(
+            contents,
+            1 if target_quantity == "reflectance" else scan_number,
+            target_quantity,
+            dayfirst,
+            utc_offset_h,
+        ),
+        **coords_of_positions(contents, scan_number),
+        **coords_of_files(measurements, target_quantity),
     }
     attrs: dict[str, Any] = {"instrument": "SVC"}
-    if wanted != "reflectance":
+    if target_quantity != "reflectance":
         attrs["scan"] = scan
-    trimmed_at = [item.trimmed_at for item in measured if item.trimmed_at]
+    trimmed_at = [measurement.trimmed_at for measurement in measurements if measurement.trimmed_at]
     if trimmed_at:
         attrs["overlap_trimmed_at_nm"] = list(trimmed_at[0])
     data = xr.DataArray(values, dims=("spectrum", "wavelength"))
-    extra = {"reflectance_scale": "relative"} if wanted == "reflectance" else {}
-    return xr.Dataset({wanted: label(data, wanted, **extra)}, coords=coords, attrs=attrs)
+    extra = {"reflectance_scale": "relative"} if target_quantity == "reflectance" else {}
+    return xr.Dataset({target_quantity: label(data, target_quantity, **extra)}, coords=coords, attrs=attrs)
 
 
 def _measurement(
-    file: SvcFile, path: Path, quantity: str, side: int, joins: tuple[float, float] | None, *, trim: bool
+    file: SvcFile,
+    path: Path,
+    quantity: str,
+    scan_number: int,
+    joins: tuple[float, float] | None,
+    *,
+    trim: bool,
 ) -> SvcMeasurement:
     overlap = overlap_of(file.header)
     detector = detectors_of(file, overlap.joins)
-    of_reference, of_target = file.units
-    if (quantity == "reflectance" or side == 0) and not file.has_reference:
+    reference_units, target_units = file.units
+    if (quantity == "reflectance" or scan_number == 0) and not file.has_reference:
         raise FormatError(
             f"{file.name}: no white reference was taken",
             mend="pass quantity='radiance'" if quantity == "reflectance" else "pass scan='target'",
             code="reference-missing",
         )
     if quantity != "reflectance":
-        if file.units[side] != quantity:
+        if file.units[scan_number] != quantity:
             raise FormatError(
-                f"{file.name}: its {SCANS[side]} is in {file.units[side]}",
+                f"{file.name}: the scan of the {SCANS[scan_number]} is in {file.units[scan_number]}",
                 expected=quantity,
                 mend=(
-                    f"pass quantity={file.units[side]!r}, or save the file in {quantity} with the "
+                    f"pass quantity={file.units[scan_number]!r}, or save the file in {quantity} with the "
                     "vendor's software"
                 ),
                 code="quantity-wrong",
             )
-        values = (file.reference, file.target)[side] * _SCALE[quantity]
+        values = (file.reference, file.target)[scan_number] * _SCALE[quantity]
     else:
-        # the ratio of the scans, which must be in the same units and of the same integration times
-        times = items(file.header.get("integration", ""))
-        if of_reference != of_target:
+        # the scans must have the same units and, in counts, the same integration times
+        integration_times = items(file.header.get("integration", ""))
+        if reference_units != target_units:
             raise FormatError(
-                f"{file.name}: its reference is in {of_reference} and its target in {of_target}",
-                mend=f"pass quantity={of_target!r}",
+                f"{file.name}: its reference is in {reference_units} and its target in {target_units}",
+                mend=f"pass quantity={target_units!r}",
                 code="units-conflict",
             )
-        if of_target == "counts" and times[: len(times) // 2] != times[len(times) // 2 :]:
+        if (
+            target_units == "counts"
+            and integration_times[: len(integration_times) // 2]
+            != integration_times[len(integration_times) // 2 :]
+        ):
             raise FormatError(
                 f"{file.name}: reference and target are counts of different or unknown integration times",
                 mend="save the file in radiance with the vendor's software, or pass quantity='counts'",
                 code="integration-time-conflict",
             )
         values = ratio(file.target, file.reference)
-    at = _handovers(file, joins) if trim else ()
-    used = _trimmed(file, at)
-    if not used.any():
+    handovers = _handovers(file, joins) if trim else ()
+    is_used = _trimmed_channels(file, handovers)
+    if not is_used.any():
         raise FormatError(
-            f"{file.name}: its detectors do not follow one another in wavelength",
+            f"{file.name}: no channel remains after trimming; detectors are not in order of wavelength",
             mend="copy the file again",
             code="wavelength-unordered",
         )
@@ -257,19 +286,19 @@ def _measurement(
         file=file,
         path=path,
         overlap=overlap,
-        wavelength=file.wavelength[used],
-        values=values[used],
-        detector=None if detector is None else detector[used],
-        trimmed_at=at,
+        wavelength=file.wavelength[is_used],
+        values=values[is_used],
+        detector=None if detector is None else detector[is_used],
+        trimmed_at=handovers,
     )
 
 
 def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float, ...]:
-    # The wavelength of the change of detectors, for each step back of the wavelengths [nm].
+    # Return the wavelength [nm] at which each detector but the last ends.
     handovers = []
     for start, join in zip(file.starts[1:], joins or SVC_JOINS, strict=False):
         first, last = float(file.wavelength[start]), float(file.wavelength[start - 1])
-        # the vendor's software lets the next detector begin at its very first channel, a step above the join
+        # the vendor's software may begin the next detector at its first channel, one step above the join
         low = first - float(np.ptp(file.wavelength[start : start + 2]))
         high = last + float(np.ptp(file.wavelength[max(start - 2, 0) : start]))
         if joins is not None and not low <= join <= high:
@@ -283,27 +312,34 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
     return tuple(handovers)
 
 
-def _trimmed(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
-    # Which channels remain with one detector on each side of a join.
-    used = np.ones(len(file.wavelength), bool)
+def _trimmed_channels(file: SvcFile, handovers: Sequence[float]) -> npt.NDArray[np.bool_]:
+    # Return which channels remain: below a join those of the lower detector, above it those of the next.
+    is_used = np.ones(len(file.wavelength), bool)
     for start, join in zip(file.starts[1:], handovers, strict=False):
-        used[:start] &= file.wavelength[:start] <= join
-        used[start:] &= file.wavelength[start:] > join
-    return used
+        is_used[:start] &= file.wavelength[:start] <= join
+        is_used[start:] &= file.wavelength[start:] > join
+    return is_used
 
 
-def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
-    # The advice to trim, where trimming gives all files one set of wavelengths.
-    for joins in sorted({item.overlap.joins for item in measured if item.overlap.joins is not None}):
+def _joins_advice(measurements: Sequence[SvcMeasurement]) -> str:
+    # Return the advice to trim, if trimming gives all files the same wavelengths; or an empty text.
+    for joins in sorted(
+        {measurement.overlap.joins for measurement in measurements if measurement.overlap.joins is not None}
+    ):
         try:
             grids = [
-                (item.file.name, item.file.wavelength[_trimmed(item.file, _handovers(item.file, joins))])
-                for item in measured
+                (
+                    measurement.file.name,
+                    measurement.file.wavelength[
+                        _trimmed_channels(measurement.file, _handovers(measurement.file, joins))
+                    ],
+                )
+                for measurement in measurements
             ]
         except FormatError:
             continue
         if len(same_grids(grids)) == 1:
-            return f", or pass overlap='trim', joins=({joins[0]:g}, {joins[1]:g}), which makes them one"
+            return f", or pass overlap='trim', joins=({joins[0]:g}, {joins[1]:g}), which makes them equal"
     return ""
 
 
@@ -311,17 +347,17 @@ def _joins_that_help(measured: Sequence[SvcMeasurement]) -> str:
 # Coordinates of SVC spectra: channels, times, places, and header fields of their files.
 
 
-#: The two scans of a file, in its order.
+#: The two scans of a file, in the order of its columns.
 SCANS = ("reference", "target")
 
-_HALF_DIGIT = 0.005  # half of the last of two decimals
+_HALF_DIGIT = 0.005  # rounding error of numbers with two decimals
 _NAT = np.datetime64("NaT", "ns")
-_NOWHERE = (math.nan, math.nan)
+_NO_POSITION = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
 class SvcMeasurement:
-    """One file in one quantity, on the channels in use."""
+    """One file in one quantity, on the channels that remain."""
 
     file: SvcFile
     path: Path
@@ -333,19 +369,20 @@ class SvcMeasurement:
 
     @property
     def overlap_text(self) -> str:
-        """Treatment of the channels where detectors overlap."""
+        """Treatment of the channels at which detectors overlap."""
         if self.trimmed_at:
             return f"trimmed @ {', '.join(f'{join:g}' for join in self.trimmed_at)} nm"
         return self.overlap.text
 
 
-def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:
-    """Return the wavelengths, and the detectors where all files agree."""
-    first = measured[0]
+def coords_of_channels(measurements: Sequence[SvcMeasurement]) -> dict[str, Any]:
+    """Return the coordinate of the wavelengths, and that of the detectors if it is the same in all files."""
+    first = measurements[0]
     attrs = {**VARIABLES["wavelength"].attrs, "long_name": "Wavelength of the spectrometer"}
     coords: dict[str, Any] = {"wavelength": ("wavelength", first.wavelength, attrs)}
     if first.detector is not None and all(
-        item.detector is not None and np.array_equal(item.detector, first.detector) for item in measured
+        measurement.detector is not None and np.array_equal(measurement.detector, first.detector)
+        for measurement in measurements
     ):
         names = np.array(DETECTORS, object)[first.detector]
         coords["detector"] = ("wavelength", names, {"long_name": "Detector of the channel"})
@@ -353,9 +390,13 @@ def coords_of_channels(measured: Sequence[SvcMeasurement]) -> dict[str, Any]:
 
 
 def coords_of_times(
-    contents: Sequence[SvcFile], side: int, quantity: str, dayfirst: bool | None, utc_offset_h: float | None
+    contents: Sequence[SvcFile],
+    scan_number: int,
+    quantity: str,
+    dayfirst: bool | None,
+    utc_offset_h: float | None,
 ) -> dict[str, Any]:
-    """Return UTC of the scans; for reflectance, of target and reference."""
+    """Return the coordinates of UTC of the scans; for reflectance, of target and reference."""
     stamps = [[read_stamp(text) for text in pair(file.header, "time")] for file in contents]
     orders = orders_of(
         (file.header.get("instrument", ""), stamp)
@@ -364,7 +405,7 @@ def coords_of_times(
         if stamp is not None
     )
     clock = _Clock(orders, dayfirst, utc_offset_h)
-    names = {side: "time"} if quantity != "reflectance" else {0: "reference_time", 1: "time"}
+    names = {scan_number: "time"} if quantity != "reflectance" else {0: "reference_time", 1: "time"}
     coords: dict[str, Any] = {}
     for scan, name in sorted(names.items(), reverse=True):
         times = [
@@ -372,38 +413,42 @@ def coords_of_times(
             for file, stamps_of_file in zip(contents, stamps, strict=True)
         ]
         target_name = "white reference" if scan == 0 else "target"
-        coords[name] = _of_spectra(np.array(times, "datetime64[ns]"), f"UTC of the scan of the {target_name}")
+        coords[name] = _spectrum_coordinate(
+            np.array(times, "datetime64[ns]"), f"UTC of the scan of the {target_name}"
+        )
     clock.warn()
     return coords
 
 
 class _Clock:
-    # Converts stamps to UTC, and collects the reasons of failures.
+    # Converts stamps to UTC, and collects the reasons why stamps become NaT.
     def __init__(self, orders: Mapping[str, bool], dayfirst: bool | None, utc_offset_h: float | None) -> None:
         self._orders = orders
         self._dayfirst = dayfirst
         self._utc_offset_h = utc_offset_h
         self._files_by_reason: dict[tuple[str, str], dict[str, None]] = {}
 
-    def _note(self, reason: str, code: str, file: SvcFile) -> np.datetime64:
+    def _nat_with_reason(self, reason: str, code: str, file: SvcFile) -> np.datetime64:
         self._files_by_reason.setdefault((reason, code), {})[file.name] = None
         return _NAT
 
     def utc(self, file: SvcFile, stamp: LocalStamp | None, scan: int) -> np.datetime64:
         if stamp is None:
-            return self._note("missing or unreadable times are NaT", "time-unreadable", file)
+            return self._nat_with_reason("missing or unreadable times are NaT", "time-unreadable", file)
         order = self._orders.get(file.header.get("instrument", ""))
         local = stamp.read(order if self._dayfirst is None and stamp.slashes else self._dayfirst)
         if local is None:
-            return self._note("dates of unknown order are NaT; pass dayfirst=", "date-ambiguous", file)
+            return self._nat_with_reason(
+                "dates of unknown order are NaT; pass dayfirst=", "date-ambiguous", file
+            )
         gps = None
         try:
             gps = read_gps_time(pair(file.header, "gpstime")[scan])
         except ValueError:
-            self._note("unreadable GPS times are left out", "gps-time-unreadable", file)
-        utc = utc_of(local, gps, (position_of(file.header, scan) or _NOWHERE)[1], self._utc_offset_h)
+            self._nat_with_reason("unreadable GPS times are ignored", "gps-time-unreadable", file)
+        utc = utc_of(local, gps, (position_of(file.header, scan) or _NO_POSITION)[1], self._utc_offset_h)
         if utc is None:
-            return self._note(
+            return self._nat_with_reason(
                 "local times without GPS time are NaT; pass utc_offset_h=", "zone-missing", file
             )
         if (
@@ -412,7 +457,7 @@ class _Clock:
             and abs((local - utc).total_seconds() / 3600.0 - self._utc_offset_h) > 0.25
         ):
             reason = f"utc_offset_h={self._utc_offset_h:+g} contradicts GPS time, which is used"
-            self._note(reason, "utc-offset-conflict", file)
+            self._nat_with_reason(reason, "utc-offset-conflict", file)
         return np.datetime64(utc, "ns")
 
     def warn(self) -> None:
@@ -420,12 +465,14 @@ class _Clock:
             warn_of(reason, list(names), code)
 
 
-def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
-    """Return the GPS positions of the scans; ``side`` is 0 for references, 1 for targets."""
-    places = [position_of(file.header, side) for file in contents]
-    unreadable = [file.name for file, place in zip(contents, places, strict=True) if place is None]
-    warn_of("unreadable positions are NaN", unreadable, "position-unreadable")
-    columns = np.array([place or _NOWHERE for place in places], np.float64).T
+def coords_of_positions(contents: Sequence[SvcFile], scan_number: int) -> dict[str, Any]:
+    """Return coordinates of the scans' GPS positions; ``scan_number`` is 0 for references, 1 for targets."""
+    positions = [position_of(file.header, scan_number) for file in contents]
+    files_unreadable = [
+        file.name for file, position in zip(contents, positions, strict=True) if position is None
+    ]
+    warn_of("unreadable positions are NaN", files_unreadable, "position-unreadable")
+    columns = np.array([position or _NO_POSITION for position in positions], np.float64).T
     coords: dict[str, Any] = {}
     for name, column in zip(("latitude", "longitude"), columns, strict=True):
         attrs = {**VARIABLES[name].attrs, "long_name": f"{name.capitalize()} of the spectrometer"}
@@ -433,60 +480,67 @@ def coords_of_places(contents: Sequence[SvcFile], side: int) -> dict[str, Any]:
     return coords
 
 
-def _of_spectra(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, dict[str, str]]:
-    # A coordinate of the spectra; lists hold texts.
+def _spectrum_coordinate(values: Any, meaning: str, **attrs: str) -> tuple[str, Array, dict[str, str]]:
+    # Return a coordinate along ``spectrum``; a list contains texts.
     array = np.array(values, object) if isinstance(values, list) else values
     return "spectrum", array, {"long_name": meaning, **attrs}
 
 
-def coords_of_files(measured: Sequence[SvcMeasurement], quantity: str) -> dict[str, Any]:
-    """Return names, instruments, overlap, matching and errors of the files."""
-    files = [item.file for item in measured]
-    names = name_spectra([(item.path, item.path.name.removesuffix(item.path.suffix)) for item in measured])
+def coords_of_files(measurements: Sequence[SvcMeasurement], quantity: str) -> dict[str, Any]:
+    """Return coordinates of the files' names, instruments, overlap treatment, matching and error bits."""
+    files = [measurement.file for measurement in measurements]
+    names = name_spectra(
+        [
+            (measurement.path, measurement.path.name.removesuffix(measurement.path.suffix))
+            for measurement in measurements
+        ]
+    )
     errors = np.array([error_bits(file.header) for file in files], np.int64)
-    factors = np.array([item.overlap.factors for item in measured], np.float64)
-    overlaps = [item.overlap_text for item in measured]
-    matched = np.array([item.overlap.matched for item in measured], bool)
+    factors = np.array([measurement.overlap.factors for measurement in measurements], np.float64)
+    overlaps = [measurement.overlap_text for measurement in measurements]
+    matched = np.array([measurement.overlap.matched for measurement in measurements], bool)
     instruments = [file.header.get("instrument", "") for file in files]
-    lines = [file.header.get("factors", "") for file in files]
+    factors_texts = [file.header.get("factors", "") for file in files]
     headers = [json.dumps(dict(file.header), ensure_ascii=False) for file in files]
     coords: dict[str, Any] = {
-        "spectrum": _of_spectra(names, "Name of the spectrum"),
-        "source": _of_spectra([file.name for file in files], "File"),
-        "instrument": _of_spectra(instruments, "Instrument"),
-        "overlap": _of_spectra(overlaps, "What became of channels where detectors overlap"),
-        "overlap_matched": _of_spectra(matched, "Whether values were changed to make detectors meet"),
-        "factors": _of_spectra(lines, "Matching of the detectors as the file says it"),
-        "header": _of_spectra(headers, "Header of the file as JSON"),
+        "spectrum": _spectrum_coordinate(names, "Name of the spectrum"),
+        "source": _spectrum_coordinate([file.name for file in files], "File"),
+        "instrument": _spectrum_coordinate(instruments, "Instrument"),
+        "overlap": _spectrum_coordinate(overlaps, "What became of channels where detectors overlap"),
+        "overlap_matched": _spectrum_coordinate(
+            matched, "Whether values were changed to make detectors meet"
+        ),
+        "factors": _spectrum_coordinate(factors_texts, "Matching of the detectors as the file says it"),
+        "header": _spectrum_coordinate(headers, "Header of the file as JSON"),
     }
     for scan, name in enumerate(SCANS):
         meaning = f"VNIR over SWIR 1 in their overlap, scan of the {name}"
-        coords[f"factor_{name}"] = _of_spectra(factors[:, scan], meaning, units="1")
+        coords[f"factor_{name}"] = _spectrum_coordinate(factors[:, scan], meaning, units="1")
         meaning = f"Error bits of the instrument, scan of the {name}; -1 where unknown"
-        coords[f"error_{name}"] = _of_spectra(errors[:, scan], meaning)
+        coords[f"error_{name}"] = _spectrum_coordinate(errors[:, scan], meaning)
     if quantity == "reflectance":
         meaning = "Largest distance of the file's own rounded reflectance from the recomputed"
-        coords["column_difference"] = _of_spectra(_column_differences(files), meaning, units="1")
+        coords["column_difference"] = _spectrum_coordinate(_column_differences(files), meaning, units="1")
     return coords
 
 
 def _column_differences(files: Sequence[SvcFile]) -> Floats:
-    # The distance of each file's fourth column from the ratio; warn where it exceeds rounding.
+    # Return the difference of each file's fourth column from the ratio; warn if it exceeds rounding.
     differences = np.full(len(files), np.nan)
     contradictory = []
-    for place, file in enumerate(files):
+    for number, file in enumerate(files):
         with np.errstate(all="ignore"):
-            share = file.target / file.reference
-            difference = np.abs(100.0 * share - file.percent)
-            # every number of the file is rounded, the two scans as well as the ratio
-            limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(share)) / np.abs(file.reference))
-            wrong = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
-                np.isfinite(share) & ~np.isfinite(file.percent)
+            scan_ratio = file.target / file.reference
+            difference = np.abs(100.0 * scan_ratio - file.percent)
+            # the file rounds all numbers, of the scans and of the ratio
+            limit = _HALF_DIGIT * (1.0 + 100.0 * (1.0 + np.abs(scan_ratio)) / np.abs(file.reference))
+            is_contradictory = (difference > limit * (1.0 + 1e-9) + 1e-9) | (
+                np.isfinite(scan_ratio) & ~np.isfinite(file.percent)
             )
         if np.isfinite(difference).any():
-            differences[place] = np.nanmax(np.where(np.isfinite(difference), difference, np.nan)) / 100.0
-        if wrong.any():
-            contradictory.append(f"{file.name} ({np.count_nonzero(wrong)} channels)")
+            differences[number] = np.nanmax(np.where(np.isfinite(difference), difference, np.nan)) / 100.0
+        if is_contradictory.any():
+            contradictory.append(f"{file.name} ({np.count_nonzero(is_contradictory)} channels)")
     warn_of(
         "the reflectance in the file contradicts its two scans (edited or resampled?); their ratio is used",
         contradictory,
@@ -496,7 +550,7 @@ def _column_differences(files: Sequence[SvcFile]) -> Floats:
 
 
 def warn_of(problem: str, names: Sequence[str], code: str) -> None:
-    """Warn of a problem of some files, if any."""
+    """Warn of a problem of the named files, if there are any."""
     if names:
         warnings.warn(PaintWarning(f"{problem}. Files: {listed(names)}", code=code), stacklevel=2)
 
@@ -507,7 +561,7 @@ _STAMP = re.compile(
     r"\s*(?:([AP])\.?\s?M\.?)?",
     re.IGNORECASE,
 )
-# first letters of the months in English, German, Italian, French, Spanish and Portuguese
+# abbreviated months in English, German, Italian, French, Spanish and Portuguese
 _MONTHS = (
     ("jan", "gen", "ene", "jän"),
     ("feb", "fev", "fév"),
@@ -530,13 +584,13 @@ _DAY = dt.timedelta(days=1)
 class LocalStamp:
     """Date and time of a local clock, without a zone."""
 
-    day_first: dt.datetime | None  # the date in either order; None where it does not exist
+    day_first: dt.datetime | None  # date read in this order; None if there is no such date
     month_first: dt.datetime | None
-    slashes: bool  # false where the way it is written settles the order: only between slashes do both occur
+    slashes: bool  # whether slashes separate the numbers; only then do both orders occur
 
     @property
     def order(self) -> bool | None:
-        """True for day first, False for month first, None where both are possible."""
+        """True if the day comes first, False if the month does, None if both are possible."""
         if self.day_first == self.month_first:
             return None
         if self.day_first is None or self.month_first is None:
@@ -549,7 +603,7 @@ class LocalStamp:
         return self.order is None and self.day_first != self.month_first
 
     def read(self, dayfirst: bool | None) -> dt.datetime | None:
-        """Return the date in the given order, in the only possible one, or None."""
+        """Return the date in the given or the only possible order; None if it is ambiguous."""
         if self.day_first is None or self.month_first is None:
             return self.day_first or self.month_first
         order = self.order if dayfirst is None else dayfirst
@@ -571,17 +625,18 @@ def read_stamp(text: str) -> LocalStamp | None:
     match = _STAMP.fullmatch(text.strip()) if len(text) <= 80 else None
     if match is None:
         return None
-    first, separator, second, third, hour, minute, seconds, half = match.groups()
+    first, separator, second, third, hour, minute, seconds, am_pm = match.groups()
     year = first if len(first) == 4 else third
-    if len(year) not in (2, 4) or (half is not None and not 1 <= int(hour) <= 12):
+    if len(year) not in (2, 4) or (am_pm is not None and not 1 <= int(hour) <= 12):
         return None
-    hours = int(hour) if half is None else int(hour) % 12 + 12 * (half.upper() == "P")
+    hours = int(hour) if am_pm is None else int(hour) % 12 + 12 * (am_pm.upper() == "P")
     clock = (hours, int(minute), int(seconds or 0))
     month = _month(second)
+    # the order is certain if the year comes first, or the month is a word
     if len(first) == 4 or month is None or not second.isdecimal():
         day = third if len(first) == 4 else first
-        only = None if month is None else _date(int(year), month, int(day), clock)
-        return None if only is None else LocalStamp(only, only, slashes=False)
+        date = None if month is None else _date(int(year), month, int(day), clock)
+        return None if date is None else LocalStamp(date, date, slashes=False)
     day_first = _date(int(year), month, int(first), clock)
     month_first = _date(int(year), int(first), month, clock)
     if day_first is None and month_first is None:
@@ -590,11 +645,11 @@ def read_stamp(text: str) -> LocalStamp | None:
 
 
 def _month(text: str) -> int | None:
-    # The number of a month; a number is returned unchanged, and may be a day.
+    # Return the number of a month from its name; a number unchanged, which may be a day.
     if text.isdecimal():
         return int(text)
     word = text.lower()
-    return next((i for i, starts in enumerate(_MONTHS, 1) if word.startswith(starts)), None)
+    return next((i for i, prefixes in enumerate(_MONTHS, 1) if word.startswith(prefixes)), None)
 
 
 def _date(year: int, month: int, day: int, clock: tuple[int, int, int]) -> dt.datetime | None:
@@ -606,7 +661,7 @@ def _date(year: int, month: int, day: int, clock: tuple[int, int, int]) -> dt.da
 
 
 def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:
-    """Return the order of dates of each instrument, where its unambiguous dates agree.
+    """Return the order of dates of each instrument whose unambiguous dates agree: True for day first.
 
     stamps: Instrument and stamp of every scan.
 
@@ -628,9 +683,9 @@ def orders_of(stamps: Iterable[tuple[str, LocalStamp]]) -> dict[str, bool]:
 
 
 def read_gps_time(text: str) -> dt.timedelta | None:
-    """Return the time of day in UTC from ``HHMMSS.sss``; None without a fix.
+    """Return the time of day in UTC from ``HHMMSS.sss``; None if the text is empty, as without a fix.
 
-    Raises ValueError: It is no time of day.
+    Raises ValueError: The text is not a time of day.
 
     Examples
     --------
@@ -655,10 +710,10 @@ def utc_of(
 ) -> dt.datetime | None:
     """Return UTC of a scan: the GPS time of day on the nearest date of the local clock.
 
-    local: What the local clock showed.
-    gps: Time of day in UTC, which wins over the local clock.
-    longitude: Degrees east, from which the zone is guessed to within hours: enough to find the date.
-    utc_offset_h: Local time minus UTC [h], needed where there is no GPS.
+    local: Time of the local clock.
+    gps: Time of day in UTC, used instead of the local clock's.
+    longitude: Degrees east; gives the UTC offset to within hours, which suffices to find the date.
+    utc_offset_h: Local time minus UTC [h], needed without GPS time.
 
     Examples
     --------
@@ -669,6 +724,8 @@ def utc_of(
         return None if utc_offset_h is None else local - dt.timedelta(hours=utc_offset_h)
     if utc_offset_h is None:
         utc_offset_h = longitude / 15.0 if math.isfinite(longitude) else 0.0
-    near = local - dt.timedelta(hours=utc_offset_h)
-    midnight = near.replace(hour=0, minute=0, second=0, microsecond=0)
-    return min((midnight + days * _DAY + gps for days in (-1, 0, 1)), key=lambda utc: abs(utc - near))
+    approximate_utc = local - dt.timedelta(hours=utc_offset_h)
+    midnight = approximate_utc.replace(hour=0, minute=0, second=0, microsecond=0)
+    return min(
+        (midnight + days * _DAY + gps for days in (-1, 0, 1)), key=lambda utc: abs(utc - approximate_utc)
+    )

@@ -1,9 +1,9 @@
 """Layout of the text files of SVC field spectrometers (``.sig``, HR-512i to HR-1024i).
 
-A first line that names the maker, ``key= value`` lines up to ``data=``, then a row a channel: wavelength
-[nm], the scan of the white reference, the scan of the target, and their ratio in per cent, rounded. Numbers
-follow the locale of the PC that saved the file: a decimal comma stands in rows and in the header, where a
-comma *and a blank* separate the items of a list.
+The first line contains the maker's name. Lines ``key= value`` follow up to ``data=``, then one row for each
+channel: wavelength [nm], the scan of the white reference, the scan of the target, and their ratio in per
+cent, rounded. Numbers follow the locale of the PC that saved the file, in rows and header: a comma may be a
+decimal comma, and only a comma *and a blank* separate the items of a list.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.files.reading import decoded_text, read_limited_text
 
-_MAX_BYTES = 4 * 2**20  # a hundred times the size of instrument files
+_MAX_BYTES = 4 * 2**20  # a hundred times the size of usual files
 _MAX_ROWS = 32_768
 _MAX_HEADER_LINES = 1000
 _MAX_DETECTORS = 3
 _MAGIC = re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.IGNORECASE)
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d{1,5})?", re.ASCII)
-# text of Windows for ratios that do not exist
-_NO_NUMBERS = {
+# NaN and infinity as Windows' software prints them, in several languages
+_NON_FINITE_SPELLINGS = {
     **dict.fromkeys(("nan", "-nan", "n.def.", "1.#qnan", "-1.#ind"), math.nan),
     **dict.fromkeys(("infinity", "+unendlich", "\N{INFINITY}", "1.#inf"), math.inf),
     **dict.fromkeys(("-infinity", "-unendlich", "-\N{INFINITY}", "-1.#inf"), -math.inf),
@@ -44,19 +44,19 @@ class SvcFile:
 
     name: str  # file name without its folder
     header: Mapping[str, str]  # values by key (lower case), as text
-    # Quantity of the scans of reference and target: ``radiance``, ``counts`` or ``irradiance``
+    # Quantities of reference and target: ``radiance``, ``counts`` or ``irradiance``
     units: tuple[str, str]
-    # Nanometres; they step back where a detector ends and the next one, which overlaps it, begins
+    # Nanometres; they step back where the next detector begins, because detectors overlap
     wavelength: Floats
-    reference: Floats  # the two scans, in the file's numbers
-    target: Floats
-    percent: Floats  # their ratio as the file rounds it
-    # Row of the first channel of each detector, found by a step back in wavelength; the first is 0
+    reference: Floats  # scan of the white reference, in the file's units
+    target: Floats  # scan of the target, in the file's units
+    percent: Floats  # ratio of target and reference in the file, rounded
+    # First row of each detector, found by the steps back in wavelength; the first is 0
     starts: tuple[int, ...]
 
     @property
     def has_reference(self) -> bool:
-        """False where no white reference was taken: its column then holds only 1, or only 0."""
+        """Whether a white reference was measured; without one, its column contains only 1, or only 0."""
         return not (np.all(self.reference == 1.0) or np.all(self.reference == 0.0))
 
 
@@ -70,7 +70,7 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
 
     path: A file that an SVC spectrometer or its software saved.
     Returns SvcFile: Header and scans (wavelength).
-    Raises FormatError: The file cannot be read, is no ``.sig`` file, or is truncated, damaged or
+    Raises FormatError: The file cannot be read, is not a ``.sig`` file, or is truncated, damaged or
         contradictory.
 
     Examples
@@ -85,37 +85,37 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     path = Path(path)
     data = read_limited_text(path, _MAX_BYTES, "an SVC spectrometer's file")
     if not is_svc(data[:200]):
-        ger = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
+        ger_hint = " (a GER file; SVC's software converts it)" if data[:6] == b"///GER" else ""
         raise FormatError(
-            f"{path.name}: begins with {data[:24]!r}{ger}",
+            f"{path.name}: begins with {data[:24]!r}{ger_hint}",
             expected="'/*** Spectra Vista SIG Data ***/' of an SVC .sig file",
             code="format-unknown",
         )
     lines = decoded_text(data.replace(b"\0", b"")).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    header, first = _header(path.name, lines)
-    wavelength, reference, target, percent = _table(path.name, lines, first)
-    # a file that keeps the overlap has a row for every channel of its instrument
+    header, first_row = _header(path.name, lines)
+    wavelength, reference, target, percent = _table(path.name, lines, first_row)
+    # a file with preserved overlap has one row for each channel of its instrument
     model = _CHANNELS.search(header.get("instrument", ""))
-    overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
-    if model and overlap_preserved and len(wavelength) < int(model[1]):
+    is_overlap_preserved = "overlap: preserve" in header.get("factors", "").partition("]")[0].lower()
+    if model and is_overlap_preserved and len(wavelength) < int(model[1]):
         raise FormatError(
             f"{path.name}: {len(wavelength)} rows",
             expected=f"the {model[1]} channels of an HR-{model[1]} whose overlap is preserved",
             mend="copy the file again from the instrument",
             code="file-truncated",
         )
-    words = [word.strip().lower() for word in header.get("units", "").split(",")]
+    unit_words = [word.strip().lower() for word in header.get("units", "").split(",")]
     allowed = ("radiance", "counts", "irradiance")
-    if len(words) == 1:
-        words *= 2
-    if len(words) != 2 or any(word not in allowed for word in words):
+    if len(unit_words) == 1:
+        unit_words *= 2
+    if len(unit_words) != 2 or any(word not in allowed for word in unit_words):
         line = repr(header["units"][:60]) if "units" in header else "no line 'units='"
         raise FormatError(
             f"{path.name}: {line}",
             expected="units= Radiance, Radiance (or Counts, Irradiance)",
             code="units-unknown",
         )
-    units = words[0], words[1]
+    units = unit_words[0], unit_words[1]
     if not np.all((wavelength > 0.0) & (wavelength < 1e5)):
         raise FormatError(
             f"{path.name}: wavelengths are not all positive numbers of nanometres",
@@ -143,29 +143,31 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
     )
 
 
-def _svc_number(text: str) -> float | None:
+def _cell_number(text: str) -> float | None:
     """Return the number of a cell, with a point or a comma; None for other text.
 
     Examples
     --------
-    >>> _svc_number("-5,1"), _svc_number("1.5E-02"), _svc_number("1,5,0")
+    >>> _cell_number("-5,1"), _cell_number("1.5E-02"), _cell_number("1,5,0")
     (-5.1, 0.015, None)
     """
-    return float(text.replace(",", ".")) if _NUMBER.fullmatch(text) else _NO_NUMBERS.get(text.lower())
+    return (
+        float(text.replace(",", ".")) if _NUMBER.fullmatch(text) else _NON_FINITE_SPELLINGS.get(text.lower())
+    )
 
 
 def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
-    # The values by key, and the index of the first row of the table.
+    # Return the values by key, and the index of the line at which the table begins.
     header: dict[str, str] = {}
-    last = ""
-    for number, line in enumerate(lines[1 : _MAX_HEADER_LINES + 1], start=1):
+    last_key = ""
+    for line_number, line in enumerate(lines[1 : _MAX_HEADER_LINES + 1], start=1):
         key, equals, value = line.partition("=")
         key = " ".join(key.lower().split())
         if key == "data" and equals and not value.strip():
-            return header, number + 1
-        if not equals:  # a comment may run over several lines
-            if last and line.strip():
-                header[last] = f"{header[last]}\n{line.strip()}"
+            return header, line_number + 1
+        if not equals:  # a comment may have several lines
+            if last_key and line.strip():
+                header[last_key] = f"{header[last_key]}\n{line.strip()}"
             continue
         if header.setdefault(key, value.strip()) != value.strip():
             raise FormatError(
@@ -173,7 +175,7 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
                 mend="copy the file again",
                 code="key-duplicate",
             )
-        last = key
+        last_key = key
     raise FormatError(
         f"{name}: no line 'data=' among the first {_MAX_HEADER_LINES}",
         mend="copy the file again from the instrument",
@@ -181,20 +183,20 @@ def _header(name: str, lines: list[str]) -> tuple[dict[str, str], int]:
     )
 
 
-def _table(name: str, lines: list[str], first: int) -> list[Floats]:
+def _table(name: str, lines: list[str], first_row: int) -> list[Floats]:
     rows: list[list[float]] = []
-    if len(lines) - first > _MAX_ROWS:
+    if len(lines) - first_row > _MAX_ROWS:
         raise FormatError(
-            f"{name}: {len(lines) - first} rows", expected=f"at most {_MAX_ROWS}", code="file-too-large"
+            f"{name}: {len(lines) - first_row} rows", expected=f"at most {_MAX_ROWS}", code="file-too-large"
         )
-    for number, line in enumerate(lines[first:], start=first + 1):
+    for line_number, line in enumerate(lines[first_row:], start=first_row + 1):
         if not line.strip():
             continue
         cells = line.replace("n. def.", "n.def.").split(None, 5)
-        values = [value for cell in cells if (value := _svc_number(cell)) is not None]
+        values = [value for cell in cells if (value := _cell_number(cell)) is not None]
         if len(cells) != 4 or len(values) != 4:
             raise FormatError(
-                f"{name}: line {number} holds {line.strip()[:60]!r}",
+                f"{name}: line {line_number} holds {line.strip()[:60]!r}",
                 expected="four numbers (wavelength, reference, target, percent)",
                 mend="copy the file again",
                 code="row-unreadable",
@@ -228,15 +230,15 @@ _BITS = re.compile(r"[0-9]{1,9}")
 class SvcOverlap:
     """Treatment of overlapping detectors, from the header's ``factors``."""
 
-    # True where all channels are there, False where channels were removed, None where the file is silent
+    # True if all channels remain, False if channels were removed, None if unknown
     preserved: bool | None
-    # Wavelengths [nm] at which the next detector takes over, where channels were removed
+    # Wavelengths [nm] at which the next detector begins, if channels were removed
     joins: tuple[float, float] | None
-    # How detectors were matched (``Radiance @ 976 - 1010 / NIR-SWIR On``); ``None`` where they were not,
-    # empty where the file is silent. Matching scales the first detector by a ramp, and fades it into the
-    # second up to the end of the range that is named
+    # How detectors were matched (``Radiance @ 976 - 1010 / NIR-SWIR On``); ``None`` if they were not, empty
+    # if unknown. Matching multiplies the first detector by a ramp, and fades it into the second up to the end
+    # of this range
     matching: str
-    # VNIR over SWIR1 in the overlap, for reference and target; NaN where unknown
+    # Ratio of VNIR to SWIR1 in the overlap, for reference and target; NaN if unknown
     factors: tuple[float, float]
 
     @property
@@ -253,7 +255,7 @@ class SvcOverlap:
 
 
 def items(value: str) -> list[str]:
-    """Return the items of a list in the header; a comma without a blank behind it is a decimal comma.
+    """Return the items of a list in the header; a comma without a blank after it is a decimal comma.
 
     Examples
     --------
@@ -272,7 +274,7 @@ def pair(header: Mapping[str, str], key: str) -> tuple[str, str]:
 def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
     """Return the content of the header's ``factors``.
 
-    A file that was processed again holds a record a time, the latest first.
+    Each processing of a file adds a record; the latest comes first.
 
     Examples
     --------
@@ -280,19 +282,19 @@ def overlap_of(header: Mapping[str, str]) -> SvcOverlap:
     >>> overlap_of({"factors": line})
     SvcOverlap(preserved=False, joins=(970.0, 1901.0), matching='None', factors=(0.795, 0.848))
     """
-    line = header.get("factors", "")[:_MAX_FACTORS_CHARS]
-    records = _RECORD.findall(line)
-    numbers, latest = records[0] if records else (line, "")
-    values = [_svc_number(item) for item in items(numbers)]
+    factors_text = header.get("factors", "")[:_MAX_FACTORS_CHARS]
+    records = _RECORD.findall(factors_text)
+    numbers, latest = records[0] if records else (factors_text, "")
+    values = [_cell_number(item) for item in items(numbers)]
     first, second = (math.nan if value is None else value for value in (*values, None, None)[:2])
-    removed = _REMOVED.search(latest)
-    word = latest.lower()
-    preserved = True if "preserve" in word else False if "remove" in word else None
+    removal_match = _REMOVED.search(latest)
+    text_lower = latest.lower()
+    preserved = True if "preserve" in text_lower else False if "remove" in text_lower else None
     matchings = [match[1].strip() for _, record in records if (match := _MATCHING.search(record))]
     applied = [text for text in matchings if text.lower() != "none"]
     return SvcOverlap(
         preserved=preserved,
-        joins=(float(removed[1]), float(removed[2])) if removed else None,
+        joins=(float(removal_match[1]), float(removal_match[2])) if removal_match else None,
         matching=applied[0] if applied else matchings[0] if matchings else "",
         factors=(first, second),
     )
@@ -307,7 +309,7 @@ def error_bits(header: Mapping[str, str]) -> tuple[int, int]:
 def position_of(header: Mapping[str, str], scan: int) -> tuple[float, float] | None:
     """Return latitude and longitude [degree], north and east positive, NaN without a fix.
 
-    None where something else stands there.
+    None if the header's texts are not positions.
 
     scan: 0 for the reference, 1 for the target.
 
@@ -321,8 +323,8 @@ def position_of(header: Mapping[str, str], scan: int) -> tuple[float, float] | N
         longitude = _angle(header.get("longitude", ""), scan, "EW", 180.0)
     except ValueError:
         return None
-    missing = not math.isfinite(latitude + longitude) or latitude == longitude == 0.0
-    return (math.nan, math.nan) if missing else (latitude, longitude)
+    has_no_fix = not math.isfinite(latitude + longitude) or latitude == longitude == 0.0
+    return (math.nan, math.nan) if has_no_fix else (latitude, longitude)
 
 
 def _angle(value: str, scan: int, letters: str, limit: float) -> float:

@@ -11,7 +11,6 @@ the arenas that glibc reserves for every thread, see `HELPER_SPACE` and `THREAD_
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import math
 import os
 import re
@@ -61,9 +60,6 @@ HELPER_SPACE = 48 * 2**20
 
 # Address space of a computing thread beyond its slabs: a stack of 8 MiB, an arena of 64 MiB [byte].
 THREAD_SPACE = 72 * 2**20
-
-# Parameter number of ``malloc.h``.
-_M_ARENA_MAX = -8
 
 # Spacing of the shifts at which matched irradiance is stored [nm].
 SMILE_STEP = 0.5
@@ -192,7 +188,6 @@ def memory_limit(size: str | int | None) -> Iterator[None]:
 
     Raises `SchemaError`: not a size.
     """
-    share_one_heap()
     token = _LIMIT.set(None if size is None else parse_size(size))
     try:
         yield
@@ -355,17 +350,6 @@ def resident_memory() -> int:
     return int(psutil.Process().memory_info().rss)
 
 
-def share_one_heap() -> None:
-    """Let threads that start later allocate from one heap, if the allocator is glibc's.
-
-    By default each thread has a heap, which stays as large as its peak, and takes address space before any
-    plan. The setting lasts as long as the process; ``MALLOC_ARENA_MAX`` or ``GLIBC_TUNABLES`` override it.
-    """
-    if not {"MALLOC_ARENA_MAX", "GLIBC_TUNABLES"} & set(os.environ):
-        with contextlib.suppress(OSError, AttributeError, TypeError):  # not of glibc
-            ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
-
-
 # --- threads -----------------------------------------------------------------------------------------------
 
 
@@ -400,7 +384,6 @@ def check_memory(dataset: xr.Dataset, subject: str) -> int | None:
 
     Raises `StoreError`: one block is larger than the available memory.
     """
-    share_one_heap()
     available, fixed = available_memory(), thread_space()
     problems = Problems(f"{subject} does not fit into {size_text(available)} of memory", StoreError)
     cubes = []

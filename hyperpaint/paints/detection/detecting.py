@@ -18,6 +18,7 @@ from scipy.linalg import solve_triangular
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.many_outputs import split_outputs
 from hyperpaint.base.schema import (
     ALONG_TRACK,
@@ -38,19 +39,19 @@ from hyperpaint.radiometry import to_nominal
 from hyperpaint.regions import pixels_of
 from hyperpaint.regions.geojson import regions_from
 from hyperpaint.surroundings.corrections import sky_above
-from hyperpaint.surroundings.light_split import says_its_split, split_of
+from hyperpaint.surroundings.light_split import has_split, split_of
 
-# -- Scores of spectra against paints, and distances of spectra from paints: plain arrays, float64.
+# --- scores of spectra for paints, and distances from paints: plain arrays, float64 ------------------------
 
 METHODS = ("ace", "matched_filter", "spectral_angle")
 
 
 class Projection(NamedTuple):
-    """Linear map of spectra in which they are compared: z = (x - offset) matrix."""
+    """Linear transform of spectra before their comparison, z = (x - offset) matrix."""
 
     offset: Floats  #: (band,)
-    matrix: Floats  #: (band, band): whitens, and takes the mirrored sky away
-    targets: Floats  #: (signature, band): the paints, projected
+    matrix: Floats  #: (band, band): Whitens spectra, and projects the mirrored sky out.
+    targets: Floats  #: (signature, band): Transformed paints.
 
 
 def projection(
@@ -69,7 +70,7 @@ def projection(
     """
     bands = paints.shape[1]
     offset = np.zeros(bands) if mean is None else mean
-    # covariance = L L', z = L^-1 (x - mean) has unit covariance
+    # with covariance = L L', z = L^-1 (x - mean) has unit covariance
     whitening = np.eye(bands)
     if covariance is not None:
         whitening = solve_triangular(np.linalg.cholesky(covariance), whitening, lower=True).T
@@ -100,122 +101,127 @@ def scores(spectra: Floats, project: Projection, method: str) -> Floats:
 def distances(spectra: Floats, paints: Floats, sky: Floats | None) -> tuple[Array, Array]:
     r"""Return distance and level of spectra (spectrum, band) for each paint (signature, band).
 
-    Least squares fit x = a t + m sky + rest; the level is a, the distance \|rest\| / \|a t\|, infinite where
-    a is not positive. Both (spectrum, signature) [1].
+    A least-squares fit x = a t + m sky + r of paint t and sky gives the level a and the distance
+    \|r\| / \|a t\|, infinite where a is not positive. Both are (spectrum, signature) [1].
     """
     product, square = spectra @ paints.T, np.einsum("nb,nb->n", spectra, spectra)
-    paint_square = length = np.einsum("kb,kb->k", paints, paints)
+    paint_square = full_paint_square = np.einsum("kb,kb->k", paints, paints)
     if sky is not None:
+        # products of the components orthogonal to the sky
         unit = sky / np.linalg.norm(sky)
-        of_sky = paints @ unit
-        in_sky = spectra @ unit
-        product = product - np.outer(in_sky, of_sky)
-        square, paint_square = square - in_sky**2, paint_square - of_sky**2
+        paint_sky = paints @ unit
+        spectrum_sky = spectra @ unit
+        product = product - np.outer(spectrum_sky, paint_sky)
+        square, paint_square = square - spectrum_sky**2, paint_square - paint_sky**2
     with np.errstate(invalid="ignore", divide="ignore"):
         level = product / paint_square
-        rest = np.sqrt(np.maximum(square[:, None] - product * level, 0.0))
-        distance = np.where(level > 0.0, rest / (level * np.sqrt(length)), np.inf)
+        residual = np.sqrt(np.maximum(square[:, None] - product * level, 0.0))
+        distance = np.where(level > 0.0, residual / (level * np.sqrt(full_paint_square)), np.inf)
     return distance, level
 
 
-# -- Statistics of the background, and thresholds at a stated false-alarm rate.
+# --- statistics of the background, and thresholds for a given false-alarm rate -----------------------------
 
 
 @dataclass(frozen=True)
 class DetectionRules:
     """Thresholds of detection."""
 
-    #: Maximum memory of the pixels from which thresholds are drawn [byte]: 123,000 pixels of 272 bands.
+    #: Maximum memory of the sample of pixels for thresholds [byte]: 123,000 pixels of 272 bands.
     sample_bytes: int = 2**27
-    #: Lowest and highest level of a pixel of a paint [1]: a body part turned from a high sun, or towards a
-    #: low one; beyond, dark glass passes for black, and any proportional spectrum for the paint.
+    #: Minimum level of a pixel of a paint [1], on a body part turned away from a high sun: below, dark glass
+    #: would be taken for black paint.
     min_level: float = 0.25
+    #: Maximum level of a pixel of a paint [1], on a body part turned towards a low sun: beyond, any
+    #: proportional spectrum would be taken for the paint.
     max_level: float = 2.5
-    #: Distance caused by a pixel's noise alone [1], at a signal-to-noise ratio of 100.
+    #: Distance caused by noise alone, at a signal-to-noise ratio of 100 [1].
     min_distance: float = 0.01
-    #: Factor of the rate of other paints at whose distance limit pixels are taken for the paint itself, not
-    #: for background: half of a car's pixels lie beyond the limit [1].
+    #: Factor of ``unknown_rate`` for the distance limit within which pixels are excluded from the background
+    #: as possible target pixels [1]: half of a car's pixels lie beyond the limit for detections.
     target_rate_ratio: float = 10.0
-    #: Share of such pixels over the rate of false alarms above which a warning is given [1].
+    #: Share of these pixels over the false-alarm rate above which a warning is given [1].
     explained_ratio: float = 10.0
-    #: Parts of the line that check one another's thresholds.
+    #: Number of parts of the line for the cross-check of thresholds.
     folds: int = 8
-    #: Minimum number of sample pixels above a threshold: fewer determine no rate.
+    #: Minimum number of sample pixels above a threshold: fewer do not determine a rate.
     min_alarms: float = 5.0
 
 
 DETECTION = DetectionRules()
 
-#: Sample pixels processed together.
+#: Number of sample pixels processed together.
 PIXELS_AT_ONCE = 4096
 
 
-class BackgroundPart(NamedTuple):
-    """Sums over some blocks of lines, and a sample of their pixels."""
+class Background(NamedTuple):
+    """Sums over the valid pixels of some blocks of lines, and a sample of these pixels."""
 
-    pixels: int
-    total: Floats  #: (band,)
-    products: Floats  #: (band, band)
-    sample: Array  #: (pixel, band) float32
-    block: Ints  #: (pixel,): number of the block that a pixel of the sample is in
+    pixels: int  #: Number of valid pixels.
+    total: Floats  #: (band,): Sum of spectra.
+    products: Floats  #: (band, band): Sum of products of two bands.
+    sample: Array  #: (pixel, band), float32: Spectra of the sample.
+    block: Ints  #: (pixel,): Number of the block of a sample pixel.
 
 
-def background_part(cube: Array, is_valid: Bools, number: int, size: int) -> BackgroundPart:
-    """Return the sums of a block (line, band, column) over its valid pixels (line, column).
+def block_background(cube: Array, is_valid: Bools, number: int, size: int) -> Background:
+    """Return the background of a block (line, band, column) with valid pixels (line, column).
 
-    ``size`` pixels are drawn as the sample, seeded by the block's number alone; the valid ones are kept.
+    The sample consists of the valid ones of ``size`` pixels drawn at random; the seed is the block's number.
     """
     lines, bands, columns = cube.shape
     total, products = np.zeros(bands), np.zeros((bands, bands))
     for line, valid in zip(cube, is_valid, strict=True):
-        # zeros add nothing, and every product has the same shape: the same bits
+        # zeros instead of a selection: products of equal shape have the same bits in any block
         spectra = np.where(valid, line, 0.0).astype(np.float64)
         total += spectra.sum(axis=1)
         products += spectra @ spectra.T
     drawn = np.sort(np.random.default_rng([number, 20]).permutation(lines * columns)[:size])
-    at = drawn[is_valid.ravel()[drawn]]
-    sample = np.ascontiguousarray(cube[at // columns, :, at % columns], np.float32)
-    return BackgroundPart(int(is_valid.sum()), total, products, sample, np.full(at.size, number, np.int64))
+    pixel = drawn[is_valid.ravel()[drawn]]
+    sample = np.ascontiguousarray(cube[pixel // columns, :, pixel % columns], np.float32)
+    return Background(int(is_valid.sum()), total, products, sample, np.full(pixel.size, number, np.int64))
 
 
-def joined_parts(parts: Sequence[BackgroundPart]) -> BackgroundPart:
-    """Return the sums of several parts, in their order."""
-    pixels, total, products = 0, np.zeros_like(parts[0].total), np.zeros_like(parts[0].products)
-    for part in parts:
-        pixels += part.pixels
-        total += part.total
-        products += part.products
-    sample, block = (np.concatenate(arrays) for arrays in zip(*(part[3:] for part in parts), strict=True))
-    return BackgroundPart(pixels, total, products, sample, block)
+def joined_backgrounds(backgrounds: Sequence[Background]) -> Background:
+    """Return the background of several groups of blocks, summed in their order."""
+    first = backgrounds[0]
+    pixels, total, products = 0, np.zeros_like(first.total), np.zeros_like(first.products)
+    for background in backgrounds:
+        pixels += background.pixels
+        total += background.total
+        products += background.products
+    samples = zip(*(background[3:] for background in backgrounds), strict=True)
+    sample, block = (np.concatenate(arrays) for arrays in samples)
+    return Background(pixels, total, products, sample, block)
 
 
 class DetectorSettings(NamedTuple):
-    """Settings of a detector."""
+    """Settings of a detector; see `detect`."""
 
     method: str
-    rate: float
+    rate: float  #: Rate of false alarms.
     unknown_rate: float
     shrinkage: float
-    has_targets: bool  #: Whether the paints may be among the pixels it is drawn from
+    has_targets: bool  #: Whether the paints may be among the background pixels.
 
 
 class Detector(NamedTuple):
-    """All data needed to search a block."""
+    """Paints, transform and thresholds for the search of a block."""
 
     method: str
-    bands: Ints  #: Of the cube, those that are compared
-    paints: Floats  #: (signature, band)
-    sky: Floats | None
+    bands: Ints  #: Indices of the compared bands in the cube.
+    paints: Floats  #: (signature, band): Reflectance of the paints.
+    sky: Floats | None  #: (band,): Spectrum of the mirrored sky.
     project: Projection
-    usual: Floats  #: (signature,): median score of the background
-    threshold: Floats  #: (signature,)
+    median_score: Floats  #: (signature,): Median score of the background.
+    threshold: Floats  #: (signature,): Score threshold.
     distance_limit: Floats  #: (signature,)
-    checked_rate: float  #: Share above the thresholds of pixels that these were not drawn from
-    checked_rate_u: float  #: Half of its 95 % interval
-    explained_share: float  #: Of pixels that a paint explains, which were left out of the background
+    checked_rate: float  #: Share of alarms in parts of the line under thresholds from the other parts.
+    checked_rate_u: float  #: Half of its 95 % interval.
+    explained_share: float  #: Share of pixels excluded from the background since a paint explains them.
 
     def is_near(self, distance: Array, level: Array) -> Bools:
-        """Return the spectra that each paint explains (spectrum, signature)."""
+        """Return whether each paint explains spectra (spectrum, signature)."""
         return _is_near(distance, level, self.distance_limit)
 
 
@@ -225,35 +231,37 @@ def _is_near(distance: Array, level: Array, limit: Floats) -> Bools:
 
 
 def make_detector(
-    part: BackgroundPart,
+    background: Background,
     bands: Ints,
     paints: Floats,
     sky: Floats | None,
-    others: Floats,
+    other_paints: Floats,
     settings: DetectorSettings,
 ) -> Detector:
-    """Return the detector of an image, from the sums over the whole image.
+    """Return the detector for a line, from the background of the complete line.
 
-    Takes the compared ``bands`` of the cube, and on these ``paints`` (signature, band), ``sky`` (band,) and
-    ``others`` (other, band), spectra of paints that are not looked for. Raises `SchemaError`: too few pixels.
-    Warns where many pixels that the paints explain were left out of the background.
+    Takes ``bands``: indices of the compared bands in the cube; on these bands, ``paints`` (signature, band),
+    ``sky`` (band,) and ``other_paints`` (spectrum, band), spectra of paints that are not searched for. Raises
+    `SchemaError`: too few pixels. Warns where paints explain many pixels, which are excluded from the
+    background.
     """
-    if not part.pixels:
+    if not background.pixels:
         raise SchemaError(
             f"the line has no background pixel without flags and with values in all {bands.size} bands",
             mend="pass exclude= with fewer flags, or set 'good' to False in bands without values",
             option="give --keep with flags",
             code="background-empty",
         )
-    if part.pixels <= bands.size:
+    if background.pixels <= bands.size:
         raise SchemaError(
-            f"{part.pixels} valid pixels for the covariance of {bands.size} bands",
+            f"{background.pixels} valid pixels for the covariance of {bands.size} bands",
             expected="more pixels than bands",
             mend="use a longer line, fewer bands, or exclude= with fewer flags",
             code="background-too-small",
         )
-    mean = part.total / part.pixels
-    covariance = (part.products - part.pixels * np.outer(mean, mean)) / (part.pixels - 1)
+    mean = background.total / background.pixels
+    covariance = background.products - background.pixels * np.outer(mean, mean)
+    covariance = covariance / (background.pixels - 1)
     shrunk = (1.0 - settings.shrinkage) * covariance + settings.shrinkage * np.diag(np.diag(covariance))
     try:
         project = (
@@ -268,34 +276,36 @@ def make_detector(
             option="give --shrinkage 0.001",
             code="covariance-singular",
         ) from error
-    of_others = distances(others, paints, sky)
-    limit = _distance_limits(of_others, settings.unknown_rate)
+    other_distances = distances(other_paints, paints, sky)
+    limit = _distance_limits(other_distances, settings.unknown_rate)
     if settings.has_targets and settings.unknown_rate < 1.0:
-        # pixels that a paint explains may show it: they are no background
-        reach = _distance_limits(of_others, min(DETECTION.target_rate_ratio * settings.unknown_rate, 0.5))
+        # pixels that a paint explains may show this paint: exclude them from the background
+        exclusion_rate = min(DETECTION.target_rate_ratio * settings.unknown_rate, 0.5)
+        exclusion_limit = _distance_limits(other_distances, exclusion_rate)
     else:
-        reach = np.full(len(paints), -1.0)
-    is_background, values = np.ones(len(part.sample), bool), np.empty((len(part.sample), len(paints)))
-    for first in range(0, len(values), PIXELS_AT_ONCE):
-        here = slice(first, first + PIXELS_AT_ONCE)
-        spectra = part.sample[here].astype(np.float64)
-        is_background[here] = ~_is_near(*distances(spectra, paints, sky), reach).any(axis=1)
-        values[here] = scores(spectra, project, settings.method)
+        exclusion_limit = np.full(len(paints), -1.0)
+    sample = background.sample
+    is_background, values = np.ones(len(sample), bool), np.empty((len(sample), len(paints)))
+    for start in range(0, len(values), PIXELS_AT_ONCE):
+        batch = slice(start, start + PIXELS_AT_ONCE)
+        spectra = sample[batch].astype(np.float64)
+        is_background[batch] = ~_is_near(*distances(spectra, paints, sky), exclusion_limit).any(axis=1)
+        values[batch] = scores(spectra, project, settings.method)
     explained = 1.0 - float(is_background.sum() / max(1, is_background.size))
     if explained > DETECTION.explained_ratio * settings.rate:
         warnings.warn(
             PaintWarning(
-                f"{100.0 * explained:.2g} % of the pixels resemble the paints and were left out of the "
-                f"background: false_alarm_rate={settings.rate:g} holds for the other pixels only; where "
-                "these pixels are not all the paints themselves, pass background= (--background) with "
-                "similar pixels that show no paint",
+                f"{100.0 * explained:.2g} % of the pixels resemble the paints and were excluded from the "
+                f"background: false_alarm_rate={settings.rate:g} holds for the other pixels only; if some "
+                "of these pixels show other objects, pass background= (--background) with similar pixels "
+                "that show no paint of the library",
                 code="background-resembles-paints",
             ),
             stacklevel=2,
         )
     values = values[is_background]
     threshold = _score_thresholds(values, settings.rate)
-    checked, half = _checked_rate(values, part.block[is_background], settings.rate)
+    checked_rate, checked_rate_u = _checked_rate(values, background.block[is_background], settings.rate)
     return Detector(
         settings.method,
         bands,
@@ -305,25 +315,26 @@ def make_detector(
         np.median(values, axis=0),
         threshold,
         limit,
-        checked,
-        half,
+        checked_rate,
+        checked_rate_u,
         explained,
     )
 
 
 def _joint_rank(ranks: Ints, allowed: float) -> int:
-    # Largest rank that at most `allowed` rows reach for any paint.
-    # Ranks (row, signature) begin at 1; the rank of a row is its best for any paint (Westfall and Young's
+    # Maximum rank such that at most `allowed` rows have this rank or a better one for any paint.
+    # Ranks (row, signature) begin at 1. The best rank of a row over all paints counts (Westfall and Young's
     # minP), so that the rate holds for all paints together.
     best = np.sort(ranks.min(axis=1))
     count = int(np.floor(allowed + 1e-9))
     if count >= best.size:
         return int(best[-1])
-    # all rows of the rank at the limit are left out
+    # all rows with the rank at the limit are excluded
     return int(best[count]) - 1
 
 
 def _ranks(values: Floats) -> Ints:
+    # Rank of every value in its column, from 1 for the smallest
     order = np.argsort(values, axis=0, kind="stable")
     ranks = np.empty(values.shape, np.int64)
     np.put_along_axis(ranks, order, np.arange(1, len(values) + 1)[:, None], axis=0)
@@ -331,14 +342,14 @@ def _ranks(values: Floats) -> Ints:
 
 
 def _score_thresholds(values: Floats, rate: float) -> Floats:
-    # Score thresholds that a share `rate` of the background passes for any paint
+    # Score thresholds (signature,) such that a share `rate` of the background exceeds that of any paint
     allowed = rate * (len(values) + 1)
     if allowed < max(DETECTION.min_alarms, values.shape[1] + 1):
-        need = int(np.ceil(max(DETECTION.min_alarms, values.shape[1] + 1) / rate))
+        min_pixels = int(np.ceil(max(DETECTION.min_alarms, values.shape[1] + 1) / rate))
         raise SchemaError(
             f"false_alarm_rate={rate:g} of {values.shape[1]} paints from {len(values)} background pixels",
-            expected=f"at least {need} pixels",
-            mend="pass a higher rate, search a longer line or look for fewer paints",
+            expected=f"at least {min_pixels} pixels",
+            mend="pass a higher rate, search a longer line or search for fewer paints",
             option="give a higher --false-alarm-rate",
             code="false-alarm-rate-too-low",
         )
@@ -346,53 +357,59 @@ def _score_thresholds(values: Floats, rate: float) -> Floats:
     return np.asarray(-np.sort(-values, axis=0)[max(rank, 1) - 1])
 
 
-def _distance_limits(others: tuple[Array, Array], rate: float) -> Floats:
-    """Return the distance limits within which, for any paint, a share ``rate`` of other paints lies.
+def _distance_limits(other_distances: tuple[Array, Array], rate: float) -> Floats:
+    """Return distance limits (signature,) such that a share ``rate`` of other paints is within any limit.
 
-    0 for a paint that has others so near that its own pixels cannot be separated from them; it uses up no
-    part of the rate. Closer than the nearest other paint the share is taken as proportional to the distance.
-    It grows faster where paints differ in more than one dimension, so that fewer lie within than stated.
+    The limit is 0 for a paint with other paints so near that noise covers the difference; such a paint does
+    not count in the rate. Below the distance of the nearest other paint the share is assumed to be
+    proportional to the distance. As paints differ in several dimensions, the true share is smaller.
     """
-    distance = np.where(others[1] > 0.0, others[0], np.inf)
+    distance, level = other_distances
+    distance = np.where(level > 0.0, distance, np.inf)
     if rate >= 1.0:
         return np.full(distance.shape[1], np.inf)
     allowed = rate * (len(distance) + 1)
     ordered = np.sort(distance, axis=0)
-    apart = ordered[max(int(allowed), 1) - 1] * min(allowed, 1.0) >= DETECTION.min_distance
+    separable = ordered[max(int(allowed), 1) - 1] * min(allowed, 1.0) >= DETECTION.min_distance
     limit = np.zeros(distance.shape[1])
-    if apart.any():
-        ranks = _ranks(distance[:, apart])
+    if separable.any():
+        ranks = _ranks(distance[:, separable])
         rank = _joint_rank(ranks, allowed)
         nearest = int((ranks.min(axis=1) == 1).sum())
-        limit[apart] = ordered[rank - 1, apart] if rank else ordered[0, apart] * (allowed / nearest)
+        limit[separable] = (
+            ordered[rank - 1, separable] if rank else ordered[0, separable] * (allowed / nearest)
+        )
     return limit
 
 
 def _checked_rate(values: Floats, block: Ints, rate: float) -> tuple[float, float]:
-    # Share of pixels above thresholds drawn from other parts of the line, and its half interval.
-    # The 95 % interval is Student's over the parts: neighbouring pixels are correlated, parts are not.
+    # Share of pixels above thresholds from the other parts of the line, and half of its 95 % interval.
+    # The interval is Student's over the parts: pixels are correlated within parts, not between them.
     from scipy.stats import t
 
-    numbers, part_of = np.unique(block, return_inverse=True)
+    numbers, position = np.unique(block, return_inverse=True)
     folds = min(DETECTION.folds, numbers.size)
     if folds < 2:
         return float("nan"), float("nan")
-    fold = part_of * folds // numbers.size
+    fold = position * folds // numbers.size
     shares = []
     for number in range(folds):
-        is_held_out = fold == number
+        is_tested = fold == number
         try:
-            threshold = _score_thresholds(values[~is_held_out], rate)
+            threshold = _score_thresholds(values[~is_tested], rate)
         except SchemaError:
             return float("nan"), float("nan")
-        shares.append((values[is_held_out] >= threshold).any(axis=1).mean())
-    half = t.ppf(0.975, folds - 1) * np.std(shares, ddof=1) / np.sqrt(folds)
-    return float(np.mean(shares)), float(half)
+        shares.append((values[is_tested] >= threshold).any(axis=1).mean())
+    half_interval = t.ppf(0.975, folds - 1) * np.std(shares, ddof=1) / np.sqrt(folds)
+    return float(np.mean(shares)), float(half_interval)
 
 
 MAX_OTHER_SPECTRA = 20_000
-JOINED_PARTS = 16
+#: Number of backgrounds that a task joins.
+BACKGROUNDS_PER_TASK = 16
+#: Variables of pixels, in the order of `search_block`.
 _LAYERS = ("detection_score", "best_paint", "paint_distance", "paint_level", "detected")
+#: Variables of detections to fields of `Detector`.
 _DETECTOR_FIELDS = {
     "score_threshold": "threshold",
     "distance_limit": "distance_limit",
@@ -416,37 +433,37 @@ def detect(
     sky: Any = "auto",
     shrinkage: float = 0.0,
 ) -> xr.Dataset:
-    r"""Look for the paints of a library in a flight line, at a stated rate of false alarms.
+    r"""Search a flight line for the paints of a library, at a given rate of false alarms.
 
-    Lazy except for the wavelengths: computing reads the line twice, for the background and for the search,
-    some lines at a time. Results have the same bits for any chunks.
+    Lazy except for the wavelengths. Computing reads the line twice, in blocks of lines: for the background
+    and for the search. Results have the same bits for any chunks.
 
     Parameters
     ----------
     line
         ``reflectance`` (along_track, band, cross_track) [1] and ``wavelength``; ``quality`` where present.
     library
-        Paints to look for: ``reflectance`` (signature, band) [1] of the body under its clear coat
+        Paints to search for: ``reflectance`` (signature, band) [1] of the body under its clear coat
         (``specular_component`` excluded), interpolated to the bands of the line.
     method
         "ace", the adaptive coherence (cosine) estimator; "matched_filter"; or "spectral_angle".
     false_alarm_rate
-        Share of the background in which any paint may score above its threshold. By default pixels that a
-        paint explains are left out of the background, whether they show it or not: the rate does not hold for
-        them, and ``explained_share`` is their number.
+        Share of the background with a score above the threshold of any paint. By default the background
+        excludes pixels that a paint explains, whether they show it or not: the rate does not hold for them,
+        and ``explained_share`` is their share.
     unknown_rate
-        Share of ``others`` that may be taken for a paint of the library; by default ``false_alarm_rate``; 1
-        rejects nothing.
+        Share of ``others`` that may be accepted as a paint of the library; by default ``false_alarm_rate``; 1
+        accepts all.
     others
-        A library of paints that may occur and are not looked for; by default the starter library. Paints
-        named in ``library`` are left out. The rate holds for paints like these: pass the paints of your cars.
-        With fewer than ``1 / unknown_rate`` spectra the limits are stricter than necessary.
+        A library of paints that may occur and are not searched for; by default the starter library. Paints
+        with names in ``library`` are excluded. The rate holds for paints like these: pass the paints of your
+        cars. With fewer than ``1 / unknown_rate`` spectra the limits are stricter than necessary.
     background
-        Pixels that certainly show none of the paints, (along_track, cross_track) bool: covariance and
-        thresholds come from these alone. By default thresholds come from all pixels that no paint explains.
-        The rate holds for pixels like these: include objects that look like the paints.
+        Pixels that certainly show no paint of the library, (along_track, cross_track) bool: only these
+        determine covariance and thresholds. By default all pixels that no paint explains determine the
+        thresholds. The rate holds for pixels like these: include objects that look like the paints.
     exclude
-        Flags of pixels that are left out of the background, and not detected; by default the flags that
+        Flags of pixels that are excluded from the background, and not detected; by default the flags that
         signatures exclude.
     sky
         Spectrum (band,) of the sky that a clear coat mirrors in any amount, projected out of pixels and
@@ -462,8 +479,8 @@ def detect(
         and ``paint_level``; ``detected``. (signature): ``score_threshold``, ``distance_limit``, 0 where a
         paint cannot be distinguished from others at this rate. ``checked_rate`` with ``checked_rate_u``: mean
         share of alarms in an eighth of the line's background under thresholds from the rest, and half of its
-        95 % interval. ``explained_share``: share of the valid pixels that was left out of the background
-        since a paint explains them, whether they show it or not; 0 with ``background=``.
+        95 % interval. ``explained_share``: share of the valid pixels excluded from the background since a
+        paint explains them, whether they show it or not; 0 with ``background=``.
 
     Raises
     ------
@@ -496,8 +513,8 @@ def detect(
     *Unknown paints*: :math:`x = a t + m s + r` by least squares with the sky s; a pixel is rejected where
     :math:`|r| / |a t|` is above the paint's ``distance_limit``, or a outside of 0.25 to 2.5. A share
     ``unknown_rate`` of ``others`` lies within the limit of any paint. White, silver and grey paints mostly
-    cannot be distinguished at 1e-3: they are not detected, which is no error. A metallic paint at another
-    angle has another spectrum: look for its signature of a similar geometry.
+    cannot be distinguished at 1e-3 and are then not detected. A metallic paint has another spectrum at
+    another angle: search for its signature of a similar geometry.
 
     References
     ----------
@@ -524,53 +541,52 @@ def detect(
     variables = schema.require(line, ["reflectance", "wavelength"], "a detection")
     rate = false_alarm_rate if unknown_rate is None else unknown_rate
     cube = variables["reflectance"]
-    problems = Problems("paints cannot be looked for in this line", SchemaError)
+    problems = Problems("this line cannot be searched for paints", SchemaError)
     if set(cube.dims) != set(CUBE) or not cube.size:
         problems.add(
             f"reflectance has dims {dict(cube.sizes)}", expected="lines, bands and columns", code="dims-wrong"
         )
-    if method not in METHODS:
-        problems.add(f"method={method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
-    for found, is_valid, expected in (
+    one_of(method, METHODS, "method", problems=problems)
+    for argument, is_valid, expected in (
         (f"false_alarm_rate={false_alarm_rate!r}", 0.0 < false_alarm_rate < 1.0, "a share between 0 and 1"),
         (f"unknown_rate={rate!r}", 0.0 < rate <= 1.0, "a share above 0, at most 1"),
         (f"shrinkage={shrinkage!r}", 0.0 <= shrinkage <= 1.0, "0 to 1"),
     ):
         if not is_valid:
-            problems.add(found, expected=expected, code="value-out-of-range")
+            problems.add(argument, expected=expected, code="value-out-of-range")
     if "good" in line.variables and line["good"].dims != (BAND,):
         problems.add(f"'good' has dims {line['good'].dims}", expected=f"({BAND!r},)", code="dims-wrong")
     problems.raise_if_any()
     if "wavelength_shift" in line.variables:
         variables["reflectance"] = to_nominal(line)["reflectance"]
-    paints, bands, unknown = _spectra(line, variables["wavelength"].values, library, others)
+    paints, bands, other_paints = _spectra(line, variables["wavelength"].values, library, others)
     # blocks of 32 whole lines
     cube = variables["reflectance"].transpose(*CUBE)
     cube = cube.chunk({ALONG_TRACK: CHUNK_LINES, BAND: -1, CROSS_TRACK: -1}).data
     if "quality" in line.variables:
         bits = schema.require(line, ["quality"], "a detection")["quality"].transpose(ALONG_TRACK, CROSS_TRACK)
         flags = np.uint16(int(EXCLUDED if exclude is None else exclude))
-        clear = (da.asarray(bits.data).rechunk((CHUNK_LINES, -1)) & flags) == 0
+        unflagged = (da.asarray(bits.data).rechunk((CHUNK_LINES, -1)) & flags) == 0
     else:
-        clear = da.ones((cube.shape[0], cube.shape[2]), chunks=(cube.chunks[0], -1), dtype=bool)
+        unflagged = da.ones((cube.shape[0], cube.shape[2]), chunks=(cube.chunks[0], -1), dtype=bool)
     detector = _lazy_detector(
         line,
         cube,
-        clear if background is None else clear & _mask(background, clear),
+        unflagged if background is None else unflagged & _background_mask(background, unflagged),
         bands,
         paints,
-        unknown,
+        other_paints,
         DetectorSettings(method, false_alarm_rate, rate, shrinkage, background is None),
         sky,
     )
     attrs = {"method": method, "false_alarm_rate": false_alarm_rate, "unknown_rate": rate}
-    return _search(line, cube, clear, detector, [str(name) for name in library[SIGNATURE].values], attrs)
+    return _search(line, cube, unflagged, detector, [str(name) for name in library[SIGNATURE].values], attrs)
 
 
 def _spectra(
     line: xr.Dataset, wavelength: Array, library: xr.Dataset, others: xr.Dataset | None
 ) -> tuple[Floats, Ints, Floats]:
-    # Paints (signature, band), the bands compared, and spectra of other paints (other, band)
+    # Paints (signature, band), indices of the compared bands, and spectra of other paints (spectrum, band)
     nm = np.asarray(wavelength, np.float64)
     paints = _on_bands(library, nm, members=False)
     good = np.isfinite(nm)
@@ -589,19 +605,19 @@ def _spectra(
         others = starter_library(wavelength=np.unique(nm[bands]))
     names = {str(name) for name in library[SIGNATURE].values}
     others = others.isel({SIGNATURE: [str(name) not in names for name in others[SIGNATURE].values]})
-    unknown = _on_bands(others, nm[bands], members=True)
-    unknown = unknown[np.isfinite(unknown).all(axis=1)]
-    if not len(unknown):
+    other_paints = _on_bands(others, nm[bands], members=True)
+    other_paints = other_paints[np.isfinite(other_paints).all(axis=1)]
+    if not len(other_paints):
         raise SchemaError(
             f"no paint of others= has values in all {bands.size} bands that line and library share",
-            mend="pass others= a library that covers these bands, with paints that library= lacks",
+            mend="pass as others= a library that covers these bands, with paints that library= lacks",
             code="other-paints-missing",
         )
-    return paints[:, bands], bands, unknown[:: -(-len(unknown) // MAX_OTHER_SPECTRA)]
+    return paints[:, bands], bands, other_paints[:: -(-len(other_paints) // MAX_OTHER_SPECTRA)]
 
 
 def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
-    # Spectra of a library (spectrum, band), and its members if wanted, at wavelengths [nm]
+    # Spectra of a library (spectrum, band), with `members` also its members, at wavelengths `nm`
     names = [
         "reflectance",
         "wavelength",
@@ -618,7 +634,8 @@ def _on_bands(library: xr.Dataset, nm: Floats, *, members: bool) -> Floats:
     )
 
 
-def _mask(background: Any, clear: Any) -> Any:
+def _background_mask(background: Any, unflagged: Any) -> Any:
+    # The argument `background` as a mask with the chunks of `unflagged`
     if hasattr(background, "dims"):
         mask = schema.rename_to_roles(background.to_dataset(name="background"))["background"]
         if set(mask.dims) != {ALONG_TRACK, CROSS_TRACK}:
@@ -627,41 +644,44 @@ def _mask(background: Any, clear: Any) -> Any:
             )
         background = mask.transpose(ALONG_TRACK, CROSS_TRACK).data
     mask = da.asarray(background)
-    if mask.shape != clear.shape or mask.dtype != bool:
+    if mask.shape != unflagged.shape or mask.dtype != bool:
         raise SchemaError(
             f"background= is {mask.dtype} of shape {mask.shape}",
-            expected=f"bool of shape {clear.shape}",
+            expected=f"bool of shape {unflagged.shape}",
             code="grid-mismatch",
         )
-    return mask.rechunk(clear.chunks)
+    return mask.rechunk(unflagged.chunks)
 
 
 def _lazy_detector(
     line: xr.Dataset,
     cube: Any,
-    clear: Any,
+    is_background: Any,
     bands: Ints,
     paints: Floats,
-    unknown: Floats,
+    other_paints: Floats,
     settings: DetectorSettings,
     sky: Any,
 ) -> Any:
     # Delayed detector: sums over blocks in their order, then thresholds
-    blocks, masks = cube.to_delayed().ravel(), clear.to_delayed().ravel()
+    blocks, masks = cube.to_delayed().ravel(), is_background.to_delayed().ravel()
     pixels = max(1, cube.shape[0] * cube.shape[2])
     share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * pixels))
     size = int(np.ceil(share * CHUNK_LINES * cube.shape[2]))
-    part = dask.delayed(_part_of, pure=True)
-    parts = [
-        part(*block_and_mask, bands, number, size)
+    background = dask.delayed(_background_on_bands, pure=True)
+    backgrounds = [
+        background(*block_and_mask, bands, number, size)
         for number, block_and_mask in enumerate(zip(blocks, masks, strict=True))
     ]
-    join = dask.delayed(joined_parts, pure=True)
-    while len(parts) > 1:
-        parts = [join(parts[at : at + JOINED_PARTS]) for at in range(0, len(parts), JOINED_PARTS)]
+    join = dask.delayed(joined_backgrounds, pure=True)
+    while len(backgrounds) > 1:
+        backgrounds = [
+            join(backgrounds[start : start + BACKGROUNDS_PER_TASK])
+            for start in range(0, len(backgrounds), BACKGROUNDS_PER_TASK)
+        ]
     if isinstance(sky, str) and sky == "auto":
-        of_light = [name for name in line.variables if not {ALONG_TRACK, CROSS_TRACK} <= set(line[name].dims)]
-        sky = dask.delayed(_sky_of)(line[of_light], bands)
+        small = [name for name in line.variables if not {ALONG_TRACK, CROSS_TRACK} <= set(line[name].dims)]
+        sky = dask.delayed(_mirrored_sky)(line[small], bands)
     elif sky is not None:
         sky = np.asarray(sky, np.float64)
         if sky.shape != (cube.shape[1],):
@@ -671,14 +691,14 @@ def _lazy_detector(
                 code="length-mismatch",
             )
         sky = sky[bands]
-    return dask.delayed(make_detector, pure=True)(parts[0], bands, paints, sky, unknown, settings)
+    return dask.delayed(make_detector, pure=True)(backgrounds[0], bands, paints, sky, other_paints, settings)
 
 
-def _after(first: Any, array: Any) -> Any:
-    """Return a copy of a dask array under other keys, computed only after a delayed object.
+def _after(predecessor: Any, array: Any) -> Any:
+    """Return a copy of a dask array with other keys that is computed only after a delayed object.
 
-    Blocks shared by two passes would all be held in memory from the first to the second, and read ahead of
-    it. `dask.graph_manipulation.bind` does the same, but loses the keys of rechunks.
+    With the same keys, all blocks of the first pass would stay in memory until the second pass.
+    `dask.graph_manipulation.bind` does the same, but loses the keys of rechunks.
     """
     graph = convert_legacy_graph(dict(array.dask))
     keys = {key: ("again-" + key[0], *key[1:]) if isinstance(key, tuple) else f"again-{key}" for key in graph}
@@ -686,34 +706,34 @@ def _after(first: Any, array: Any) -> Any:
     for key, task in graph.items():
         new_key = keys[key]
         if isinstance(task, DataNode):
-            copy[new_key] = Task(new_key, _second, TaskRef(first.key), task.value)
+            copy[new_key] = Task(new_key, _value_after, TaskRef(predecessor.key), task.value)
         elif isinstance(task, Task) and not task.dependencies:
             copy[new_key] = Task(
-                new_key, _call_second, TaskRef(first.key), task.func, *task.args, **task.kwargs
+                new_key, _call_after, TaskRef(predecessor.key), task.func, *task.args, **task.kwargs
             )
         else:
             copy[new_key] = task.substitute(keys, key=new_key)
     name = f"again-{array.name}"
-    graph = HighLevelGraph.from_collections(name, copy, dependencies=[first])
+    graph = HighLevelGraph.from_collections(name, copy, dependencies=[predecessor])
     return da.Array(graph, name, array.chunks, meta=array._meta)
 
 
-def _second(_: Any, value: Any) -> Any:
+def _value_after(_: Any, value: Any) -> Any:
     return value
 
 
-def _call_second(_: Any, function: Any, *args: Any, **options: Any) -> Any:
+def _call_after(_: Any, function: Any, *args: Any, **options: Any) -> Any:
     return function(*args, **options)
 
 
-def _part_of(cube: Array, clear: Bools, bands: Ints, number: int, size: int) -> BackgroundPart:
+def _background_on_bands(cube: Array, mask: Bools, bands: Ints, number: int, size: int) -> Background:
     cube = cube[:, bands]
-    return background_part(cube, clear & np.isfinite(cube).all(axis=1), number, size)
+    return block_background(cube, mask & np.isfinite(cube).all(axis=1), number, size)
 
 
-def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
-    # Sky that a level coat mirrors, up to a factor (band,); None where it is not declared
-    if not says_its_split(line):
+def _mirrored_sky(line: xr.Dataset, bands: Ints) -> Floats | None:
+    # Spectrum of the sky mirrored by a level coat, up to a factor (band,); None where undeclared
+    if not has_split(line):
         return None
     split = split_of(line, None, None).mean()
     sky = np.asarray((split.fraction * sky_above(split)).values, np.float64)[bands]
@@ -721,16 +741,16 @@ def _sky_of(line: xr.Dataset, bands: Ints) -> Floats | None:
 
 
 def _search(
-    line: xr.Dataset, cube: Any, clear: Any, detector: Any, names: list[str], attrs: dict[str, Any]
+    line: xr.Dataset, cube: Any, unflagged: Any, detector: Any, names: list[str], attrs: dict[str, Any]
 ) -> xr.Dataset:
-
+    # Detections of a line, lazy, with the attributes of the search
     cube = _after(detector, cube)
     blocks = da.blockwise(
         search_block,
         "lbx",
         cube,
         "lbx",
-        clear,
+        unflagged,
         "lx",
         detector=detector,
         dtype=object,
@@ -753,49 +773,53 @@ def _search(
         "flag_meanings": " ".join(["none", *(name.replace(" ", "_") for name in names)]),
     }
     arrays["detected"].attrs |= attrs
-    places = {
+    coords = {
         name: array for name, array in line.coords.items() if set(array.dims) <= set(pixel) and array.dims
     }
     identity = {"name": line.attrs["name"]} if line.attrs.get("name") else {}
-    return xr.Dataset(arrays, {**places, SIGNATURE: (SIGNATURE, names)}, identity | attrs)
+    return xr.Dataset(arrays, {**coords, SIGNATURE: (SIGNATURE, names)}, identity | attrs)
 
 
-def search_block(cube: Array, clear: Bools, detector: Detector) -> tuple[Array, ...]:
-    """Return the layers of a block (line, band, column), each (line, column), in the order of `_LAYERS`."""
-    shape = clear.shape
+def search_block(cube: Array, unflagged: Bools, detector: Detector) -> tuple[Array, ...]:
+    """Return the layers of a block (line, band, column), each (line, column), in the order of `_LAYERS`.
+
+    The best paint of a pixel is the one with the highest score relative to its threshold, of the detected
+    paints if there are any.
+    """
+    shape = unflagged.shape
     score, distance, level = (np.full(shape, np.nan, np.float32) for _ in range(3))
     best, detected = np.full(shape, -1, np.int16), np.zeros(shape, bool)
-    scale = detector.threshold - detector.usual
+    scale = detector.threshold - detector.median_score
     for number, values in enumerate(cube[:, detector.bands]):
         spectra = np.ascontiguousarray(values.T, np.float64)
-        whole = np.asarray(np.isfinite(spectra).all(axis=1))
-        spectra[~whole] = 0.0
+        is_complete = np.asarray(np.isfinite(spectra).all(axis=1))
+        spectra[~is_complete] = 0.0
         paint_scores = scores(spectra, detector.project, detector.method)
         paint_distances, levels = distances(spectra, detector.paints, detector.sky)
         passes: Array = (paint_scores >= detector.threshold) & detector.is_near(paint_distances, levels)
-        standing = (paint_scores - detector.usual) / scale
-        some = np.max(passes, axis=1, keepdims=True)
-        chosen = np.where(whole[:, None], np.where(passes >= some, standing, -np.inf), 0.0)
-        paint = np.argmax(chosen, axis=1)
-        place = np.arange(len(paint))
-        for layer, of_paints in ((score, paint_scores), (distance, paint_distances), (level, levels)):
-            layer[number] = np.where(whole, of_paints[place, paint], np.nan)
-        best[number] = np.where(whole, paint, -1)
-        detected[number] = some[:, 0] & whole & clear[number]
+        relative_scores = (paint_scores - detector.median_score) / scale
+        any_passes = np.max(passes, axis=1, keepdims=True)
+        candidates = np.where(passes >= any_passes, relative_scores, -np.inf)
+        paint = np.argmax(np.where(is_complete[:, None], candidates, 0.0), axis=1)
+        column = np.arange(len(paint))
+        for layer, paint_values in ((score, paint_scores), (distance, paint_distances), (level, levels)):
+            layer[number] = np.where(is_complete, paint_values[column, paint], np.nan)
+        best[number] = np.where(is_complete, paint, -1)
+        detected[number] = any_passes[:, 0] & is_complete & unflagged[number]
     return score, best, distance, level, detected
 
 
-# -- Regions, such as cars, that show a detected paint.
+# --- regions, such as cars, with a detected paint ----------------------------------------------------------
 
+#: Variables of `detected_regions`.
 _COLUMNS = ("pixels", "detected_share", "signature", "p_value", "placements")
 
 
 def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     """Return the paint that each region, such as a car, shows, and its significance.
 
-    Eager. Pixels of one object are correlated and cannot be counted as independent. The detected share is
-    therefore compared with the shares inside copies of the region's outline, laid side by side on the rest of
-    the line.
+    Eager. Pixels of an object are correlated. The detected share of a region is therefore compared with the
+    shares inside copies of its outline, laid side by side on the line outside all regions.
 
     Parameters
     ----------
@@ -807,14 +831,16 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     Returns
     -------
     Dataset
-        (region): ``pixels`` in it; ``detected_share`` [1] of its most frequent paint, which is ``signature``,
-        empty where none is detected; ``p_value``, the probability that an outline without paint has as large
-        a share of any paint, from ``placements`` outlines, at least 1 / (placements + 1).
+        (region): ``pixels``, their number; ``signature``, the most frequent detected paint, empty without
+        detections; ``detected_share``, its share of the pixels [1]; ``p_value``, the probability that an
+        outline without paint has as large a share of any paint, from ``placements`` copies of the outline, at
+        least 1 / (placements + 1).
 
     Raises
     ------
     FormatError, SchemaError
-        The regions cannot be read, hold no pixel or are of another flight line, or these are no detections.
+        The regions cannot be read, contain no pixel or belong to another flight line, or ``detections`` lacks
+        variables.
 
     Examples
     --------
@@ -837,26 +863,26 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     region_list = regions_from(regions)
     if region_list.coordinates == "sensor":
         lines_of(detections, region_list)  # raises for regions of other flight lines
-    places = pixels_of(region_list, detections)
+    region_pixels = pixels_of(region_list, detections)
     problems = Problems("these regions cannot be searched", SchemaError)
-    for name, (along, _) in zip(region_list.names, places, strict=True):
+    for name, (along, _) in zip(region_list.names, region_pixels, strict=True):
         if not along.size:
-            problems.add(f"region {name!r} holds no pixel of the line", code="region-empty")
+            problems.add(f"region {name!r} contains no pixel of the line", code="region-empty")
     problems.raise_if_any()
-    taken = np.zeros(detected.shape, bool)
-    for place in places:
-        taken[place] = True
+    in_region = np.zeros(detected.shape, bool)
+    for pixels in region_pixels:
+        in_region[pixels] = True
     names = [str(name) for name in detections[SIGNATURE].values]
-    shown = np.where(detected, best, -1)
+    detected_paint = np.where(detected, best, -1)
     rows = []
-    for along, across in places:
-        counts = _counts(shown[along, across], len(names))
+    for along, across in region_pixels:
+        counts = _counts(detected_paint[along, across], len(names))
         paint = int(counts.argmax())
         share = counts[paint] / along.size
-        # the paint was chosen by its share: every copy is compared by its best paint
-        elsewhere = _shares_elsewhere(shown, len(names), taken, along, across)
-        p = (1 + int((elsewhere >= share).sum())) / (1 + elsewhere.size)
-        rows.append((along.size, share, names[paint] if counts[paint] else "", p, elsewhere.size))
+        # the region is represented by its most frequent paint, and so is every copy
+        copy_shares = _copy_shares(detected_paint, len(names), in_region, along, across)
+        p = (1 + int((copy_shares >= share).sum())) / (1 + copy_shares.size)
+        rows.append((along.size, share, names[paint] if counts[paint] else "", p, copy_shares.size))
     columns = dict(zip(_COLUMNS, zip(*rows, strict=True), strict=True))
     return xr.Dataset(
         {
@@ -868,19 +894,19 @@ def detected_regions(detections: xr.Dataset, regions: Any) -> xr.Dataset:
     )
 
 
-def _counts(shown: Array, paints: int) -> Ints:
-    # Number of pixels of each paint (paint,); pixels of -1 show none
-    return np.bincount(shown[shown >= 0], minlength=paints)
+def _counts(detected_paint: Array, paints: int) -> Ints:
+    # Number of pixels of each paint (paint,); -1 is no paint
+    return np.bincount(detected_paint[detected_paint >= 0], minlength=paints)
 
 
-def _shares_elsewhere(shown: Array, paints: int, taken: Bools, along: Ints, across: Ints) -> Floats:
-    # Largest share of a paint in copies of an outline, tiled outside all regions (copy,)
+def _copy_shares(detected_paint: Array, paints: int, in_region: Bools, along: Ints, across: Ints) -> Floats:
+    # Share of the most frequent paint in copies of an outline outside all regions (copy,)
     along, across = along - along.min(), across - across.min()
-    high, wide = along.max() + 1, across.max() + 1
+    lines, columns = along.max() + 1, across.max() + 1
     shares = [
-        _counts(shown[along + top, across + left], paints).max() / along.size
-        for top in range(0, shown.shape[0] - high + 1, high)
-        for left in range(0, shown.shape[1] - wide + 1, wide)
-        if not taken[along + top, across + left].any()
+        _counts(detected_paint[along + top, across + left], paints).max() / along.size
+        for top in range(0, detected_paint.shape[0] - lines + 1, lines)
+        for left in range(0, detected_paint.shape[1] - columns + 1, columns)
+        if not in_region[along + top, across + left].any()
     ]
     return np.array(shares, np.float64)

@@ -1,17 +1,16 @@
 r"""Kubelka and Munk's thick layer, and Saunderson's interface above it.
 
-A layer so thick that nothing shines through, with absorption K and scattering S per depth, reflects
+An opaque layer with absorption K and scattering S per depth reflects
 
 .. math:: R_\infty = 1 + q - \sqrt{q^2 + 2 q}, \qquad q = K / S = (1 - R_\infty)^2 / (2 R_\infty)
 
-(Kubelka & Munk, Z. techn. Phys. 12, 593, 1931). Under an interface that mirrors k1 of the light from outside
-and k2 of the diffuse light from inside, light is thrown back at the layer again and again. The sum over the
-returns, :math:`(1 - k_1) R_\infty (1 - k_2) \sum_j (k_2 R_\infty)^j`, leaves the surface beside the mirror
-image:
+(Kubelka & Munk, Z. techn. Phys. 12, 593, 1931). An interface above it mirrors k1 of the light from outside
+and k2 of the diffuse light from inside, so that light returns to the layer repeatedly. The sum over the
+returns, :math:`(1 - k_1) R_\infty (1 - k_2) \sum_j (k_2 R_\infty)^j`, adds to the mirrored light:
 
 .. math:: R = k_1 + \frac{(1 - k_1) (1 - k_2) R_\infty}{1 - k_2 R_\infty}
 
-(Saunderson, J. Opt. Soc. Am. 32, 727, 1942). It rises from k1 to 1 with :math:`R_\infty`, and is undone by
+(Saunderson, J. Opt. Soc. Am. 32, 727, 1942). R rises from k1 to 1 with :math:`R_\infty`; the inverse is
 :math:`R_\infty = (R - k_1) / ((1 - k_1) (1 - k_2) + k_2 (R - k_1))`. All quantities are pure numbers.
 """
 
@@ -44,7 +43,7 @@ def absorption_to_scattering(reflectance: npt.ArrayLike) -> Floats:
 
 
 def thick_layer_reflectance(ratio: npt.ArrayLike) -> Floats:
-    """Return the reflectance [1] of a thick layer from its K/S [1]; undoes `absorption_to_scattering`.
+    """Return the reflectance [1] of a thick layer from its K/S [1]; inverse of `absorption_to_scattering`.
 
     Examples
     --------
@@ -52,7 +51,7 @@ def thick_layer_reflectance(ratio: npt.ArrayLike) -> Floats:
     array([0.5, 1. ])
     """
     q = np.asarray(ratio, np.float64)
-    # the other root of the same square: no cancellation where the layer is dark
+    # equal to 1 + q - sqrt(q^2 + 2 q), without cancellation where the layer is dark
     return np.asarray(1.0 / (1.0 + q + np.sqrt(q * (q + 2.0))))
 
 
@@ -76,7 +75,7 @@ class Interface:
     Examples
     --------
     >>> coat = Interface()
-    >>> coat.seen([0.5]).round(4), coat.layer(coat.seen([0.5])).round(4)
+    >>> coat.outside([0.5]).round(4), coat.layer(coat.outside([0.5])).round(4)
     (array([0.2743]), array([0.5]))
     """
 
@@ -84,7 +83,7 @@ class Interface:
     k2: float = 0.60
 
     def __post_init__(self) -> None:
-        problems = Problems("there is no such interface of a paint", SchemaError)
+        problems = Problems("the interface of a paint cannot have these values", SchemaError)
         for name, value in (("k1", self.k1), ("k2", self.k2)):
             if not 0.0 <= value < 1.0:
                 problems.add(
@@ -92,22 +91,22 @@ class Interface:
                 )
         problems.raise_if_any()
 
-    def seen(self, layer: npt.ArrayLike) -> Floats:
-        """Return the reflectance above the interface of a layer, without mirrored light: 0 to 1 - k1."""
+    def outside(self, layer: npt.ArrayLike) -> Floats:
+        """Return the reflectance outside the interface of a layer, without mirrored light: 0 to 1 - k1."""
         inside = np.asarray(layer, np.float64)
         return np.asarray((1.0 - self.k1) * (1.0 - self.k2) * inside / (1.0 - self.k2 * inside))
 
-    def layer(self, seen: npt.ArrayLike) -> Floats:
-        """Return the reflectance of the layer below; inverse of `seen`, above 1 for inputs above 1 - k1."""
-        body = np.asarray(seen, np.float64)
+    def layer(self, outside: npt.ArrayLike) -> Floats:
+        """Return the reflectance of the layer; inverse of `outside`, above 1 for inputs above 1 - k1."""
+        body = np.asarray(outside, np.float64)
         return np.asarray(body / ((1.0 - self.k1) * (1.0 - self.k2) + self.k2 * body))
 
 
-#: Lowest reflectance of a layer without an interface [1]: values below are noise (soot in a binder is 0.02),
-#: whose K/S would dominate any mixture.
+#: Minimum reflectance of a layer without an interface [1]: lower values are noise (soot in a binder has
+#: 0.02), and their K/S would dominate any mixture.
 MIN_LAYER_REFLECTANCE = 1e-3
 
-#: Share of a spectrum that may be darker than its interface, by noise [1].
+#: Maximum share of a spectrum that noise may make darker than the mirrored light [1].
 MAX_DARK_SHARE = 0.05
 
 
@@ -115,19 +114,19 @@ MAX_DARK_SHARE = 0.05
 class Coating:
     """Interface and mirrored light between a layer of paint and its reflectance in the library."""
 
-    interface: Interface  #: Of the layer.
+    interface: Interface  #: Interface above the layer.
     mirrored: Floats  #: (band,) or (): Mirrored light in the reflectance [1].
 
     def ratio(self, reflectance: npt.ArrayLike, names: list[str]) -> Floats:
         """Return K/S [1] of spectra (signature, ..., band); NaN stays NaN.
 
-        Raises `SchemaError`: more than 5 % of a paint's spectrum is darker than the light that the coat
-        mirrors; all such paints are listed. Warns of values that no such layer can have; they are replaced by
-        the nearest possible value.
+        Raises `SchemaError`: more than 5 % of a paint's spectrum is darker than the light mirrored by the
+        coat; all such paints are listed. Warns of values that are impossible for such a layer; they are
+        replaced by the nearest possible value.
         """
         values = np.asarray(reflectance, np.float64)
         layer = self.interface.layer(values - self.mirrored)
-        # also dark: far below 0, where the denominator changes its sign
+        # values far below 0, where the denominator changes its sign, are too low as well
         low = (layer < MIN_LAYER_REFLECTANCE) | (values < self.mirrored)
         high = ~low & (layer > 1.0)
         self._refuse_dark(values < self.mirrored, np.isfinite(values), names)
@@ -144,19 +143,19 @@ class Coating:
 
     def reflectance(self, ratio: npt.ArrayLike) -> Floats:
         """Return the reflectance of layers from their K/S [1], clipped to 0 to 1; inverse of `ratio`."""
-        reflectance = self.interface.seen(thick_layer_reflectance(ratio)) + self.mirrored
+        reflectance = self.interface.outside(thick_layer_reflectance(ratio)) + self.mirrored
         return np.asarray(np.clip(reflectance, 0.0, 1.0))
 
     def _refuse_dark(self, dark: Bools, is_finite: Any, names: list[str]) -> None:
         if not self.mirrored.any():
             return
-        problems = Problems("the library's reflectance cannot hold that much mirrored light", SchemaError)
+        problems = Problems("the library's reflectance is lower than its mirrored light", SchemaError)
         for name, is_dark, has_value in zip(names, dark, is_finite, strict=True):
             share = float(is_dark.sum() / max(int(has_value.sum()), 1))
             if share > MAX_DARK_SHARE:
                 problems.add(
                     f"{share:.0%} of {name!r} is darker than {float(self.mirrored.max()):g}",
-                    mend="pass mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
+                    mend="pass as mirrored= the mirrored light in its reflectance (0 for none; outdoors k1 "
                     "times the diffuse fraction), or call remove_mirrored_sky first",
                     code="paint-too-dark",
                 )
@@ -173,14 +172,14 @@ def coating_of(library: xr.Dataset, k1: float, k2: float, mirrored: Any) -> Coat
     Raises `SchemaError`: a value is no reflectance, or the attribute is invalid; all are listed.
     """
     interface = Interface(k1, k2)
-    problems = Problems("the light that the coat mirrors is not known", SchemaError)
-    stated = None
+    problems = Problems("the light mirrored by the coat is unknown", SchemaError)
+    declared = None
     try:
-        stated = mirror_reflection(library)
+        declared = mirror_reflection(library)
     except SchemaError as error:
         problems.add_error(str(library.attrs.get("title", "the library")), error)
     if mirrored is None:
-        mirrored = 0.0 if stated == EXCLUDED else k1
+        mirrored = 0.0 if declared == EXCLUDED else k1
     values = np.asarray(mirrored, np.float64)
     if values.shape not in ((), (library.sizes[BAND],)):
         problems.add(

@@ -1,4 +1,4 @@
-"""Mixtures of paints, and shades of one."""
+"""Mixtures of paints, and shades of single paints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import SIGNATURE
 from hyperpaint.base.units import takes_quantities
 
@@ -132,8 +132,8 @@ def mix_paints(
             for name, array in values.items()
             if name != SPECULAR
         }
-        named = [f"{name} {number:g}" for name, number in (scattering or {}).items()]
-        settings = {"k1": k1, "k2": k2, "scattering": ", ".join(named) if scattering is not None else "equal"}
+        factors = ", ".join(f"{name} {number:g}" for name, number in (scattering or {}).items())
+        settings = {"k1": k1, "k2": k2, "scattering": factors if scattering is not None else "equal"}
     if MEMBERS in values:
         _warn_of_unpaired(weights > 0.0, values[MEMBERS])
     values = _trimmed(specular | mix)
@@ -219,7 +219,8 @@ def shade_paints(
 
 
 def _averaged(weights: Floats, values: Floats) -> Floats:
-    # Weighted sums (new, ..., band) of (signature, ..., band); NaN of weight 0 counts as 0
+    # Weighted sums (mixture, ..., band) of values (parent, ..., band); NaN with weight 0 does not count.
+    # Takes `weights` (mixture, parent).
     sums = np.zeros((len(weights), *values.shape[1:]))
     for row, shares in zip(sums, weights, strict=True):
         for number in np.flatnonzero(shares):
@@ -243,7 +244,7 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
     if SPECULAR in library.variables:
         spectra[SPECULAR] = np.asarray(specular_of(library), np.float64)
     if MEMBERS in spectra:
-        # members are mixed in order: absent ones go to the end
+        # members of parents are mixed in pairs: missing members are sorted to the end
         absent = ~np.isfinite(spectra[MEMBERS]).any(axis=2)
         order = np.argsort(absent, axis=1, kind="stable")[:, :, np.newaxis]
         spectra[MEMBERS] = np.take_along_axis(spectra[MEMBERS], order, axis=1)
@@ -251,23 +252,24 @@ def _spectra(library: xr.Dataset, parents: list[str] | None) -> dict[str, Floats
 
 
 def _trimmed(values: dict[str, Floats]) -> dict[str, Floats]:
+    # Spectra without the members that all paints lack
     if MEMBERS not in values:
         return values
-    most = int(np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1).max(initial=0))
-    others = {name: array for name, array in values.items() if name != MEMBERS}
-    return {**others, MEMBERS: values[MEMBERS][:, :most]} if most else others
+    count = int(np.isfinite(values[MEMBERS]).any(axis=2).sum(axis=1).max(initial=0))
+    result = {name: array for name, array in values.items() if name != MEMBERS}
+    return {**result, MEMBERS: values[MEMBERS][:, :count]} if count else result
 
 
-def _warn_of_unpaired(taken: Bools, members: Floats) -> None:
+def _warn_of_unpaired(has_parent: Bools, members: Floats) -> None:
     # Warn of members without a partner among the other parents.
-    # Takes `taken`: whether a paint has a parent (new, parent); `members`: of the parents (parent, member,
-    # band).
+    # Takes `has_parent` (mixture, parent); `members` (parent, member, band).
     counts = np.isfinite(members).any(axis=2).sum(axis=1)
-    alone = np.array([int((counts[has_parent] - counts[has_parent].min()).sum()) for has_parent in taken])
-    if alone.any():
+    unpaired = np.array([int((counts[row] - counts[row].min()).sum()) for row in has_parent])
+    if unpaired.any():
         msg = (
-            f"{alone.sum()} members of the parents of {int((alone > 0).sum())} of {len(alone)} paints have "
-            "no partner and were left out; draw equally many of each parent with sample_paints first"
+            f"{unpaired.sum()} members of the parents of {int((unpaired > 0).sum())} of {len(unpaired)} "
+            "paints have no partner and were excluded; draw the same number of members of each parent with "
+            "sample_paints first"
         )
         warnings.warn(PaintWarning(msg, code="members-unpaired"), stacklevel=3)
 
@@ -281,12 +283,11 @@ def _checked(
     _require(library)
     problems = Problems("paints cannot be mixed", SchemaError)
     paint_names = [str(name) for name in library[SIGNATURE].values]
-    if method not in METHODS:
-        problems.add(f"method={method!r}", expected=f"one of {', '.join(METHODS)}", code="choice-unknown")
+    one_of(method, METHODS, "method", problems=problems)
     if not recipes:
         problems.add(
             "recipes= is empty",
-            mend='pass some, such as {"grey": {"white": 9, "black": 1}}',
+            mend='pass at least one recipe, such as {"grey": {"white": 9, "black": 1}}',
             code="empty-input",
         )
     shares = {}
@@ -319,7 +320,7 @@ def _check_name(name: str, subject: str, paint_names: list[str], problems: Probl
     if count > 1:
         problems.add(
             f"{subject}: {count} paints are named {name!r}",
-            mend="give them different names, or leave some out with isel",
+            mend="give them different names, or select one of them with isel",
             code="paint-ambiguous",
         )
     elif not count:

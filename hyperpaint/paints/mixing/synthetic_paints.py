@@ -15,14 +15,15 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Floats32
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, MEMBER, QUANTILE, SIGNATURE
 from hyperpaint.base.units import convert, takes_quantities
 from hyperpaint.paints.signatures.pixel_statistics import QUANTILES
 
-#: Single pixels of a paint, or variants (signature, member, band).
+#: Variable of single pixels of a paint, or of its variants (signature, member, band).
 MEMBERS = "member_reflectance"
 
-#: Reflectance of the coat (signature, band), present in some libraries.
+#: Variable of the reflectance of the coat (signature, band), present in some libraries.
 SPECULAR = "specular_reflectance"
 
 _DIMS = {
@@ -39,7 +40,7 @@ _MEANINGS = {
     SPECULAR: "Reflectance of the clear coat and of flakes, near the mirror direction",
     MEMBERS: "Reflectance of synthetic variants of a paint",
 }
-#: Attributes of reflectance that hold for paints made from it.
+#: Attributes of reflectance that also hold for paints computed from it.
 _INHERITED_ATTRS = ("mirror_reflection", "mirrored_sky_removed", "light_corrected", "tilt", "smoothing")
 
 
@@ -78,8 +79,8 @@ def synthetic_library(
     for name, array in values.items():
         variable_attrs = {"long_name": _MEANINGS[name], "units": "1"}
         paints[name] = (_DIMS[name], np.asarray(array, np.float32), variable_attrs)
-    before = library["reflectance"].attrs
-    paints["reflectance"].attrs |= {key: before[key] for key in _INHERITED_ATTRS if key in before}
+    parent_attrs = library["reflectance"].attrs
+    paints["reflectance"].attrs |= {key: parent_attrs[key] for key in _INHERITED_ATTRS if key in parent_attrs}
     bands = {name: array for name, array in library.coords.items() if array.dims == (BAND,)}
     paints = paints.assign_coords(bands).assign_coords(
         {
@@ -109,8 +110,8 @@ def synthetic_library(
 
 
 def _spread(members: Array) -> dict[str, Array]:
-    # Standard deviation and quantiles of members (signature, member, band); NaN where undefined
-    # one paint after the other: a copy of all members would double the memory
+    # Standard deviation and quantiles of members (signature, member, band); NaN where undefined.
+    # Paint by paint: a copy of all members would double the memory.
     spreads = [_spread_of_paint(paint[np.isfinite(paint).any(axis=1)]) for paint in members]
     return {
         "reflectance_sd": np.stack([sd for sd, _ in spreads]),
@@ -123,13 +124,13 @@ def _spread_of_paint(members: Array) -> tuple[Array, Array]:
     finite_count = np.isfinite(members).sum(axis=0)
     sd = np.full(finite_count.size, np.nan)
     quantiles = np.full((len(QUANTILES), finite_count.size), np.nan)
-    # numpy's functions for NaN are far slower
-    whole = bool(finite_count.size) and bool((finite_count == len(members)).all())
-    sd_of, quantile_of = (np.std, np.quantile) if whole else (np.nanstd, np.nanquantile)
-    if (two := finite_count > 1).any():
-        sd[two] = sd_of(members[:, two], axis=0, ddof=1, dtype=np.float64)
-    if (one := finite_count > 0).any():
-        quantiles[:, one] = quantile_of(members[:, one], QUANTILES, axis=0)
+    # without NaN the plain functions are far faster
+    is_complete = bool(finite_count.size) and bool((finite_count == len(members)).all())
+    sd_of, quantile_of = (np.std, np.quantile) if is_complete else (np.nanstd, np.nanquantile)
+    if (has_spread := finite_count > 1).any():
+        sd[has_spread] = sd_of(members[:, has_spread], axis=0, ddof=1, dtype=np.float64)
+    if (has_value := finite_count > 0).any():
+        quantiles[:, has_value] = quantile_of(members[:, has_value], QUANTILES, axis=0)
     return sd, quantiles
 
 
@@ -138,18 +139,19 @@ def _json(value: Any) -> str:
 
 
 def _shares(parents: Mapping[str, float]) -> str:
-    # twelve digits identify any recipe, without the last bits of a division
+    # twelve digits, so that the last bits of a division do not show
     return _json([float(f"{share:.12g}") for share in parents.values()])
 
 
 Form = Literal["members", "paints"]
 
-#: Smallest margin of the logit beyond 0 and 1 [1].
-_MARGIN = 0.005
+#: Minimum margin of the logit beyond 0 and 1 [1].
+_MIN_MARGIN = 0.005
 
-#: Distance of a population's median from the ends of the logit [spreads], where it is nearly linear: with 4,
-#: noise as large as the reflectance grows by 16 %; with 8, shade is no longer a factor.
-_NOISE = 6.0
+#: Minimum distance of a population's median from the ends of the logit, in robust standard deviations. The
+#: logit is nearly linear there: at 4, noise as large as the reflectance would grow by 16 %; at 8, shade would
+#: no longer act as a factor.
+_MIN_DISTANCE_SD = 6.0
 
 _METHOD = "smoothed bootstrap of principal components of logit reflectance"
 
@@ -197,19 +199,19 @@ def sample_paints(
 
     Notes
     -----
-    Members are transformed to an unbounded scale, :math:`z = \ln((R + m) / (1 + m' - R))`, and their
-    principal components computed. The margins m and m' of a band are 0.005, or more where the population is
-    noise about 0 or 1: the median is six spreads (1.4826 times the median absolute deviation) away from
-    either end. A variant is a member chosen at random, moved along all components at random, and shrunk
-    towards the mean, so that mean and covariance stay nearly those of the members (Silverman, Density
-    Estimation, 1986, section 6.4.1):
+    Members are transformed to an unbounded scale, :math:`z = \ln((R + m) / (1 + m' - R))`, and decomposed
+    into principal components. The margins m and m' of a band are 0.005, or larger where the population is
+    noise about 0 or 1: the median must be six robust standard deviations (1.4826 times the median absolute
+    deviation) away from either end. A variant is a random member, moved at random along all components, and
+    shrunk towards the mean, so that mean and covariance remain nearly those of the members (Silverman,
+    Density Estimation, 1986, section 6.4.1):
 
     .. math:: z = \bar z + \frac{(z_I - \bar z) + h \epsilon}{\sqrt{1 + h^2}},
               \qquad \epsilon \sim N(0, \Sigma), \qquad h = \left(\frac{4}{n (d + 2)}\right)^{1 / (d + 4)}
 
     d is the effective number of components, :math:`(\sum \lambda)^2 / \sum \lambda^2`. Tails and groups of
-    the population, which a normal distribution would lose, stay, blurred. No variant is more than h standard
-    deviations beyond the members of a band, nor outside 0 to 1: values below 0 become 0, which raises the
+    the population are blurred, but kept, unlike with a normal distribution. A variant is at most h standard
+    deviations beyond the members of a band, and within 0 to 1: values below 0 become 0, which raises the
     mean of a black paint's variants. The standard deviation of noise as large as the reflectance grows by up
     to a tenth. Bands that half of the members lack are NaN.
 
@@ -222,42 +224,41 @@ def sample_paints(
     ('Synthetic Polar White (synthetic)', {'signature': 1, 'member': 200, 'band': 272})
     """
     required = [SIGNATURE, "reflectance", "member_reflectance", "wavelength"]
-    variables, wrong = schema.find(library, required, schema.LIBRARY_VARIABLES)
+    variables, faults = schema.find(library, required, schema.LIBRARY_VARIABLES)
     problems = Problems("variants cannot be drawn", SchemaError)
-    problems.extend(wrong)
+    problems.extend(faults)
     if count < 1:
         problems.add(f"count={count!r}", expected="1 or more", code="value-out-of-range")
-    if form not in ("members", "paints"):
-        problems.add(f"form={form!r}", expected="members or paints", code="choice-unknown")
+    one_of(form, ("members", "paints"), "form", problems=problems)
     if bandwidth is not None and not 0.0 <= bandwidth < np.inf:
         problems.add(f"bandwidth={bandwidth!r}", expected="0 or more, or None", code="value-out-of-range")
     problems.raise_if_any()
     members = np.asarray(variables["member_reflectance"].values)
     names = [str(name) for name in library[SIGNATURE].values]
-    drawn = np.full((len(names), count, library.sizes[BAND]), np.nan, np.float32)
-    left_out = outside = 0
+    variants = np.full((len(names), count, library.sizes[BAND]), np.nan, np.float32)
+    excluded = outside = 0
     for number, (name, spectra) in enumerate(zip(names, members, strict=True)):
-        bands, whole = _whole(np.asarray(spectra, np.float64))
-        if len(whole) < 2:
+        bands, complete = _complete_members(np.asarray(spectra, np.float64))
+        if len(complete) < 2:
             problems.add(
-                f"{name!r} has {len(whole)} members with values in all bands",
+                f"{name!r} has {len(complete)} members with values in all bands",
                 expected="at least 2",
-                mend="leave the paint out",
+                mend="remove the paint from the library",
                 code="members-too-few",
             )
             continue
-        left_out += int(np.isfinite(spectra).any(axis=1).sum()) - len(whole)
-        outside += int(((whole <= -_MARGIN) | (whole >= 1.0 + _MARGIN)).sum())
+        excluded += int(np.isfinite(spectra).any(axis=1).sum()) - len(complete)
+        outside += int(((complete <= -_MIN_MARGIN) | (complete >= 1.0 + _MIN_MARGIN)).sum())
         rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-        drawn[number][:, bands] = draw_variants(whole, count, rng, bandwidth)
+        variants[number][:, bands] = draw_variants(complete, count, rng, bandwidth)
     problems.raise_if_any()
-    if left_out or outside:
+    if excluded or outside:
         msg = (
-            f"{left_out} members lack bands and were left out; {outside} values are outside 0 to 1 by more "
-            f"than {_MARGIN:g}, the range of variants"
+            f"{excluded} members lack bands and were excluded; {outside} values are outside 0 to 1 by more "
+            f"than {_MIN_MARGIN:g}, the range of variants"
         )
         warnings.warn(PaintWarning(msg, code="members-left-out"), stacklevel=2)
-    return _library(library, drawn, form, seed)
+    return _variant_library(library, variants, form, seed)
 
 
 def draw_variants(
@@ -268,34 +269,40 @@ def draw_variants(
     See `sample_paints`.
     """
     # margins of the logit below 0 and above 1, from the robust standard deviation
-    middle = np.median(members, axis=0)
-    deviation = 1.4826 * np.median(np.abs(members - middle), axis=0)
-    below, above = (np.maximum(_MARGIN, _NOISE * deviation - away) for away in (middle, 1.0 - middle))
-    inside = np.clip(members, -0.8 * below, 1.0 + 0.8 * above)
-    logit = np.log((inside + below) / (1.0 + above - inside))
+    median = np.median(members, axis=0)
+    deviation = 1.4826 * np.median(np.abs(members - median), axis=0)
+    lower_margin, upper_margin = (
+        np.maximum(_MIN_MARGIN, _MIN_DISTANCE_SD * deviation - distance)
+        for distance in (median, 1.0 - median)
+    )
+    inside = np.clip(members, -0.8 * lower_margin, 1.0 + 0.8 * upper_margin)
+    logit = np.log((inside + lower_margin) / (1.0 + upper_margin - inside))
     mean = logit.mean(axis=0)
     size = len(logit)
-    _, spread, components = np.linalg.svd(logit - mean, full_matrices=False)
-    variance = spread**2
+    _, singular_values, components = np.linalg.svd(logit - mean, full_matrices=False)
+    variance = singular_values**2
     if bandwidth is None:
-        matter = variance.sum() ** 2 / max(float((variance**2).sum()), np.finfo(float).tiny)
-        bandwidth = (4.0 / (size * (matter + 2.0))) ** (1.0 / (matter + 4.0))
-    moved = rng.standard_normal((count, len(spread))) * (spread / np.sqrt(size)) @ components
-    chosen = logit[rng.integers(size, size=count)] - mean
-    # the covariance of the members is divided by their number less one
-    varied = mean + np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2)) * (chosen + bandwidth * moved)
+        effective = variance.sum() ** 2 / max(float((variance**2).sum()), np.finfo(float).tiny)
+        bandwidth = (4.0 / (size * (effective + 2.0))) ** (1.0 / (effective + 4.0))
+    # random members plus noise with their covariance
+    noise = (
+        rng.standard_normal((count, len(singular_values))) * (singular_values / np.sqrt(size)) @ components
+    )
+    deviations = logit[rng.integers(size, size=count)] - mean
+    # size / (size - 1) corrects the covariance for the estimated mean
+    varied = mean + np.sqrt(size / (size - 1.0) / (1.0 + bandwidth**2)) * (deviations + bandwidth * noise)
     share = 0.5 * (1.0 + np.tanh(0.5 * varied))  # the logistic function, without overflow
-    variants = share * (1.0 + below + above) - below
-    # near its ends a logit has longer tails than the measured values
-    centre, beyond = inside.mean(axis=0), bandwidth * inside.std(axis=0)
-    wider = np.sqrt(size / (size - 1.0))
-    low = centre + wider * (inside.min(axis=0) - centre) - beyond
-    high = centre + wider * (inside.max(axis=0) - centre) + beyond
+    variants = share * (1.0 + lower_margin + upper_margin) - lower_margin
+    # near its ends a logit has longer tails than the measured values: limit the range of every band
+    centre, blur = inside.mean(axis=0), bandwidth * inside.std(axis=0)
+    scale = np.sqrt(size / (size - 1.0))
+    low = centre + scale * (inside.min(axis=0) - centre) - blur
+    high = centre + scale * (inside.max(axis=0) - centre) + blur
     return np.asarray(np.clip(np.clip(variants, low, high), 0.0, 1.0))
 
 
-def _whole(spectra: Floats) -> tuple[Bools, Floats]:
-    # Bands that most members have (band,), and the members with values in all of these
+def _complete_members(spectra: Floats) -> tuple[Bools, Floats]:
+    # Bands in which most members have a value (band,), and the members with values in all these bands
     is_finite = np.isfinite(spectra)
     is_finite = is_finite[is_finite.any(axis=1)]
     spectra = spectra[np.isfinite(spectra).any(axis=1)]
@@ -303,22 +310,23 @@ def _whole(spectra: Floats) -> tuple[Bools, Floats]:
     return bands, spectra[is_finite[:, bands].all(axis=1)][:, bands]
 
 
-def _library(library: xr.Dataset, drawn: Floats32, form: str, seed: int) -> xr.Dataset:
-    count = drawn.shape[1]
-    which = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
-    parents = [str(library[SIGNATURE].values[number]) for number in which]
+def _variant_library(library: xr.Dataset, variants: Floats32, form: str, seed: int) -> xr.Dataset:
+    # Variants (signature, member, band) as members of one new paint for each parent, or as paints
+    count = variants.shape[1]
+    parent_rows = np.repeat(np.arange(library.sizes[SIGNATURE]), 1 if form == "members" else count)
+    parents = [str(library[SIGNATURE].values[row]) for row in parent_rows]
     if form == "members":
         names = [f"{name} (synthetic)" for name in parents]
-        values = {"reflectance": drawn.mean(axis=1, dtype=np.float64), "member_reflectance": drawn}
+        values = {"reflectance": variants.mean(axis=1, dtype=np.float64), "member_reflectance": variants}
     else:
-        names = [f"{name} (synthetic {at % count + 1})" for at, name in enumerate(parents)]
-        values = {"reflectance": drawn.reshape(-1, drawn.shape[2])}
+        names = [f"{name} (synthetic {row % count + 1})" for row, name in enumerate(parents)]
+        values = {"reflectance": variants.reshape(-1, variants.shape[2])}
     if SPECULAR in library.variables:
-        values[SPECULAR] = specular_of(library)[which]
+        values[SPECULAR] = specular_of(library)[parent_rows]
     paints = synthetic_library(library, names, values, [{name: 1.0} for name in parents], _METHOD, seed=seed)
-    about = {
-        name: (SIGNATURE, array.values[which], array.attrs)
+    properties = {
+        name: (SIGNATURE, array.values[parent_rows], array.attrs)
         for name, array in library.coords.items()
         if array.dims == (SIGNATURE,) and name not in paints.coords
     }
-    return paints.assign_coords(about).drop_vars(MEMBER, errors="ignore")
+    return paints.assign_coords(properties).drop_vars(MEMBER, errors="ignore")

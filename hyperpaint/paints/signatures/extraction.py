@@ -1,8 +1,7 @@
 """`extract_signatures`: from regions of flight lines to a library of paints.
 
-Only the blocks of lines that hold wanted pixels are computed, one task a block; the task keeps the wanted
-pixels and bands. Pixels are returned in the order of the request, so that results have the same bits for any
-chunking.
+Only blocks of lines with pixels of regions are computed, one task a block, which returns these pixels only.
+They are reduced in the order of the regions, so that results have the same bits for any chunking.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Array, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Quality, flag_names
 from hyperpaint.base.units import takes_quantities
@@ -27,14 +26,14 @@ from hyperpaint.surroundings.coat_correction import correct_coat
 from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
 
 from .coat_strength import with_coat_strength
-from .line_sources import Shown, Smoothing, Source, lines_of, shown_pixels, source_of
+from .line_sources import RegionPixels, Smoothing, Source, distinct_pixels, lines_of, source_of
 from .pixel_gathering import gather
 from .pixel_statistics import CENTRES, excluded_of
 from .signature_library import Draft, paint_library
 
-# -- Correction of the clear coat for those regions that are paint.
+# --- correction of the clear coat for regions of paint -----------------------------------------------------
 
-#: Words of a region's ``kind`` or ``material`` that say it has no clear coat.
+#: Values of a region's ``kind`` or ``material`` for surfaces without a clear coat.
 _NO_PAINT = frozenset(
     {
         "asphalt",
@@ -54,8 +53,9 @@ _NO_PAINT = frozenset(
     }
 )
 
-#: Words of ``finish`` or ``kind`` of paints whose signature holds at one geometry, the coat included.
-_AT_A_GEOMETRY = frozenset({"metallic", "pearl"})
+#: Values of ``finish`` or ``kind`` for paints with flakes, whose signature holds for one geometry of sun and
+#: view and includes the coat.
+_FLAKE_PAINTS = frozenset({"metallic", "pearl"})
 
 
 def without_coat(
@@ -64,22 +64,22 @@ def without_coat(
     index: float,
     sun_zenith: float | None,
 ) -> xr.Dataset:
-    """Return a library without the share of a coat of the given index.
+    """Return a library corrected for a coat of the given index; see `correct_coat`.
 
-    Regions that are no paint, and metallic paint, stay unchanged.
+    Regions of other surfaces than paint, and metallic paint, stay unchanged.
     """
     words = [
         {str(region.properties.get(name, "")).lower() for name in ("kind", "material", "finish")}
         for region in regions
     ]
-    is_paint = np.array([not region_words & (_NO_PAINT | _AT_A_GEOMETRY) for region_words in words])
-    if not is_paint.any():
+    has_coat = np.array([not region_words & (_NO_PAINT | _FLAKE_PAINTS) for region_words in words])
+    if not has_coat.any():
         return library
     corrected = correct_coat(library, index=index, sun_zenith=sun_zenith)
-    if is_paint.all():
+    if has_coat.all():
         return corrected
-    paint = xr.DataArray(is_paint, dims=SIGNATURE)
-    as_seen = library.assign(
+    is_corrected = xr.DataArray(has_coat, dims=SIGNATURE)
+    uncorrected = library.assign(
         coat_transmission=xr.ones_like(corrected["coat_transmission"]),
         coat_transmission_u=xr.zeros_like(corrected["coat_transmission_u"]),
         reflectance_u_coat=xr.zeros_like(corrected["reflectance_u_coat"]),
@@ -87,27 +87,27 @@ def without_coat(
     changed = (*LEVELS, *WIDTHS, "coat_transmission", "coat_transmission_u", "reflectance_u_coat")
     return corrected.assign(
         {
-            name: corrected[name].where(paint, as_seen[name]).transpose(*corrected[name].dims)
+            name: corrected[name].where(is_corrected, uncorrected[name]).transpose(*corrected[name].dims)
             for name in changed
             if name in corrected
         }
     )
 
 
-# -- Angle between view and mirrored sun on a body part, and the change of reflectance over that angle.
+# --- angle between view and mirrored sun on a body part, and change of reflectance over that angle ---------
 # A metallic paint has no single reflectance: flakes lie nearly level, and reflect most around the direction
-# in which the body part mirrors the sun. Its signature holds at one geometry, which is stated here.
+# in which the body part mirrors the sun. Its signature holds for this angle only.
 
-#: Share of the pixels at the bright, and at the dark end of a body part, whose means are compared [1].
+#: Share of a body part's pixels that forms its bright end, and share that forms its dark end [1].
 FLOP_SHARE = 0.2
 
 #: Minimum number of pixels for a flop.
 MIN_FLOP_MEMBERS = 20
 
-#: Minimum share of a body part's pixels with a value in a band that is used [1].
+#: Minimum share of a body part's pixels with a value in a band, for this band to be used [1].
 MIN_BAND_SHARE = 0.9
 
-#: Largest lean inferred from a change of brightness [degree].
+#: Maximum lean inferred from a change of brightness [degree].
 MAX_LEAN_DEG = 15.0
 
 
@@ -148,8 +148,8 @@ def aspecular_angle(
 class Flop(NamedTuple):
     """Change of reflectance from the dark to the bright end of a body part."""
 
-    spectrum: Floats  #: (band,): Bright end less dark end, over their mean [1]; NaN where not known.
-    contrast: float  #: The same of the mean over all bands [1].
+    spectrum: Floats  #: (band,): Bright end less dark end, over their mean [1]; NaN where unknown.
+    contrast: float  #: The same for the means over all good bands [1].
 
 
 def flop_of(members: Array, good: Array) -> Flop:
@@ -162,38 +162,40 @@ def flop_of(members: Array, good: Array) -> Flop:
     good : (band,)
         Bands by which pixels are sorted.
 
-    Notes ----- Pixels are sorted by their mean over bands relative to the body part's; the ends are the means
-    of the first and the last fifth, :math:`\rho_1` and :math:`\rho_5`:
+    Notes
+    -----
+    Pixels are sorted by their mean ratio to the median spectrum. The ends are the means of the first and the
+    last fifth, :math:`\rho_1` and :math:`\rho_5`:
 
     .. math:: \frac{2 (\rho_5 - \rho_1)}{\rho_5 + \rho_1}
 
     For solid paint this is :math:`f_{dir} \Delta c / c`, the change by lean alone, without features of the
-    paint; flakes and pearl show their own spectrum in it. Noise of single pixels, which sorting would turn
-    into a change, is divided by the root of the number of bands.
+    paint; flakes and pearl add their own spectrum. Sorting by noise would cause a change, too; the mean over
+    many bands keeps it small.
     """
     values = members[np.isfinite(members[:, good]).all(axis=1)].astype(np.float64)
     if len(values) < MIN_FLOP_MEMBERS or not good.any():
         return Flop(np.full(members.shape[1], np.nan), np.nan)
-    middle = np.median(values[:, good], axis=0)
-    order = np.argsort((values[:, good] / np.maximum(middle, 1e-6)).mean(axis=1), kind="stable")
+    median = np.median(values[:, good], axis=0)
+    order = np.argsort((values[:, good] / np.maximum(median, 1e-6)).mean(axis=1), kind="stable")
     count = max(1, round(FLOP_SHARE * len(values)))
     dark, bright = values[order[:count]].mean(axis=0), values[order[-count:]].mean(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         spectrum = np.where(dark + bright > 0.0, 2.0 * (bright - dark) / (bright + dark), np.nan)
-    whole = bright[good].mean() + dark[good].mean()
-    contrast = 2.0 * float(bright[good].mean() - dark[good].mean()) / whole if whole > 0.0 else np.nan
+    total = bright[good].mean() + dark[good].mean()
+    contrast = 2.0 * float(bright[good].mean() - dark[good].mean()) / total if total > 0.0 else np.nan
     return Flop(spectrum, contrast)
 
 
 def lean_range(contrast: npt.ArrayLike, sun_zenith: npt.ArrayLike, direct: npt.ArrayLike) -> Floats:
-    r"""Return the largest possible lean between the two ends of a body part [degree].
+    r"""Return the maximum difference of lean between the two ends of a body part [degree].
 
-    The lean that changes its light by the observed contrast, :math:`f_{dir} \tan \theta_s \, \Delta \beta`,
-    if the paint is solid; flakes change faster, so that their body part leans less. At most `MAX_LEAN_DEG`,
-    which is also returned where the light does not depend on the lean; NaN for a contrast of NaN.
+    A lean :math:`\Delta \beta` changes the light on solid paint by the contrast :math:`f_{dir} \tan \theta_s
+    \, \Delta \beta`; with flakes the same contrast needs a smaller lean. The result is at most
+    `MAX_LEAN_DEG`, also where the light does not depend on the lean; NaN for a contrast of NaN.
 
-    Takes the ``contrast`` of `flop_of`, the zenith angle of the sun [degree] and the ``direct`` part of
-    the irradiance [1].
+    Takes ``contrast``: see `flop_of`; ``sun_zenith``: zenith angle of the sun [degree]; ``direct``: direct
+    part of the irradiance [1].
 
     Examples
     --------
@@ -214,12 +216,15 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
     """
     good = library["good"].values.astype(bool)
     members = library["member_reflectance"].transpose(SIGNATURE, ..., BAND).values
-    # bands that many pixels lack, such as bands without irradiance, are left out, not the pixels
+    # bands that many pixels lack, such as bands without irradiance, are excluded instead of the pixels
     has_value = np.isfinite(members)
     band_is_used = has_value.sum(axis=1) > MIN_BAND_SHARE * has_value.any(axis=2).sum(axis=1)[:, None]
-    flops = [flop_of(of_paint, good & bands) for of_paint, bands in zip(members, band_is_used, strict=True)]
+    flops = [
+        flop_of(paint_members, good & bands)
+        for paint_members, bands in zip(members, band_is_used, strict=True)
+    ]
     contrast = np.array([flop.contrast for flop in flops])
-    # without a split all light is direct: the smallest lean that explains a change
+    # without a split all light is assumed to be direct, which gives the smallest lean
     direct = np.ones(len(flops))
     if "diffuse_fraction" in library.variables:
         split = library["diffuse_fraction"].transpose(SIGNATURE, BAND).values
@@ -240,7 +245,7 @@ def with_aspecular_geometry(library: xr.Dataset) -> xr.Dataset:
     )
 
 
-#: Flags of pixels whose reflectance differs from the surface's.
+#: Flags of pixels whose reflectance differs from that of the surface.
 EXCLUDED = (
     Quality.SATURATED
     | Quality.IRRADIANCE_GAP
@@ -251,10 +256,10 @@ EXCLUDED = (
     | Quality.MIXED_EDGE
 )
 
-#: Maximum size of the samples held at once [byte]; a larger region is processed some bands at a time.
-GATHERED_BYTES = 64 * 2**20
-#: Maximum size of a region whose spectra are needed whole [byte].
-WHOLE_BYTES = 256 * 2**20
+#: Maximum size of samples in memory [byte]; a larger region is processed in several rounds of bands.
+MAX_GATHERED_BYTES = 64 * 2**20
+#: Maximum size of a region for which all bands must be in memory together [byte].
+MAX_COMPLETE_BYTES = 256 * 2**20
 
 
 @takes_quantities(sun_zenith="degree")
@@ -277,11 +282,11 @@ def extract_signatures(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> xr.Dataset:
-    r"""Make a paint library: one signature a region, with spread, uncertainty and provenance.
+    r"""Return a paint library: one signature a region, with spread, uncertainty and provenance.
 
-    Eager: gathers the pixels of the regions, then reduces them. Only the blocks of lines that regions touch
-    are read. At most 64 MiB of samples are gathered at once, for regions of any size (256 MiB of a region for
-    the geometric median); a larger region is read several times, some bands at a time.
+    Eager. Only blocks of lines with pixels of regions are read. Samples take at most 64 MiB of memory; a
+    larger region is read several times, some bands at a time. The geometric median needs all bands of a
+    region, at most 256 MiB.
 
     Parameters
     ----------
@@ -290,18 +295,18 @@ def extract_signatures(
         from `hyperpaint.geometry.orthorectify`; several by name, or a DataTree of them.
     regions
         `Regions`, the path of a GeoJSON file or its content, see `hyperpaint.regions.regions_from`. Regions
-        in coordinates of a map may have another reference system; a line that has poses but no places is
-        located for them, with its declared height of the ground.
+        in map coordinates may have another reference system than the line; a line with poses but without
+        ground coordinates is located first, with its declared height of the ground.
     exclude
-        Pixels with one of these flags are left out; 0 leaves out none. By default the flags of pixels whose
-        reflectance differs from the surface's: saturated, irradiance_gap, no_data, glint, shadow, adjacency
-        and mixed_edge; or the flags in the property ``excluded_flags`` of a region, which `propose_regions`
-        sets for roofs that it has judged by their brightness.
+        Flags of excluded pixels; 0 excludes none. By default the flags in the property ``excluded_flags`` of
+        a region, which `propose_regions` sets, else the flags of pixels whose reflectance differs from that
+        of the surface: saturated, irradiance_gap, no_data, glint, shadow, adjacency and mixed_edge.
     members
         Maximum number of single pixels stored with a signature.
     centre
-        "trimmed_mean": per band, leaving out values farther from the centre than three spreads until no more
-        are; "geometric_median" of whole spectra; or "median" per band.
+        "trimmed_mean": mean of a band without values farther than three standard deviations from it, see
+        Notes of `hyperpaint.paints.signatures.pixel_statistics.summarise`; "geometric_median" of spectra; or
+        "median" of a band.
     smooth
         Method of `hyperpaint.radiometry.smooth`, or its arguments by name; applied to the spectrum of every
         pixel.
@@ -309,20 +314,20 @@ def extract_signatures(
         Subtract the sky that a clear coat mirrors, see `hyperpaint.surroundings.remove_mirrored_sky`.
     sun_zenith
     diffuse
-        Diffuse part of the light for these corrections, see `hyperpaint.surroundings.survey`; by default as
-        each line declares it.
+        Diffuse part of the light for these corrections, see `hyperpaint.surroundings.survey`; by default
+        from the declaration of every line.
     coat
-        Divide by the transmission of the clear coat for a low sun and the sky, over its transmission near the
-        normal, see `hyperpaint.surroundings.correct_coat`; needs reflectance without the mirrored sky. By
-        default done where that is subtracted. Regions whose property ``kind`` or ``material`` names no paint,
+        Divide by the transmission of the clear coat relative to its transmission near the normal, see
+        `hyperpaint.surroundings.correct_coat`; needs reflectance without the mirrored sky. By default with
+        ``specular_sky``. Regions whose property ``kind`` or ``material`` names another surface than paint,
         such as "asphalt", stay unchanged.
     coat_index
         Refractive index of the coat [1].
     min_pixels
-        Minimum number of pixels left in a region.
+        Minimum number of usable pixels of a region.
     drop_small
-        Leave out regions with fewer pixels, and list them in the attribute ``left_out``, instead of an error.
-        Without any region left it is an error.
+        Omit regions with fewer usable pixels, and list them in the attribute ``left_out``, instead of raising
+        an error. If all regions are too small, the error is raised.
     seed
         Seed of the choice of members.
     progress
@@ -355,24 +360,23 @@ def extract_signatures(
     FormatError
         The regions cannot be read.
     SchemaError, UnitsError
-        Options, lines or regions cannot be used: a region has no pixels, or too few left (see
+        Options, lines or regions cannot be used: a region has no pixels, or too few usable ones (see
         ``drop_small``); flight lines have different bands; the mirrored sky was removed before, or the
-        position of the sun is unknown. All of a kind are listed.
+        position of the sun is unknown. All faults of a kind are listed.
 
     Notes
     -----
-    A metallic or pearl paint (by ``finish`` or ``kind`` of its region) has a reflectance at one geometry
-    only: its signature holds at its ``aspecular_angle`` under its sun and sky, the coat's share is not
-    divided out of it, and ``flop`` shows the change with the angle.
+    The signature of a metallic or pearl paint (by ``finish`` or ``kind`` of its region) holds only for its
+    ``aspecular_angle`` under its sun and sky; it is not corrected for the coat, and ``flop`` shows the change
+    with the angle.
 
     In a map with the indices of the pixels that its cells show, every pixel counts once, and members have
-    their places in the flight line; a map of nearest pixels leaves some out, so that the located line itself
-    has more.
+    their positions in the flight line; a map of nearest pixels omits some pixels of the flight line.
 
     Spectra are resampled to the nominal wavelengths first. A sample that is missing in a pixel is missing in
     that band only. The direction of view follows from the line's ``view_zenith`` and ``view_azimuth``, else
     from ``look_across`` or ``look_angle``, ``roll``, ``pitch`` and ``heading`` in the line's declared
-    convention, and its ``boresight``; without any it is NaN, and the attribute ``view_geometry`` names the
+    convention, and its ``boresight``; without these it is NaN, and the attribute ``view_geometry`` names the
     missing variables. The standard uncertainties hold for the mean of these pixels. For a flight line with
     its calibration they are propagated source by source, see `hyperpaint.radiometry.mean_uncertainty`:
     ``reflectance_u_random`` is the part that bands do not share, ``reflectance_u_systematic`` the part that
@@ -385,12 +389,11 @@ def extract_signatures(
               u_s = \overline{u_{s,i}}, \qquad
               n_{eff} = n^2 \Big/ \sum_{ij} \overline{c_{ij}}
 
-    over the :math:`n_b` pixels that have a value in a band, NaN where none has, with :math:`c_{ij}` the
+    over the :math:`n_b` pixels with a value in a band, NaN without such pixels, with :math:`c_{ij}` the
     autocorrelation of reflectance at the distance of two pixels, averaged over bands; :math:`n_{eff}` is
-    at most :math:`n / 1.3`, since the camera moves on while a line is exposed.
-    Smoothing makes the random part smaller than stated there. ``reflectance_sd`` and the quantiles show how
-    far another part of the paint may differ. Results have the same bits for any chunking and any order of the
-    regions.
+    at most :math:`n / 1.3`, since the camera moves during the exposure of a line. Smoothing reduces the
+    random part below this value. ``reflectance_sd`` and the quantiles show how far other parts of the paint
+    may differ. Results have the same bits for any chunking and any order of the regions.
 
     Examples
     --------
@@ -420,29 +423,29 @@ def extract_signatures(
     }
     _check_bands(sources)
     names = {position: name for name, (_, positions) in lines.items() for position in positions}
-    places = _places(region_list, lines, sources)
+    pixels = _pixels_of_regions(region_list, lines, sources)
     rounds = [
         _Round(name, batch, bands)
         for name, (_, positions) in lines.items()
-        for batch, bands in _rounds(sources[name], positions, places, whole=centre == "geometric_median")
+        for batch, bands in _rounds(sources[name], positions, pixels, all_bands=centre == "geometric_median")
     ]
     if centre == "geometric_median":
-        _refuse_divided(rounds, sources, places, region_list)
-    drafts = [Draft(sources[names[position]], place) for position, place in enumerate(places)]
+        _check_complete(rounds, sources, pixels, region_list)
+    drafts = [Draft(sources[names[position]], region_pixels) for position, region_pixels in enumerate(pixels)]
     excluded = [
         excluded_of(region, options.exclude) if exclude is None else exclude for region in region_list
     ]
     for number, gathering_round in enumerate(rounds):
-        reported = part_of(progress, number, len(rounds))
-        _reduce(gathering_round, sources[gathering_round.line], drafts, options, excluded, reported)
+        round_progress = part_of(progress, number, len(rounds))
+        _reduce(gathering_round, sources[gathering_round.line], drafts, options, excluded, round_progress)
     small = _small(region_list, drafts, min_pixels)
     large_enough = [number for number in range(len(region_list)) if number not in small]
     if small and not (drop_small and large_enough):
-        problems = Problems("there are regions with too few pixels left", SchemaError)
+        problems = Problems("regions have too few usable pixels", SchemaError)
         for text in small.values():
             problems.add(
                 text,
-                mend="draw it elsewhere, exclude fewer flags, lower min_pixels, or pass drop_small=True",
+                mend="draw another region, exclude fewer flags, lower min_pixels, or pass drop_small=True",
                 code="region-too-small",
             )
         problems.raise_if_any()
@@ -472,7 +475,7 @@ class _Options:
         problems = Problems("signatures cannot be extracted", SchemaError)
         if not len(regions):
             problems.add(
-                "there is no region", mend="draw regions, or call propose_regions", code="empty-input"
+                "regions= is empty", mend="draw regions, or call propose_regions", code="empty-input"
             )
         if not isinstance(self.exclude, int) or not 0 <= self.exclude < 2 * max(Quality):
             problems.add(
@@ -480,13 +483,10 @@ class _Options:
                 expected="flags such as Quality.GLINT | Quality.SHADOW, or 0",
                 code="choice-unknown",
             )
-        for name, value, least in (("members", self.members, 0), ("min_pixels", self.min_pixels, 1)):
-            if value < least:
-                problems.add(f"{name}={value}", expected=f"{least} or more", code="value-out-of-range")
-        if self.centre not in CENTRES:
-            problems.add(
-                f"centre={self.centre!r:.40}", expected=f"one of {', '.join(CENTRES)}", code="choice-unknown"
-            )
+        for name, value, minimum in (("members", self.members, 0), ("min_pixels", self.min_pixels, 1)):
+            if value < minimum:
+                problems.add(f"{name}={value}", expected=f"{minimum} or more", code="value-out-of-range")
+        one_of(self.centre, CENTRES, "centre", problems=problems)
         problems.raise_if_any()
 
     @property
@@ -496,36 +496,38 @@ class _Options:
 
 @dataclass(frozen=True)
 class _Round:
+    # Regions of a flight line, by number, and bands that are gathered together
     line: str
     batch: list[int]
     bands: slice
 
 
 def _reduce(
-    part: _Round,
+    gathering_round: _Round,
     source: Source,
     drafts: Sequence[Draft],
     options: _Options,
     excluded: Sequence[int],
     progress: Progress | None,
 ) -> None:
-    # Gather and reduce the pixels of some regions; `excluded` holds the excluded flags of every draft
-    batch = [drafts[position] for position in part.batch]
+    # Gather and reduce the pixels of a round; `excluded` holds the excluded flags of every draft
+    bands = gathering_round.bands
+    batch = [drafts[position] for position in gathering_round.batch]
     along, across = (np.concatenate([draft.cells[axis] for draft in batch]) for axis in (0, 1))
     # reading is the first half of the work, reducing the second
-    read = None if progress is None else lambda done, blocks: progress(done, 2 * blocks)
-    spectra, values = gather(source.cubes, source.planes, along, across, part.bands, source.small, read)
-    of_lines = {key: values[key] for key in source.small}
+    gathering = None if progress is None else lambda count, blocks: progress(count, 2 * blocks)
+    spectra, values = gather(source.cubes, source.planes, along, across, bands, source.small, gathering)
+    line_values = {key: values[key] for key in source.small}
     start = 0
-    for position, draft in zip(part.batch, batch, strict=True):
+    for position, draft in zip(gathering_round.batch, batch, strict=True):
         rows = slice(start, start + draft.along.size)
         start = rows.stop
-        if part.bands.start == 0:
+        if bands.start == 0:
             present = values["present"][rows]
             planes = {name: values[name][rows] for name in source.planes}
-            draft.choose(present, planes, of_lines, excluded[position], options.members, options.seed)
+            draft.choose(present, planes, line_values, excluded[position], options.members, options.seed)
         if draft.n >= options.min_pixels:
-            draft.take_bands({name: cube[rows] for name, cube in spectra.items()}, part.bands, options.centre)
+            draft.take_bands({name: cube[rows] for name, cube in spectra.items()}, bands, options.centre)
         if progress is not None:
             progress(along.size + start, 2 * along.size)
 
@@ -537,94 +539,101 @@ _DEGREES_WITHOUT_CRS = (
 )
 
 
-# --- checks before anything is read ------------------------------------------------------------------------
+# --- pixels and rounds, with checks before values are read -------------------------------------------------
 
 
 def _check_bands(sources: Mapping[str, Source]) -> None:
-    (first, reference), *others = sources.items()
+    (reference_name, reference), *further = sources.items()
     problems = Problems("signatures of these flight lines cannot be in one library", SchemaError)
-    for name, source in others:
-        same = source.wavelength.shape == reference.wavelength.shape and np.allclose(
+    for name, source in further:
+        has_same_bands = source.wavelength.shape == reference.wavelength.shape and np.allclose(
             source.wavelength, reference.wavelength, rtol=0.0, atol=1e-3
         )
-        if not same:
+        if not has_same_bands:
             problems.add(
-                f"bands of {name!r} differ from those of {first!r}",
-                mend="extract the lines one by one",
+                f"bands of {name!r} differ from those of {reference_name!r}",
+                mend="extract a library from every line",
                 code="bands-differ",
             )
     problems.raise_if_any()
 
 
-def _places(regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, Source]) -> list[Shown]:
-    problems = Problems("there are regions without pixels", SchemaError)
-    places: list[Any] = [None] * len(regions)
+def _pixels_of_regions(
+    regions: Regions, lines: Mapping[str, Any], sources: Mapping[str, Source]
+) -> list[RegionPixels]:
+    problems = Problems("regions contain no pixels", SchemaError)
+    pixels: list[Any] = [None] * len(regions)
     for name, (_, positions) in lines.items():
-        part = Regions(tuple(regions[k] for k in positions), regions.coordinates, regions.crs)
+        line_regions = Regions(tuple(regions[k] for k in positions), regions.coordinates, regions.crs)
         line = sources[name].line
         # sensor coordinates that are all valid longitudes and latitudes, as in RFC 7946
-        corners = np.abs(np.concatenate([region.polygon for region in part]))
-        could_be_degrees = part.coordinates == "sensor" and bool((corners <= [180.0, 90.0]).all())
-        for position, place in zip(positions, shown_pixels(line, pixels_of(part, line)), strict=True):
-            places[position] = place
-            if not place.size:
+        corners = np.abs(np.concatenate([region.polygon for region in line_regions]))
+        could_be_degrees = line_regions.coordinates == "sensor" and bool((corners <= [180.0, 90.0]).all())
+        pixels_of_line = distinct_pixels(line, pixels_of(line_regions, line))
+        for position, region_pixels in zip(positions, pixels_of_line, strict=True):
+            pixels[position] = region_pixels
+            if not region_pixels.size:
                 size = f"{line.sizes['along_track']} lines of {line.sizes['cross_track']} columns"
                 problems.add(
-                    f"region {regions[position].name!r} holds no pixel of the line ({size})",
+                    f"region {regions[position].name!r} contains no pixel of the line ({size})",
                     mend=_DEGREES_WITHOUT_CRS if could_be_degrees else "",
                     code="region-empty",
                 )
     problems.raise_if_any()
-    return places
+    return pixels
 
 
 def _rounds(
-    source: Source, positions: Sequence[int], places: Sequence[Shown], *, whole: bool
+    source: Source, positions: Sequence[int], pixels: Sequence[RegionPixels], *, all_bands: bool
 ) -> Iterator[tuple[list[int], slice]]:
-    # Yield the regions gathered together, and their bands; `whole`: all bands at once where possible
+    # Yield regions that are gathered together, and their bands; `all_bands`: in one round where possible
     bands = source.wavelength.size
-    pixel = 4 * len(source.cubes) * bands
+    pixel_bytes = 4 * len(source.cubes) * bands
     batch: list[int] = []
-    held = 0
+    batch_bytes = 0
     for position in positions:
-        needed = places[position].size * pixel
-        if batch and held + needed > GATHERED_BYTES:
+        region_bytes = pixels[position].size * pixel_bytes
+        if batch and batch_bytes + region_bytes > MAX_GATHERED_BYTES:
             yield batch, slice(0, bands)
-            batch, held = [], 0
-        if needed > (WHOLE_BYTES if whole else GATHERED_BYTES):
-            step = max(1, GATHERED_BYTES // (needed // bands))
+            batch, batch_bytes = [], 0
+        if region_bytes > (MAX_COMPLETE_BYTES if all_bands else MAX_GATHERED_BYTES):
+            step = max(1, MAX_GATHERED_BYTES // (region_bytes // bands))
             for start in range(0, bands, step):
                 yield [position], slice(start, min(start + step, bands))
         else:
             batch.append(position)
-            held += needed
+            batch_bytes += region_bytes
     if batch:
         yield batch, slice(0, bands)
 
 
-def _refuse_divided(
-    rounds: Sequence[_Round], sources: Mapping[str, Source], places: Sequence[Shown], regions: Regions
+def _check_complete(
+    rounds: Sequence[_Round], sources: Mapping[str, Source], pixels: Sequence[RegionPixels], regions: Regions
 ) -> None:
-    problems = Problems("the geometric median needs whole spectra of all pixels at once", SchemaError)
-    for part in rounds:
-        if part.bands.start == 0 and part.bands.stop < sources[part.line].wavelength.size:
-            name, count = regions[part.batch[0]].name, places[part.batch[0]].size
+    # Raise for regions whose bands are divided among rounds
+    problems = Problems("the geometric median needs all bands of a region in memory", SchemaError)
+    for gathering_round in rounds:
+        bands, number = gathering_round.bands, gathering_round.batch[0]
+        if bands.start == 0 and bands.stop < sources[gathering_round.line].wavelength.size:
+            count = pixels[number].size
             problems.add(
-                f"region {name!r} has {count} pixels: more than {WHOLE_BYTES >> 20} MiB",
-                mend='cut it smaller, or pass centre="trimmed_mean"',
+                f"region {regions[number].name!r} has {count} pixels: more than "
+                f"{MAX_COMPLETE_BYTES >> 20} MiB",
+                mend='draw a smaller region, or pass centre="trimmed_mean"',
                 code="region-too-large",
             )
     problems.raise_if_any()
 
 
 def _small(regions: Regions, drafts: Sequence[Draft], min_pixels: int) -> dict[int, str]:
+    # Text about every region with too few usable pixels, by its number
     texts = {}
     for number, (region, draft) in enumerate(zip(regions, drafts, strict=True)):
         if draft.n < min_pixels:
             shares = zip(flag_names(), draft.share, strict=True)
             flags = ", ".join(f"{share:.0%} {name}" for name, share in shares if share > 0)
             texts[number] = (
-                f"region {region.name!r}: {draft.n} of {draft.along.size} pixels are left, expected "
+                f"region {region.name!r}: {draft.n} of {draft.along.size} pixels are usable, expected "
                 f"{min_pixels} ({flags or 'no flags'})"
             )
     return texts

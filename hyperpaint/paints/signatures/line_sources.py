@@ -35,21 +35,22 @@ from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINT
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import Pixels, lines_of_cells, located_for
 from hyperpaint.surroundings.corrections import CORRECTIONS, remove_mirrored_sky
-from hyperpaint.surroundings.light_split import says_its_split, split_of, warn_of_contradiction
+from hyperpaint.surroundings.light_split import has_split, split_of, warn_of_contradiction
 
-# -- Cells of a map as pixels of the flight line that they show.
-# Nearest resampling repeats some pixels and leaves others out; statistics count every pixel once.
+# --- cells of a map as pixels of the flight line -----------------------------------------------------------
+# Nearest resampling repeats some pixels and omits others; statistics count every pixel once.
 
-_PLACES = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
+#: Variables of a map: position of the pixel that a cell shows, and exact position of the cell's centre in the
+#: flight line.
+_POSITIONS = ("nearest_line", "nearest_sample", "glt_line", "glt_sample")
 
 
-class Shown(NamedTuple):
-    """Pixels of a region: their cells, and their positions in the flight line."""
+class RegionPixels(NamedTuple):
+    """Pixels of a region in the opened line or map, and in the flight line that a map shows."""
 
-    cells: Pixels
-    pixels: Pixels
-    #: (pixel,): number of the flight line; of a map of several alone
-    lines: Ints | None = None
+    cells: Pixels  #: Positions in the line, or rows and columns of the map.
+    pixels: Pixels  #: Positions in the flight line.
+    lines: Ints | None = None  #: (pixel,): Number of the flight line, in a map of several flight lines.
 
     @property
     def size(self) -> int:
@@ -57,133 +58,146 @@ class Shown(NamedTuple):
         return int(self.cells[0].size)
 
 
-def shown_pixels(line: xr.Dataset, places: Sequence[Pixels]) -> list[Shown]:
-    """Return the pixels in regions, each once, from the cells of a map that lie in them (eager).
+def distinct_pixels(line: xr.Dataset, regions: Sequence[Pixels]) -> list[RegionPixels]:
+    """Return the pixels in regions, each pixel once, from the cells of a map in the regions (eager).
 
-    ``line`` is a flight line or a map, its dims named by role; ``places`` are positions in it, by region. A
+    ``line`` is a flight line or a map, its dims named by role; ``regions`` are positions in it, by region. A
     pixel shown by several cells belongs to the region of the cell nearest to its centre, and is read there.
-    Empty cells are no pixels. Positions in a flight line, or in a map without indices of its pixels, are
+    Empty cells are omitted. Positions in a flight line, or in a map without indices of its pixels, are
     returned unchanged.
     """
-    if not set(_PLACES) <= set(line.variables):
-        return [Shown(place, place) for place in places]
-    # largest distance of the cell nearest to the centre of a pixel
+    if not set(_POSITIONS) <= set(line.variables):
+        return [RegionPixels(cells, cells) for cells in regions]
+    # maximum distance of the cell nearest to the centre of a pixel [cells]
     attrs = {"spacing_across": 1.0, "spacing_along": 1.0, "gsd": 1.0, **line.attrs}
     reach = 1 + math.ceil(max(attrs["spacing_across"], attrs["spacing_along"]) / attrs["gsd"])
-    windows = [_window(place, reach) for place in places]
-    names = [*_PLACES, *(["flightline"] if lines_of_cells(line) else [])]
+    windows = [_window(cells, reach) for cells in regions]
+    names = [*_POSITIONS, *(["flightline"] if lines_of_cells(line) else [])]
     planes = [line[name].reset_coords(drop=True).transpose(ALONG_TRACK, CROSS_TRACK) for name in names]
-    # computed together: cells shared by regions are read once
+    # computed together: cells in several windows are read once
     tables = dask.compute(*([plane.isel(window).data for plane in planes] for window in windows))
     return [
-        _once(place, window, *table) for place, window, table in zip(places, windows, tables, strict=True)
+        _distinct_in_window(cells, window, *table)
+        for cells, window, table in zip(regions, windows, tables, strict=True)
     ]
 
 
-def _window(place: Pixels, reach: int) -> dict[str, slice]:
-    if not place[0].size:
+def _window(cells: Pixels, reach: int) -> dict[str, slice]:
+    # Bounding box of cells, wider by `reach`
+    if not cells[0].size:
         return {ALONG_TRACK: slice(0, 0), CROSS_TRACK: slice(0, 0)}
     return {
         dim: slice(max(0, int(axis.min()) - reach), int(axis.max()) + reach + 1)
-        for dim, axis in zip((ALONG_TRACK, CROSS_TRACK), place, strict=True)
+        for dim, axis in zip((ALONG_TRACK, CROSS_TRACK), cells, strict=True)
     }
 
 
-def _once(
-    place: Pixels,
+def _distinct_in_window(
+    region_cells: Pixels,
     window: dict[str, slice],
     line: np.ndarray,
     sample: np.ndarray,
-    at_line: np.ndarray,
-    at_sample: np.ndarray,
-    of_line: np.ndarray | None = None,
-) -> Shown:
-    # Every pixel once, from the cells of a window (row, col) that lie in a region.
-    # In a map of several flight lines, the same line and column are a different pixel of each flight line.
-    corner = window[ALONG_TRACK].start, window[CROSS_TRACK].start
+    exact_line: np.ndarray,
+    exact_sample: np.ndarray,
+    flightline: np.ndarray | None = None,
+) -> RegionPixels:
+    # The pixels whose nearest cell lies in a region, from the variables of a window of cells (row, col).
+    # In a map of several flight lines, equal positions in different flight lines are different pixels.
+    top, left = window[ALONG_TRACK].start, window[CROSS_TRACK].start
     inside = np.zeros(line.shape, bool)
-    inside[place[0] - corner[0], place[1] - corner[1]] = True
+    inside[region_cells[0] - top, region_cells[1] - left] = True
     row, col = np.nonzero(line >= 0)
     along, across = line[row, col].astype(np.int64), sample[row, col].astype(np.int64)
-    away = np.hypot(at_line[row, col] - along, at_sample[row, col] - across)
-    # pixels in the order of the flight line, of each the nearest cell first
-    keys = [across, along] if of_line is None else [across, along, of_line[row, col].astype(np.int64)]
-    order = np.lexsort((away, *keys))
+    distance = np.hypot(exact_line[row, col] - along, exact_sample[row, col] - across)
+    # cells in the order of their pixels, the nearest cell of each pixel first
+    keys = [across, along] if flightline is None else [across, along, flightline[row, col].astype(np.int64)]
+    order = np.lexsort((distance, *keys))
     pixel = np.stack([key[order] for key in keys])
-    first = np.r_[True, (np.diff(pixel, axis=1) != 0).any(axis=0)] if order.size else np.zeros(0, bool)
-    nearest = order[first]
+    is_first = np.r_[True, (np.diff(pixel, axis=1) != 0).any(axis=0)] if order.size else np.zeros(0, bool)
+    nearest = order[is_first]
     nearest = nearest[inside[row[nearest], col[nearest]]]
-    cells = row[nearest] + corner[0], col[nearest] + corner[1]
-    return Shown(cells, (along[nearest], across[nearest]), None if of_line is None else keys[2][nearest])
+    numbers = None if flightline is None else keys[2][nearest]
+    return RegionPixels((row[nearest] + top, col[nearest] + left), (along[nearest], across[nearest]), numbers)
 
 
-def middle_of_map(line: xr.Dataset) -> tuple[float, float] | None:
-    """Return latitude and longitude of the middle of a map [degree]; None for a flight line, or unknown."""
+def centre_of_map(line: xr.Dataset) -> tuple[float, float] | None:
+    """Return latitude and longitude of a map's centre [degree]; None for a flight line, or where unknown."""
     mapping = line["spatial_ref"].attrs if "spatial_ref" in line.variables else {}
     axes = [line.variables.get(name) for name in ("x", "y")]
     wkt = mapping.get("crs_wkt") or mapping.get("spatial_ref")
     if wkt is None or "GeoTransform" not in mapping:
         return None
     if all(axis is not None and axis.ndim == 1 for axis in axes):
-        middle = [float(np.mean(axis.values)) for axis in axes if axis is not None]
+        centre = [float(np.mean(axis.values)) for axis in axes if axis is not None]
     else:
         a, b, c, d, e, f = map(float, str(mapping["GeoTransform"]).split())
         col, row = line.sizes[CROSS_TRACK] / 2, line.sizes[ALONG_TRACK] / 2
-        middle = [a + b * col + c * row, d + e * col + f * row]
-    # only the position of the sun depends on it, which is then unknown
+        centre = [a + b * col + c * row, d + e * col + f * row]
+    # no error: without a centre only the position of the sun is unknown
     with contextlib.suppress(MissingExtraError, SchemaError):
-        ((longitude, latitude),) = between_maps(np.array([middle]), crs_of(wkt), "EPSG:4326").tolist()
+        ((longitude, latitude),) = between_maps(np.array([centre]), crs_of(wkt), "EPSG:4326").tolist()
         return latitude, longitude
     return None
 
 
-#: Variables of a line that turn its camera.
+#: Variables of a line that rotate its camera.
 ATTITUDE = ("roll", "pitch", "heading")
 
-_PIXELS = ("view_zenith", "view_azimuth")
-_LEVEL = (0.0, 0.0, 0.0)
-#: Horizontal part of a direction below which it has no azimuth, 0.2 arc seconds.
+_VIEW_ANGLES = ("view_zenith", "view_azimuth")
+_NO_ROTATION = (0.0, 0.0, 0.0)
+#: Minimum horizontal part of a direction with an azimuth, 0.2 arc seconds.
 MIN_HORIZONTAL_PART = 1e-6
 
 
 class Viewing:
     """Directions of view of a flight line.
 
-    ``view_zenith`` and ``view_azimuth`` of pixels (along_track, cross_track) take precedence over
-    ``look_across``, or else ``look_angle`` (cross_track), with `ATTITUDE` (along_track) [degree], in the
-    declared convention of the line and with its ``boresight``. ``planes`` and ``lines`` are the variables of
-    pixels and lines, ``look`` and ``ahead`` (cross_track,) the look angles across and along the track
-    [degree], None where not needed; ``description`` names the source of the directions, or why they are
-    unknown, with unusable variables, which raise no error.
+    They follow from ``view_zenith`` and ``view_azimuth`` of pixels (along_track, cross_track), else from
+    ``look_across`` or ``look_angle`` (cross_track) with `ATTITUDE` (along_track) [degree], in the declared
+    convention of the line and with its ``boresight``. Unusable variables raise no error.
+
+    Attributes
+    ----------
+    planes, lines
+        Variables of pixels, and of lines.
+    look, ahead : (cross_track,)
+        Look angles across and along the track [degree]; None where not needed.
+    boresight
+        Roll, pitch and heading of the camera in the platform [degree].
+    convention
+        Convention of the attitude, in degrees; None where it needs no conversion.
+    description
+        Source of the directions, or the reason why they are unknown, with unusable variables.
     """
 
     def __init__(self, line: xr.Dataset) -> None:
         look_names = ("look_across", "look_along", "look_angle")
-        names = [name for name in (*_PIXELS, *look_names, *ATTITUDE) if name in line.variables]
+        names = [name for name in (*_VIEW_ANGLES, *look_names, *ATTITUDE) if name in line.variables]
         variables, faults = schema.find(line, names)
         problems = [fault.text() for fault in faults]
         self.planes: dict[str, xr.DataArray] = {}
         self.lines: dict[str, xr.DataArray] = {}
         self.look: Floats | None = None
         self.ahead: Floats | None = None
-        self.boresight: tuple[float, ...] = tuple(map(float, line.attrs.get("boresight", _LEVEL)))
-        #: Convention of roll, pitch and heading [degree]; None where they need no conversion
-        self.convention = _declared(line, problems)
+        self.boresight: tuple[float, ...] = tuple(map(float, line.attrs.get("boresight", _NO_ROTATION)))
+        self.convention = _declared_convention(line, problems)
         look = next((name for name in ("look_across", "look_angle") if name in variables), None)
         if "view_zenith" in variables:
-            self.planes = {name: variables[name] for name in _PIXELS if name in variables}
+            self.planes = {name: variables[name] for name in _VIEW_ANGLES if name in variables}
             self.description = " and ".join(self.planes) + " of the pixels"
         elif look is not None and {"roll", "pitch"} <= set(variables):
             self.look = variables[look].values.astype(np.float64)
             if "look_along" in variables:
                 self.ahead = variables["look_along"].values.astype(np.float64)
             self.lines = {name: variables[name] for name in ATTITUDE if name in variables}
-            turn = ", ".join(f"{angle:g}" for angle in self.boresight)
-            mounting = f"boresight {turn}" if any(self.boresight) else "no angle between camera and platform"
+            angles = ", ".join(f"{angle:g}" for angle in self.boresight)
+            mounting = (
+                f"boresight {angles}" if any(self.boresight) else "no angle between camera and platform"
+            )
             self.description = "; ".join([f"{look} with {', '.join(self.lines)}", mounting, *problems])
         else:
             missing = [name for name in ("look_angle", "roll", "pitch") if name not in variables]
-            reason = f"not known: no view_zenith of the pixels, and no {', '.join(missing)}"
+            reason = f"unknown: no view_zenith of the pixels, and no {', '.join(missing)}"
             self.description = "; ".join([reason, *problems])
 
 
@@ -192,8 +206,8 @@ def mean_view(
 ) -> tuple[float, float]:
     r"""Return zenith angle and azimuth of the mean direction to the camera [degree], NaN where unknown.
 
-    Takes ``viewing`` of the line; ``pixels``, ``lines`` (pixel,): its variables at the pixels, and at their
-    lines; ``across`` (pixel,): columns.
+    Takes ``viewing``: directions of the line; ``pixels``, ``lines`` (pixel,): values of ``viewing.planes``
+    and ``viewing.lines`` for every pixel; ``across`` (pixel,): columns.
 
     Notes
     -----
@@ -219,19 +233,20 @@ def mean_view(
     zenith, azimuth = zenith[is_finite], azimuth[is_finite]
     if not zenith.size:
         return np.nan, np.nan
-    away = np.sin(np.radians(zenith))
-    if not (np.isfinite(azimuth) | (away < MIN_HORIZONTAL_PART)).all():
+    horizontal = np.sin(np.radians(zenith))
+    if not (np.isfinite(azimuth) | (horizontal < MIN_HORIZONTAL_PART)).all():
         return float(zenith.mean()), np.nan
+    # components of the mean unit vector
     angle = np.radians(np.where(np.isfinite(azimuth), azimuth, 0.0))
-    north, east = float((away * np.cos(angle)).mean()), float((away * np.sin(angle)).mean())
-    level = np.hypot(north, east)
-    mean_zenith = float(np.degrees(np.arctan2(level, np.cos(np.radians(zenith)).mean())))
+    north, east = float((horizontal * np.cos(angle)).mean()), float((horizontal * np.sin(angle)).mean())
+    length = np.hypot(north, east)
+    mean_zenith = float(np.degrees(np.arctan2(length, np.cos(np.radians(zenith)).mean())))
     mean_azimuth = float(np.degrees(np.arctan2(east, north)) % 360.0)
-    return mean_zenith, mean_azimuth if level > MIN_HORIZONTAL_PART else np.nan
+    return mean_zenith, mean_azimuth if length > MIN_HORIZONTAL_PART else np.nan
 
 
-def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
-    # Angle convention of a line, in degrees; None where it is canonical or undeclared
+def _declared_convention(line: xr.Dataset, problems: list[str]) -> Convention | None:
+    # Convention of a line's attitude, in degrees; None where it is canonical or undeclared
     try:
         declared = Convention.from_attrs(line.attrs)
     except SchemaError as error:
@@ -239,7 +254,7 @@ def _declared(line: xr.Dataset, problems: list[str]) -> Convention | None:
         return None
     if declared is None:
         return None
-    # the variables were converted to degrees before
+    # the variables are in degrees already
     declared = declared.replace(angle_unit="degree", height_reference="ellipsoid", geoid_undulation=None)
     return None if declared == declared.of_canonical else declared
 
@@ -257,18 +272,18 @@ def _canonical(convention: Convention | None, lines: Mapping[str, Array]) -> lis
     is_known = np.isfinite(heading) & (convention.heading_reference != "grid" or convergence is not None)
     is_known &= convention.heading_reference != "magnetic" or convention.declination is not None
     if not is_known.all():
-        # the zenith angle does not depend on the heading where that is the first rotation
+        # roll and pitch do not depend on an unknown heading where the heading is the first rotation
         unreferenced = convention.replace(heading_reference="true")
-        first = convention.euler_order.startswith("Z")
-        whole = unreferenced.canonical(
-            roll, pitch, np.where(np.isfinite(heading), heading, 0.0 if first else np.nan)
+        heading_is_first = convention.euler_order.startswith("Z")
+        attitude = unreferenced.canonical(
+            roll, pitch, np.where(np.isfinite(heading), heading, 0.0 if heading_is_first else np.nan)
         )
-        return [whole[0], whole[1], np.full(roll.shape, np.nan)]
+        return [attitude[0], attitude[1], np.full(roll.shape, np.nan)]
     return list(convention.canonical(roll, pitch, heading, convergence=convergence))
 
 
 def _convergence(convention: Convention, lines: Mapping[str, Array]) -> Floats | None:
-    # Grid north, east of true north (pixel,) [degree]; None where the map is unknown
+    # Angle from true north to grid north, clockwise (pixel,) [degree]; None where the map is unknown
     if convention.grid_crs is None:
         return None
     with contextlib.suppress(MissingExtraError, SchemaError):
@@ -288,15 +303,14 @@ def _from_attitude(
     # `look` and `along` are angles of the line of sight in the camera's frame, across and along the track.
     if along is not None or any(boresight):
         sight = directions(look, np.zeros(look.shape) if along is None else along)
-        level = np.zeros(roll.shape)
-        turn = matrices(quaternions(roll, pitch, level)) @ matrices(quaternions(*boresight))
-        north, east, down = np.einsum("pij,pj->ip", turn, sight)
-        zenith = np.degrees(np.arctan2(np.hypot(north, east), down))
-        return zenith, (np.degrees(np.arctan2(-east, -north)) + heading) % 360.0
-    # roll turns the line of sight within the plane that look angles are in
-    side, tilt = np.radians(look.astype(np.float64) - roll), np.radians(pitch.astype(np.float64))
-    ahead, right = np.sin(tilt) * np.cos(side), np.sin(side)
-    down = np.cos(tilt) * np.cos(side)
+        no_heading = np.zeros(roll.shape)
+        rotation = matrices(quaternions(roll, pitch, no_heading)) @ matrices(quaternions(*boresight))
+        ahead, right, down = np.einsum("pij,pj->ip", rotation, sight)
+    else:
+        # roll rotates the line of sight within the plane of the look angles
+        side, tilt = np.radians(look.astype(np.float64) - roll), np.radians(pitch.astype(np.float64))
+        ahead, right = np.sin(tilt) * np.cos(side), np.sin(side)
+        down = np.cos(tilt) * np.cos(side)
     zenith = np.degrees(np.arctan2(np.hypot(ahead, right), down))
     return zenith, (np.degrees(np.arctan2(-right, -ahead)) + heading) % 360.0
 
@@ -312,19 +326,21 @@ def relative_azimuth(first: float, second: float) -> float:
     return abs((first - second + 180.0) % 360.0 - 180.0)
 
 
-#: Method of `hyperpaint.radiometry.smooth`, or its arguments by name; None smooths nothing.
+#: Method of `hyperpaint.radiometry.smooth`, or its arguments by name; None for no smoothing.
 Smoothing = str | Mapping[str, Any] | None
 
-_NOISE_KNOWN = {"counts", "electrons_per_count", "read_noise"}
-_SMALL = ("time", "latitude", "longitude", "irradiance_age")
+#: Variables from which the noise of reflectance can be computed.
+_NOISE_VARIABLES = {"counts", "electrons_per_count", "read_noise"}
+#: Variables of lines that signatures use.
+_LINE_VARIABLES = ("time", "latitude", "longitude", "irradiance_age")
 
 
 class SplitOfLines(NamedTuple):
-    """Division of the light of each line into direct and diffuse."""
+    """Division of the light of every line into direct and diffuse light."""
 
-    fraction: Floats  # (along_track, band), diffuse part [1]
-    u: Floats  # (along_track, band), its standard uncertainty [1]
-    state: Array  # (along_track,), number of the sky's word
+    fraction: Floats  #: (along_track, band): Diffuse fraction [1].
+    u: Floats  #: (along_track, band): Its standard uncertainty [1].
+    state: Array  #: (along_track,): State of the sky, number in `SKY_STATES`.
 
     def mean(self, lines: Array) -> dict[str, Any]:
         """Return the mean over some lines, with the spread in its uncertainty, and the most frequent sky."""
@@ -342,21 +358,20 @@ class SplitOfLines(NamedTuple):
 
 @dataclass(frozen=True)
 class Source:
-    """Everything that signatures use of one flight line."""
+    """Data of a flight line from which signatures are computed."""
 
-    line: xr.Dataset  #: The line itself, dims named by role.
-    #: ``reflectance`` at nominal wavelengths, and its uncertainties where known, lazy. With separate sources
-    #: of error their sum is left out, and the original reflectance may follow as ``measured``.
+    line: xr.Dataset  #: The line, dims named by role.
+    #: ``reflectance`` at nominal wavelengths and its uncertainties where known, lazy. With separate sources
+    #: of error the systematic uncertainty is omitted, and ``measured`` may hold the reflectance before
+    #: resampling, smoothing and corrections.
     cubes: dict[str, xr.DataArray]
-    #: Variables of pixels and of lines.
-    planes: dict[str, xr.DataArray]
-    small: dict[str, xr.DataArray]
+    planes: dict[str, xr.DataArray]  #: Variables of pixels (along_track, cross_track).
+    small: dict[str, xr.DataArray]  #: Variables of lines (along_track).
     viewing: Viewing  #: Directions of view of its pixels.
-    #: (band,), float64 [nm]; NaN where the width is unknown.
-    wavelength: Floats
-    fwhm: Floats
-    good: Bools  #: (band,)
-    light: SplitOfLines | None  #: Division of the light of each line; None where undeclared.
+    wavelength: Floats  #: (band,), float64: Centre wavelength [nm].
+    fwhm: Floats  #: (band,), float64: Width [nm]; NaN where unknown.
+    good: Bools  #: (band,): Whether a band is good.
+    light: SplitOfLines | None  #: Division of the light of every line; None where undeclared.
     smoothing: str  #: Method of smoothing, or "none".
     corrections: dict[str, str]  #: Corrections by name, see `CORRECTIONS`.
     components: dict[str, str]  #: Error sources in the uncertainties, by name.
@@ -374,58 +389,51 @@ def source_of(
     sun_zenith: float | None = None,
     diffuse: Any = None,
 ) -> Source:
-    """Return the data of a flight line that signatures use; no cube is computed.
+    """Return the data of a flight line or map from which signatures are computed; no cube is computed.
 
     Raises `SchemaError`, `UnitsError`: reflectance is missing and cannot be computed; it is smoothed already,
-    or the mirrored sky removed; or the position of the sun is unknown.
+    or its mirrored sky removed; or the position of the sun is unknown.
     """
     line = schema.rename_to_roles(line)
-    middle = middle_of_map(line)
+    map_centre = centre_of_map(line)
     if "reflectance" not in line.variables:
-        line = reflectance(line, uncertainty=set(line.variables) >= _NOISE_KNOWN)
+        line = reflectance(line, uncertainty=set(line.variables) >= _NOISE_VARIABLES)
     names = ["reflectance", *(name for name in UNCERTAINTIES if name in line.variables)]
-    # a map has values of every cell where a line has one a line
-    of_cells = {
+    # time and age of the irradiance belong to cells in a map, to lines in a flight line
+    cell_variables = {
         name: line[stored_name].reset_coords(drop=True)
         for name, stored_name in (("time", "line_time"), ("irradiance_age", "irradiance_age"))
         if stored_name in line.variables and set(line[stored_name].dims) == {ALONG_TRACK, CROSS_TRACK}
     }
     optional = [
         name
-        for name in ("quality", "fwhm", "good", *_SMALL)
-        if name in line.variables and name not in of_cells
+        for name in ("quality", "fwhm", "good", *_LINE_VARIABLES)
+        if name in line.variables and name not in cell_variables
     ]
     variables = schema.require(line, [*names, "wavelength", *optional], "paint signatures")
     line = line.assign({name: variables[name] for name in names})
-    before = variables["reflectance"].attrs.get("smoothing")
-    # resampling to nominal wavelengths drops attributes; those of corrections are kept
-    corrected = {
-        key: variables["reflectance"].attrs[key]
-        for key in CORRECTIONS
-        if key in variables["reflectance"].attrs
-    }
-    declared = {
-        key: str(variables["reflectance"].attrs[key])
-        for key in ("mirror_reflection", "quantity")
-        if key in variables["reflectance"].attrs
-    }
-    is_map = middle is not None or bool(of_cells) or "nearest_line" in line.variables
-    errors = None if is_map or corrected or before is not None else line_errors(line)
+    attrs = variables["reflectance"].attrs
+    earlier_smoothing = attrs.get("smoothing")
+    corrections = {key: attrs[key] for key in CORRECTIONS if key in attrs}
+    declared = {key: str(attrs[key]) for key in ("mirror_reflection", "quantity") if key in attrs}
+    is_map = map_centre is not None or bool(cell_variables) or "nearest_line" in line.variables
+    errors = None if is_map or corrections or earlier_smoothing is not None else line_errors(line)
+    # resampling to nominal wavelengths drops the attributes of corrections
     nominal = to_nominal(line)
-    nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrected))
+    nominal = nominal.assign(reflectance=nominal["reflectance"].assign_attrs(corrections))
     if specular_sky:
-        where = nominal.assign(
-            {name: variables[name] for name in ("wavelength", *_SMALL) if name in variables}
+        with_light = nominal.assign(
+            {name: variables[name] for name in ("wavelength", *_LINE_VARIABLES) if name in variables}
             | {name: line[name].reset_coords(drop=True) for name in SPLIT if name in line.variables}
         )
-        nominal = remove_mirrored_sky(where, sun_zenith=sun_zenith, diffuse=diffuse)
-    light = _light_of(line, diffuse, sun_zenith, needed=specular_sky)
+        nominal = remove_mirrored_sky(with_light, sun_zenith=sun_zenith, diffuse=diffuse)
+    light = _split_of_lines(line, diffuse, sun_zenith, required=specular_sky)
     filtering = None
     if smoothing is not None:
-        if before is not None:
+        if earlier_smoothing is not None:
             raise SchemaError(
-                f"the reflectance is smoothed already ({before})",
-                mend="leave out smooth=",
+                f"the reflectance is smoothed already ({earlier_smoothing})",
+                mend="remove the argument smooth=",
                 code="already-smoothed",
             )
         options = {"method": smoothing} if isinstance(smoothing, str) else dict(smoothing)
@@ -437,29 +445,29 @@ def source_of(
     viewing = Viewing(line)
     size = cube.sizes[BAND]
     wavelength = variables["wavelength"].values.astype(np.float64)
-    small = {**{name: variables[name] for name in _SMALL if name in variables}, **viewing.lines}
-    if middle is not None:
+    small = {**{name: variables[name] for name in _LINE_VARIABLES if name in variables}, **viewing.lines}
+    if map_centre is not None:
         rows = np.ones(line.sizes[ALONG_TRACK])
         small |= {
             name: xr.DataArray(value * rows, dims=ALONG_TRACK)
-            for name, value in zip(("latitude", "longitude"), middle, strict=True)
+            for name, value in zip(("latitude", "longitude"), map_centre, strict=True)
         }
     quality = {"quality": variables["quality"]} if "quality" in variables else {}
     axis = nominal_axis(line) if errors is not None and "wavelength_shift" in line.variables else None
-    others = {name: variables[name] for name in names[1:] if errors is None or name != UNCERTAINTIES[1]}
+    further = {name: variables[name] for name in names[1:] if errors is None or name != UNCERTAINTIES[1]}
     if errors is not None and (axis is not None or smoothing is not None or specular_sky):
-        others["measured"] = variables["reflectance"]
+        further["measured"] = variables["reflectance"]
     return Source(
         line=line,
-        cubes={"reflectance": cube, **others},
-        planes={**quality, **of_cells, **viewing.planes},
+        cubes={"reflectance": cube, **further},
+        planes={**quality, **cell_variables, **viewing.planes},
         small=small,
         viewing=viewing,
         wavelength=wavelength,
         fwhm=variables["fwhm"].values.astype(np.float64) if "fwhm" in variables else np.full(size, np.nan),
         good=variables["good"].values.astype(bool) if "good" in variables else np.ones(size, bool),
         light=light,
-        smoothing=str(cube.attrs.get("smoothing", before or "none")),
+        smoothing=str(cube.attrs.get("smoothing", earlier_smoothing or "none")),
         corrections={key: str(cube.attrs[key]) for key in CORRECTIONS if key in cube.attrs},
         components={name: str(line[name].attrs.get("components", NONE_KNOWN)) for name in names[1:]},
         errors=errors,
@@ -469,47 +477,47 @@ def source_of(
     )
 
 
-def _light_of(
-    line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, needed: bool
+def _split_of_lines(
+    line: xr.Dataset, diffuse: Any, sun_zenith: float | None, *, required: bool
 ) -> SplitOfLines | None:
-    # Division of the light of each line, in memory; None where the line does not declare it
-    if not needed and (diffuse is None and not says_its_split(line)):
+    # Division of the light of every line, in memory; None where the line does not declare it
+    if not required and (diffuse is None and not has_split(line)):
         return None
     with warnings.catch_warnings():  # remove_mirrored_sky has warned already
         warnings.simplefilter("ignore", PaintWarning)
         split = split_of(line, diffuse, sun_zenith)
     shape = {ALONG_TRACK: line.sizes[ALONG_TRACK], BAND: split.wavelength.size}
     state: Any = xr.DataArray(split.state, dims=()) if isinstance(split.state, int) else split.state
-    parts = dask.compute(split.fraction.variable, split.u.variable, state.variable)
-    fraction, u = (np.asarray(part.set_dims(shape).values, np.float64) for part in parts[:2])
-    states = parts[2].set_dims({ALONG_TRACK: shape[ALONG_TRACK]}).values
-    if needed and diffuse is None:
+    *arrays, state = dask.compute(split.fraction.variable, split.u.variable, state.variable)
+    fraction, u = (np.asarray(array.set_dims(shape).values, np.float64) for array in arrays)
+    states = state.set_dims({ALONG_TRACK: shape[ALONG_TRACK]}).values
+    if required and diffuse is None:
         warn_of_contradiction(states, split.zenith)
     return SplitOfLines(fraction, u, states.astype(np.int64))
 
 
 def lines_of(line: Any, regions: Regions) -> dict[str, tuple[xr.Dataset, list[int]]]:
-    """Return the flight lines that regions are on, located if needed, and the regions' positions on each.
+    """Return the flight lines of regions by name, located if needed, each with the numbers of its regions.
 
-    Raises `SchemaError`: a region names an unknown flight line, or none where there are several.
+    Raises `SchemaError`: a region names an unknown flight line, or no flight line where there are several.
     """
     problems = Problems("regions cannot be found on their flight lines", SchemaError)
     lines_by_name = _by_name(line)
-    only = next(iter(lines_by_name)) if len(lines_by_name) == 1 else None
-    # a map of several lines may hold regions of each
-    shown = () if only is None else lines_of_cells(schema.rename_to_roles(lines_by_name[only]))
-    # a line without a name is taken for the one flight line of the regions
-    nameless = only == "" and len(regions.flightlines) < 2 and not shown
+    single = next(iter(lines_by_name)) if len(lines_by_name) == 1 else None
+    # the flight lines in a map of several
+    mapped = () if single is None else lines_of_cells(schema.rename_to_roles(lines_by_name[single]))
+    # a single line without a name is the flight line of all regions if these name at most one
+    is_nameless = single == "" and len(regions.flightlines) < 2 and not mapped
     lines: dict[str, tuple[xr.Dataset, list[int]]] = {}
     for position, region in enumerate(regions):
-        is_own = nameless or not region.flightline or region.flightline.replace(" ", "_") in shown
-        wanted = only if only is not None and is_own else region.flightline
-        if wanted in lines_by_name:
-            if wanted not in lines:
-                lines[wanted] = (located_for(regions, lines_by_name[wanted]), [])
-            lines[wanted][1].append(position)
+        on_single = is_nameless or not region.flightline or region.flightline.replace(" ", "_") in mapped
+        name = single if single is not None and on_single else region.flightline
+        if name in lines_by_name:
+            if name not in lines:
+                lines[name] = (located_for(regions, lines_by_name[name]), [])
+            lines[name][1].append(position)
             continue
-        names = " or ".join(map(repr, shown or lines_by_name)) or "no flight line"
+        names = " or ".join(map(repr, mapped or lines_by_name)) or "no flight line"
         naming = f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
         problems.add(f"region {region.name!r} {naming}", expected=names, code="flightline-unknown")
     problems.raise_if_any()
@@ -520,7 +528,7 @@ def _by_name(line: Any) -> dict[str, xr.Dataset]:
     if isinstance(line, xr.Dataset):
         return {str(line.attrs.get("name", "")): line}
     if isinstance(line, xr.DataTree):
-        # a store, its group of flight lines, or a line itself
+        # a store, its group of flight lines, or a single line
         parent = line["flightlines"] if "flightlines" in line.children else line
         if not parent.children:
             return {str(parent.name or ""): parent.to_dataset()}

@@ -28,64 +28,80 @@ from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINT
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import Pixels
 
-from .line_sources import Shown, Source, mean_view, relative_azimuth
+from .line_sources import RegionPixels, Source, mean_view, relative_azimuth
 from .pixel_statistics import QUANTILES, chosen_members, effective_pixels, summarise
 
-#: Number of good bands, spread over all, in which the correlation of pixels is computed.
+#: Number of good bands, spread over the spectrum, in which the correlation of pixels is computed.
 _CORRELATED_BANDS = 8
 
 _NAT = np.datetime64("NaT", "ns")
 
-UNKNOWN_SKY = -1  # no number of `SKY_STATES`
+UNKNOWN_SKY = -1  #: Number of an unknown state of the sky; see `SKY_STATES`.
 
 
 class Draft:
-    """The signature of one region, while it is computed, at a place of a flight line or of a map of it.
+    """The signature of one region while it is computed.
 
-    ``n`` pixels are used, with ``flags``, ``excluded`` ones left out; ``share`` (flag,) of all has each flag
-    [1]. ``spectra`` holds ``reflectance``, ``reflectance_sd``, and uncertainties (band,),
-    ``reflectance_quantiles`` (quantile, band) and ``member_reflectance`` (member, band), float64, NaN where
-    unknown; ``member_place`` numbers of the members along and across the track; ``at`` time, sun, view
-    and age of the irradiance.
+    Attributes
+    ----------
+    cells
+        Positions of its pixels in the opened flight line or map.
+    along, across : (pixel,)
+        Positions of its pixels in the flight line.
+    n, excluded
+        Number of pixels that are used, and of excluded pixels.
+    flags
+        Flags of the pixels that are used.
+    share : (flag,)
+        Share of all its pixels with every flag [1].
+    member_position
+        Positions of the members along and across the track; in a flight line by its index coordinates.
+    geometry
+        Mean time, sun, view and light of the pixels, and the age of the irradiance, by variable.
+    spectra
+        ``reflectance``, ``reflectance_sd`` and uncertainties (band,), ``reflectance_quantiles`` (quantile,
+        band) and ``member_reflectance`` (member, band), float64, NaN where unknown.
+    errors
+        Sources of error of the mean, after its last band.
     """
 
-    def __init__(self, source: Source, place: Shown) -> None:
+    def __init__(self, source: Source, pixels: RegionPixels) -> None:
         bands = source.cubes["reflectance"].sizes[BAND]
-        self.cells = place.cells
-        self._is_of_line = place.cells is place.pixels  # of a map: positions in the flight line it shows
-        self.along, self.across = place.pixels
-        self._lines = place.lines
+        self.cells = pixels.cells
+        self._is_in_line = pixels.cells is pixels.pixels  # not in a map
+        self.along, self.across = pixels.pixels
+        self._lines = pixels.lines
         self.n = 0
         self.excluded = 0
         self.flags = 0
         self.share = np.zeros(len(Quality))
-        self.member_place: Pixels = (self.along[:0], self.across[:0])
-        self.at: dict[str, Any] = {}
+        self.member_position: Pixels = (self.along[:0], self.across[:0])
+        self.geometry: dict[str, Any] = {}
         self.spectra = {
             name: np.full(bands, np.nan) for name in ("reflectance", "reflectance_sd", *UNCERTAINTIES)
         }
         self.spectra["reflectance_quantiles"] = np.full((len(QUANTILES), bands), np.nan)
         self._source = source
-        self._used = np.zeros(self.along.size, bool)
-        self._values = np.zeros(bands, np.intp)
-        self._chosen = np.zeros(0, np.intp)
+        self._is_used = np.zeros(self.along.size, bool)
+        self._value_counts = np.zeros(bands, np.intp)
+        self._members = np.zeros(0, np.intp)
         good = np.flatnonzero(source.good)
-        spread = np.linspace(0, good.size - 1, min(good.size, _CORRELATED_BANDS)).astype(np.intp)
-        self._correlated = good[spread] if good.size else good
-        self._columns: list[Array] = []
+        positions = np.linspace(0, good.size - 1, min(good.size, _CORRELATED_BANDS)).astype(np.intp)
+        self._correlated_bands = good[positions] if good.size else good
+        self._correlated_values: list[Array] = []
         self._sums: RegionSums | None = None
-        self.errors: MeanErrors | None = None  # of the mean, once that is finished
+        self.errors: MeanErrors | None = None
 
     @property
     def n_eff(self) -> float:
         """Number of independent pixels among those used."""
-        columns = np.concatenate([np.zeros((self.n, 0), np.float32), *self._columns], axis=1)
-        along = self.along[self._used]
+        values = np.concatenate([np.zeros((self.n, 0), np.float32), *self._correlated_values], axis=1)
+        along = self.along[self._is_used]
         if self._lines is not None and along.size:
-            # flight lines of a map are put far apart, since their pixels are no neighbours
-            flightline = np.unique(self._lines[self._used], return_inverse=True)[1]
+            # pixels of different flight lines are not neighbours: shift the flight lines far from one another
+            flightline = np.unique(self._lines[self._is_used], return_inverse=True)[1]
             along = along + flightline * (2 * int(np.ptp(along)) + 2)
-        return effective_pixels(columns, along, self.across[self._used])
+        return effective_pixels(values, along, self.across[self._is_used])
 
     def choose(
         self,
@@ -93,128 +109,133 @@ class Draft:
         planes: Mapping[str, Array],
         lines: Mapping[str, Array],
         exclude: int,
-        most: int,
+        max_members: int,
         seed: int,
     ) -> None:
-        """Choose the pixels that are used, and their members.
+        """Choose the pixels that are used and the members, and compute their geometry.
 
-        Takes ``present`` (pixel,): whether a pixel of the region has a value, without which it is left out;
-        ``planes``: variables of pixels (pixel,): ``quality``, its flags, 0 where it is absent, and the
-        variables of the direction of view; ``lines``: variables of the line (along_track,); ``exclude``:
-        flags whose pixels are left out; ``most``, ``seed``: see `chosen_members`.
+        Takes ``present`` (pixel,): whether a pixel has a value, others are excluded; ``planes``: variables of
+        pixels (pixel,), among them ``quality``, 0 where it is absent; ``lines``: variables of the line
+        (along_track,); ``exclude``: flags of excluded pixels; ``max_members``, ``seed``: see
+        `chosen_members`.
         """
         quality = planes.get("quality", np.zeros(self.along.size, np.uint16))
-        self._used = (quality & np.uint16(exclude) == 0) & present
-        self.n = int(self._used.sum())
+        self._is_used = (quality & np.uint16(exclude) == 0) & present
+        self.n = int(self._is_used.sum())
         self.excluded = self.along.size - self.n
-        self.flags = int(np.bitwise_or.reduce(quality[self._used], initial=0))
+        self.flags = int(np.bitwise_or.reduce(quality[self._is_used], initial=0))
         self.share = np.array([(quality & np.uint16(flag) != 0).mean() for flag in Quality])
-        along, across = self.along[self._used], self.across[self._used]
+        along, across = self.along[self._is_used], self.across[self._is_used]
         if self._source.errors is not None:
             self._sums = RegionSums(self._source.errors, along, across)
-        self._chosen = chosen_members(along, across, most, seed)
-        self.member_place = along[self._chosen], across[self._chosen]
-        if self._is_of_line:
+        self._members = chosen_members(along, across, max_members, seed)
+        self.member_position = along[self._members], across[self._members]
+        if self._is_in_line:
             numbers = (numbers_of(self._source.line, dim) for dim in (ALONG_TRACK, CROSS_TRACK))
             rows, columns = (axis.astype(np.int64) for axis in numbers)
-            self.member_place = rows[self.member_place[0]], columns[self.member_place[1]]
+            self.member_position = rows[self.member_position[0]], columns[self.member_position[1]]
         bands = self._source.cubes["reflectance"].sizes[BAND]
-        self.spectra["member_reflectance"] = np.full((self._chosen.size, bands), np.nan)
-        of_lines = {name: values[self.cells[0][self._used]] for name, values in lines.items()}
-        of_pixels = {name: values[self._used] for name, values in planes.items()}
-        self.at = _geometry({**of_lines, **of_pixels})
-        split = {} if self._source.light is None else self._source.light.mean(self.cells[0][self._used])
+        self.spectra["member_reflectance"] = np.full((self._members.size, bands), np.nan)
+        line_values = {name: values[self.cells[0][self._is_used]] for name, values in lines.items()}
+        pixel_values = {name: values[self._is_used] for name, values in planes.items()}
+        self.geometry = _sun_geometry({**line_values, **pixel_values})
+        light = self._source.light
         unknown = np.full(bands, np.nan)
-        self.at |= {"diffuse_fraction": unknown, "diffuse_fraction_u": unknown, "sky_state": UNKNOWN_SKY}
-        self.at |= split
-        zenith, azimuth = mean_view(self._source.viewing, of_pixels, of_lines, across)
-        self.at |= {
+        self.geometry |= {
+            "diffuse_fraction": unknown,
+            "diffuse_fraction_u": unknown,
+            "sky_state": UNKNOWN_SKY,
+        }
+        self.geometry |= {} if light is None else light.mean(self.cells[0][self._is_used])
+        zenith, azimuth = mean_view(self._source.viewing, pixel_values, line_values, across)
+        self.geometry |= {
             "view_zenith": zenith,
             "view_azimuth": azimuth,
-            "relative_azimuth": relative_azimuth(azimuth, self.at["sun_azimuth"]),
+            "relative_azimuth": relative_azimuth(azimuth, self.geometry["sun_azimuth"]),
         }
 
     def take_bands(self, cubes: Mapping[str, Array], bands: slice, centre: str) -> None:
         """Reduce some bands of the region's pixels.
 
-        Takes ``cubes``: reflectance and its uncertainties (pixel, band), by name; ``bands``: which bands they
-        are; ``centre``: see `summarise`.
+        Takes ``cubes``: reflectance and its uncertainties (pixel, band), by name; ``bands``: slice of these
+        bands in the spectrum; ``centre``: see `summarise`.
         """
-        values = cubes["reflectance"][self._used]
+        values = cubes["reflectance"][self._is_used]
         summary = summarise(values, centre)
         has_value = np.isfinite(values)
-        self._values[bands] = has_value.sum(axis=0)
+        self._value_counts[bands] = has_value.sum(axis=0)
         self.spectra["reflectance"][bands] = summary.centre
         self.spectra["reflectance_sd"][bands] = summary.sd
         self.spectra["reflectance_quantiles"][:, bands] = summary.quantiles
-        self.spectra["member_reflectance"][:, bands] = values[self._chosen]
-        in_round = (self._correlated >= bands.start) & (self._correlated < bands.stop)
-        self._columns.append(values[:, self._correlated[in_round] - bands.start])
+        self.spectra["member_reflectance"][:, bands] = values[self._members]
+        in_bands = (self._correlated_bands >= bands.start) & (self._correlated_bands < bands.stop)
+        self._correlated_values.append(values[:, self._correlated_bands[in_bands] - bands.start])
         if self._sums is not None:
-            measured = cubes.get("measured", cubes["reflectance"])[self._used]
-            noise = cubes["reflectance_u_random"][self._used]
-            for column, band in enumerate(range(*bands.indices(self._values.size))):
+            measured = cubes.get("measured", cubes["reflectance"])[self._is_used]
+            noise = cubes["reflectance_u_random"][self._is_used]
+            for column, band in enumerate(range(*bands.indices(self._value_counts.size))):
                 self._sums.add(band, measured[:, column], noise[:, column])
-            if bands.stop >= self._values.size:
+            if bands.stop >= self._value_counts.size:
                 self.errors = self._sums.errors(self._source.axis, self._source.filtering)
-                self._sums = None  # sums of all columns; few numbers are left of them
+                self._sums = None  # frees the memory of the sums
             return
         for name in UNCERTAINTIES:
             if name in cubes and self._source.components[name] != NONE_KNOWN:
-                # mean square of random errors, until the number of independent pixels is known
+                # random errors: mean square here, divided in `finish` by the number of independent pixels
                 power = 2.0 if name == "reflectance_u_random" else 1.0
-                self.spectra[name][bands] = _mean(cubes[name][self._used], has_value, power)
+                self.spectra[name][bands] = _mean_of_power(cubes[name][self._is_used], has_value, power)
 
     def finish(self) -> float:
-        """Turn means into uncertainties of the mean; return the number of independent pixels."""
+        """Compute the uncertainties of the mean; return the number of independent pixels."""
         n_eff = self.n_eff
-        self._columns = []
+        self._correlated_values = []
         if self.errors is not None:
             uncertainties = (self.errors.u_random, self.errors.u_systematic)
-            missing = self._values == 0
+            missing = self._value_counts == 0
             for name, values in zip(UNCERTAINTIES, uncertainties, strict=True):
                 self.spectra[name] = np.where(missing, np.nan, values)
             return n_eff
-        # a band has as many fewer independent pixels as it has fewer values
-        of_band = np.maximum(1.0, n_eff * self._values / max(self.n, 1))
-        self.spectra["reflectance_u_random"] = np.sqrt(self.spectra["reflectance_u_random"] / of_band)
+        # the number of independent pixels in a band is proportional to its number of values
+        n_eff_of_band = np.maximum(1.0, n_eff * self._value_counts / max(self.n, 1))
+        self.spectra["reflectance_u_random"] = np.sqrt(self.spectra["reflectance_u_random"] / n_eff_of_band)
         return n_eff
 
 
-def _mean(values: Array, there: Array, power: float) -> Array:
-    # Mean of a power over pixels that have a reflectance (band,); NaN without such pixels
+def _mean_of_power(values: Array, has_reflectance: Array, power: float) -> Array:
+    # Mean of a power (band,) over the pixels with a reflectance; NaN without such pixels
     means = np.full(values.shape[1], np.nan)
-    # band by band: the sum then runs in the order of the pixels for any number of bands
+    # band by band: then the order of the sum is that of the pixels for any number of bands
     for band, column in enumerate(values.T):
-        finite_values = column[there[:, band] & np.isfinite(column)].astype(np.float64)
+        finite_values = column[has_reflectance[:, band] & np.isfinite(column)].astype(np.float64)
         if finite_values.size:
             means[band] = (finite_values**power).mean()
     return means
 
 
-def _geometry(lines: Mapping[str, Array]) -> dict[str, Any]:
-    # Mean time, sun and largest age of the irradiance, from the values of every pixel or its line
-    time = lines.get("time", np.full(0, _NAT)).astype("datetime64[ns]")
-    time = time[~np.isnat(time)]
-    middle = _NAT
-    if time.size:
-        middle = time[0] + np.timedelta64(round(float((time - time[0]).astype(np.int64).mean())), "ns")
-    place = [lines.get(name, np.full(0, np.nan)) for name in ("latitude", "longitude")]
-    place = [values[np.isfinite(values)] for values in place]
+def _sun_geometry(variables: Mapping[str, Array]) -> dict[str, Any]:
+    # Mean time, position of the sun and maximum age of the irradiance, from values of pixels (pixel,)
+    times = variables.get("time", np.full(0, _NAT)).astype("datetime64[ns]")
+    times = times[~np.isnat(times)]
+    mean_time = _NAT
+    if times.size:
+        mean_time = times[0] + np.timedelta64(round(float((times - times[0]).astype(np.int64).mean())), "ns")
+    position = [variables.get(name, np.full(0, np.nan)) for name in ("latitude", "longitude")]
+    position = [values[np.isfinite(values)] for values in position]
     zenith = azimuth = np.nan
-    if time.size and all(values.size for values in place):
-        zenith, azimuth = map(float, solar_position(middle, *(float(values.mean()) for values in place)))
-    age = lines.get("irradiance_age", np.full(0, np.nan))
+    if times.size and all(values.size for values in position):
+        means = (float(values.mean()) for values in position)
+        zenith, azimuth = map(float, solar_position(mean_time, *means))
+    age = variables.get("irradiance_age", np.full(0, np.nan))
     age = age[np.isfinite(age)]
     return {
-        "time": middle,
+        "time": mean_time,
         "sun_zenith": zenith,
         "sun_azimuth": azimuth,
         "irradiance_age": float(age.max()) if age.size else np.nan,
     }
 
 
-#: Maximum number of properties as coordinates; the coordinate ``region`` holds all of them.
+#: Maximum number of properties that become coordinates; the coordinate ``region`` holds all properties.
 MAX_PROPERTIES = 64
 
 
@@ -231,8 +252,8 @@ def paint_library(
     lines, in the same order; ``sources``: the flight lines, by name, with the same bands; ``notes``: settings
     of the extraction, stored as attributes.
     """
-    first = next(iter(sources.values()))
-    most = max(draft.member_place[0].size for draft in drafts)
+    first_source = next(iter(sources.values()))
+    max_members = max(draft.member_position[0].size for draft in drafts)
     values: dict[str, Any] = {
         "n_eff": [draft.finish() for draft in drafts],
         "n": [draft.n for draft in drafts],
@@ -242,19 +263,21 @@ def paint_library(
     }
     for name in ("reflectance", "reflectance_sd", "reflectance_quantiles", *UNCERTAINTIES):
         values[name] = [draft.spectra[name] for draft in drafts]
-    values["member_reflectance"] = [_padded(d.spectra["member_reflectance"], most, np.nan) for d in drafts]
+    values["member_reflectance"] = [
+        _padded(draft.spectra["member_reflectance"], max_members, np.nan) for draft in drafts
+    ]
     for axis, name in enumerate(("member_along_track", "member_cross_track")):
-        values[name] = [_padded(draft.member_place[axis], most, -1) for draft in drafts]
-    for name in drafts[0].at:
-        values[name] = [draft.at[name] for draft in drafts]
+        values[name] = [_padded(draft.member_position[axis], max_members, -1) for draft in drafts]
+    for name in drafts[0].geometry:
+        values[name] = [draft.geometry[name] for draft in drafts]
     values |= {
         "signature": list(regions.names),
         "quantile": list(QUANTILES),
         "flag": flag_names(),
         "flightline": list(flightlines),
         "region": [json.dumps(region.feature(), ensure_ascii=False) for region in regions],
-        "wavelength": first.wavelength,
-        "fwhm": first.fwhm,
+        "wavelength": first_source.wavelength,
+        "fwhm": first_source.fwhm,
         "good": np.all([source.good for source in sources.values()], axis=0),
     }
     library = xr.Dataset()
@@ -266,11 +289,11 @@ def paint_library(
         ]
         components[name] = {"components": _joined(texts)}
     for name, row in LIBRARY_VARIABLES.items():
-        if name not in values:  # of a correction, which comes after
+        if name not in values:  # variables of corrections are added later
             continue
         flags = {"quality": quality_attrs, "sky_state": sky_state_attrs}.get(name, dict)()
         attrs = {**flags, **row.attrs, **components.get(name, {})}
-        # text of any length, as stores hold it
+        # objects are texts of any length
         array = np.array(values[name], object if row.dtype == "str" else row.dtype)
         library[name] = xr.DataArray(array, dims=row.dims, attrs=attrs)
     library = library.assign(error_variables([draft.errors for draft in drafts]))
@@ -282,7 +305,7 @@ def paint_library(
         for name, column in _properties(regions).items()
     }
     library = library.assign_coords(properties)
-    # attributes of corrections prevent a second one
+    # attributes of corrections prevent a second correction
     corrections = dict.fromkeys(name for source in sources.values() for name in source.corrections)
     library["reflectance"].attrs |= {
         "centre": notes["centre"],
@@ -324,24 +347,24 @@ def _padded(values: Array, size: int, fill: float) -> Array:
 
 
 def _quantity(sources: Mapping[str, Source]) -> dict[str, str]:
-    # Attributes of the coat's share in spectra; the line with the largest share decides
-    def of_line(source: Source) -> str:
-        is_apart = source.declared.get("mirror_reflection") == EXCLUDED
-        if not (is_apart or "mirrored_sky_removed" in source.corrections):
+    # Attributes that define the reflectance; the line with the most light of the coat in it decides
+    def quantity_of(source: Source) -> str:
+        is_excluded = source.declared.get("mirror_reflection") == EXCLUDED
+        if not (is_excluded or "mirrored_sky_removed" in source.corrections):
             return OUTSIDE
         return BODY if "coat_corrected" in source.corrections else THROUGH_COAT
 
-    lines = {of_line(source) for source in sources.values()}
-    quantity = next(candidate for candidate in (OUTSIDE, THROUGH_COAT, BODY) if candidate in lines)
+    quantities = {quantity_of(source) for source in sources.values()}
+    quantity = next(candidate for candidate in (OUTSIDE, THROUGH_COAT, BODY) if candidate in quantities)
     word = INCLUDED if quantity == OUTSIDE else EXCLUDED
     return {"quantity": quantity, "specular_component": word, "mirror_reflection": word}
 
 
 def _properties(regions: Regions) -> dict[str, Array]:
-    # Every property of the regions that can be a coordinate (signature,): numbers, else text
+    # Columns (signature,) of the properties that can be coordinates: numbers, else text
     names = dict.fromkeys(name for region in regions for name in region.properties)
-    taken = {*LIBRARY_VARIABLES, BAND, "member"}
-    usable = [name for name in names if name.isidentifier() and name not in taken and name[:2] != "__"]
+    reserved = {*LIBRARY_VARIABLES, BAND, "member"}
+    usable = [name for name in names if name.isidentifier() and name not in reserved and name[:2] != "__"]
     return {
         name: _column([region.properties.get(name) for region in regions]) for name in usable[:MAX_PROPERTIES]
     }

@@ -208,9 +208,9 @@ def _light_errors(line: xr.Dataset) -> LightErrors:
     arrays = {name: array.values for name, array in schema.require(line, names, "noise of light").items()}
     arrays |= {name: line.attrs.get(name, "gaussian") for name in ("srf_shape", "irradiance_srf_shape")}
     spectra = arrays["irradiance"]
-    finite = np.isfinite(spectra)
-    is_complete = finite[:, finite.mean(axis=0) > COMMON_SHARE].all(axis=1)
-    levels = np.where(is_complete, np.where(finite, spectra, 0.0).sum(axis=1), np.nan)
+    is_finite = np.isfinite(spectra)
+    is_complete = is_finite[:, is_finite.mean(axis=0) > COMMON_SHARE].all(axis=1)
+    levels = np.where(is_complete, np.where(is_finite, spectra, 0.0).sum(axis=1), np.nan)
     neighbours = line_light(
         line["time"].values, arrays[schema.IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
     )

@@ -36,8 +36,8 @@ def matched_noise(arrays: Mapping[str, Any]) -> tuple[Floats, Floats]:
     record = arrays["irradiance"]
     sample_numbers = np.linspace(0, len(record) - 1, min(len(record), MAX_MEAN_SPECTRA)).astype(np.intp)
     spectra = np.asarray(record[sample_numbers], np.float64)
-    finite = np.isfinite(spectra)
-    mean = np.where(finite, spectra, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
+    is_finite = np.isfinite(spectra)
+    mean = np.where(is_finite, spectra, 0.0).sum(axis=0) / np.maximum(is_finite.sum(axis=0), 1)
     imager = imager_of(arrays, arrays["srf_shape"])
     # matching is linear: match the mean, and the noise of one channel at a time
     noise = mean * np.broadcast_to(np.asarray(arrays.get("irradiance_u_random", 0.0), np.float64), mean.shape)
@@ -106,13 +106,13 @@ def noise_of_record(spectra: Array, times: Array, *, fewest: int = MIN_TRIPLES) 
     )[:, None]
     departure = centre - (before + weight * (after - before))
     departure /= np.sqrt(1.0 + weight**2 + (1.0 - weight) ** 2)
-    neighbour_mask = np.ones((1, _WINDOW_CHANNELS), bool)
-    neighbour_mask[0, _WINDOW_CHANNELS // 2] = False
-    departure -= ndimage.median_filter(departure, footprint=neighbour_mask)
+    is_neighbour = np.ones((1, _WINDOW_CHANNELS), bool)
+    is_neighbour[0, _WINDOW_CHANNELS // 2] = False
+    departure -= ndimage.median_filter(departure, footprint=is_neighbour)
     spread = SD_PER_MEDIAN_DEVIATION * np.median(np.abs(departure), axis=0)
     # the median of n neighbours has pi / (2 n) of the variance of a single one
     spread = ndimage.median_filter(spread, _WINDOW_CHANNELS) / np.sqrt(
-        1.0 + np.pi / (2.0 * neighbour_mask.sum())
+        1.0 + np.pi / (2.0 * is_neighbour.sum())
     )
     channels = np.arange(is_usable.size)
     return np.asarray(np.interp(channels, channels[is_usable], spread))

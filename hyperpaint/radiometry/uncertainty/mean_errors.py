@@ -95,22 +95,26 @@ class RegionSums:
     def __init__(self, line: LineErrors, along: Array, across: Array) -> None:
         """Start empty; ``along`` and ``across`` (pixel,) are the pixels' lines and columns."""
         self._line = line
-        self._rows, self._row = np.unique(along, return_inverse=True)
-        self._columns, self._column = np.unique(across, return_inverse=True)
+        self._rows, self._row_of_pixel = np.unique(along, return_inverse=True)
+        self._columns, self._column_of_pixel = np.unique(across, return_inverse=True)
         bands, darks = line.dark.shape[0], line.dark_weights.shape[1]
         shape = (bands, self._columns.size)
-        self._count, self._noise, self._level = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        self._per_count = np.zeros((darks, *shape))
-        self._lines = np.zeros(bands)
+        self._counts_of_pixels, self._variance_sums, self._value_sums = (
+            np.zeros(shape),
+            np.zeros(shape),
+            np.zeros(shape),
+        )
+        self._per_count_sums = np.zeros((darks, *shape))
+        self._pedestal_sums = np.zeros(bands)
         self._sample_of_line: Array = np.zeros((2, 0), np.int64)
         if line.light is not None and line.light.covariance.any():
             neighbours = np.stack([line.light.before[self._rows], line.light.after[self._rows]])
             self._sample_of_line = np.unique(neighbours, return_inverse=True)[1].reshape(neighbours.shape)
-        self._samples = np.zeros((int(self._sample_of_line.max(initial=-1)) + 1, bands))
+        self._light_sums = np.zeros((int(self._sample_of_line.max(initial=-1)) + 1, bands))
 
     def add(self, band: int, reflectance: Array, u_random: Array) -> None:
         """Add a band of all pixels (pixel,): measured reflectance, and its noise."""
-        line, column = self._line, self._column
+        line, column = self._line, self._column_of_pixel
         is_valid = np.isfinite(reflectance) & np.isfinite(u_random)
         value = np.where(is_valid, reflectance, 0.0).astype(np.float64)
         variance = np.where(is_valid, u_random, 0.0).astype(np.float64) ** 2
@@ -125,18 +129,18 @@ class RegionSums:
         def of_columns(values: Floats) -> Floats:
             return np.asarray(np.bincount(column, values, self._columns.size), np.float64)
 
-        self._count[band] = of_columns(is_valid.astype(np.float64))
-        self._noise[band] = of_columns(variance)
-        self._level[band] = of_columns(value)
+        self._counts_of_pixels[band] = of_columns(is_valid.astype(np.float64))
+        self._variance_sums[band] = of_columns(variance)
+        self._value_sums[band] = of_columns(value)
         for dark, share in enumerate(line.dark_weights[self._rows].T):
-            self._per_count[dark, band] = of_columns(per_count * share[self._row])
+            self._per_count_sums[dark, band] = of_columns(per_count * share[self._row_of_pixel])
         if line.pedestal_variance:
-            self._lines[band] = (np.bincount(self._row, per_count) ** 2).sum()
-        if len(self._samples) and line.light is not None:
-            sums = np.bincount(self._row, value, self._rows.size)
+            self._pedestal_sums[band] = (np.bincount(self._row_of_pixel, per_count) ** 2).sum()
+        if len(self._light_sums) and line.light is not None:
+            sums = np.bincount(self._row_of_pixel, value, self._rows.size)
             weight = line.light.weight[self._rows]
             for sample_numbers, share in zip(self._sample_of_line, (1.0 - weight, weight), strict=True):
-                np.add.at(self._samples[:, band], sample_numbers, share * sums)
+                np.add.at(self._light_sums[:, band], sample_numbers, share * sums)
 
     def errors(self, axis: NominalAxis | None = None, smoothing: Array | None = None) -> MeanErrors:
         """Return the errors of the mean, interpolated to nominal wavelengths and smoothed like its pixels.
@@ -144,8 +148,8 @@ class RegionSums:
         ``smoothing`` (band, band): matrix that spectra are multiplied by; NaN for bands without a value.
         """
         line, columns = self._line, self._columns
-        averaging = _averaging_matrix(len(self._count), columns, axis)
-        count = averaging @ self._count.ravel()
+        averaging = _averaging_matrix(len(self._counts_of_pixels), columns, axis)
+        count = averaging @ self._counts_of_pixels.ravel()
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(count > 0.5, 1.0 / count, np.nan)
 
@@ -156,42 +160,42 @@ class RegionSums:
             square = averaging.multiply(np.nan_to_num(table).ravel()) @ averaging.T
             return np.asarray(square.toarray() * share * share[:, None])
 
-        level, per_count = mean(self._level), self._per_count.sum(axis=0)
+        level, per_count = mean(self._value_sums), self._per_count_sums.sum(axis=0)
         dark = line.dark[:, columns]
-        covariances = {"noise": independent(self._noise)}
-        dark_variance = (self._per_count**2).sum(axis=0) * dark**2
+        covariances = {"noise": independent(self._variance_sums)}
+        dark_variance = (self._per_count_sums**2).sum(axis=0) * dark**2
         if line.is_integer:
             # rounding, in sums over the lines of a column
             read = line.read_noise[:, columns] ** 2
             with np.errstate(invalid="ignore", divide="ignore"):
-                counts = np.nan_to_num(np.maximum(self._level, 0.0) / per_count)
+                counts = np.nan_to_num(np.maximum(self._value_sums, 0.0) / per_count)
             with_shot = rounding_variance(read + counts * line.per_electron[:, columns])
             dark_variance += per_count**2 * (rounding_variance(read) * (dark > 0) + with_shot)
         if dark_variance.any():
             covariances["mean dark"] = independent(dark_variance)
         if line.gain_of_elements.any():
             covariances["gain of elements"] = independent(
-                (self._level * line.gain_of_elements[:, columns]) ** 2
+                (self._value_sums * line.gain_of_elements[:, columns]) ** 2
             )
-        if len(self._samples) and line.light is not None:
+        if len(self._light_sums) and line.light is not None:
             with np.errstate(
                 invalid="ignore", divide="ignore"
             ):  # part of the mean by every irradiance sample
-                samples = np.nan_to_num(self._samples / self._level.sum(axis=1) * level)
+                samples = np.nan_to_num(self._light_sums / self._value_sums.sum(axis=1) * level)
             covariances["irradiance noise"] = (samples.T @ samples) * line.light.covariance
         shared_errors = {
-            name: mean(self._level * relative[:, columns]) for name, relative in line.common.items()
+            name: mean(self._value_sums * relative[:, columns]) for name, relative in line.common.items()
         }
         if line.pedestal_variance:
-            shared_errors["pedestal"] = np.sqrt(self._lines * line.pedestal_variance) / self._count.sum(
-                axis=1
-            )
+            shared_errors["pedestal"] = np.sqrt(
+                self._pedestal_sums * line.pedestal_variance
+            ) / self._counts_of_pixels.sum(axis=1)
         if line.dark_offset.any():
             shared_errors["dark"] = mean(per_count * line.dark_offset[:, columns])
         if line.wavelength_u.any() and line.light is not None:
             shared_errors["wavelength"] = _change_by_wavelength(line, level)
         if line.stray_light is not None:
-            counts = np.divide(self._level, per_count, out=np.zeros_like(per_count), where=per_count > 0)
+            counts = np.divide(self._value_sums, per_count, out=np.zeros_like(per_count), where=per_count > 0)
             shared_errors["stray light"] = mean(per_count * (line.stray_light @ counts))
         if smoothing is not None:
             smoothing_matrix = np.nan_to_num(smoothing)

@@ -270,27 +270,27 @@ def _fit_transfer(points: _VariancePoints) -> tuple[float, float, Floats, Bools]
     # Return slope and intercept of the photon transfer, their covariance, and which points are used.
     from scipy.stats import chi2
 
-    valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
-    if valid.sum() < MIN_VARIANCES:
+    is_valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
+    if is_valid.sum() < MIN_VARIANCES:
         raise SchemaError(
-            f"noise cannot be estimated from {valid.sum()} variances",
+            f"noise cannot be estimated from {is_valid.sum()} variances",
             expected=f"{MIN_VARIANCES} or more",
             code="noise-not-estimable",
         )
-    slope, height = _first_guess(points, valid, np.broadcast_to(points.freedom, valid.shape))
+    slope, height = _first_guess(points, is_valid, np.broadcast_to(points.freedom, is_valid.shape))
     edge = chi2.ppf(USED_SHARE, points.freedom) / points.freedom
     # mean of the values below the edge relative to the mean of all values
     truncated_mean = chi2.cdf(edge * points.freedom, points.freedom + 2.0) / USED_SHARE
     # neighbouring bands share two thirds of their contrast
-    spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(valid.sum(axis=1), 1)))
-    is_used = valid
+    spread = np.sqrt(2.0 * 1.94 / (points.freedom[:, 0] * np.maximum(is_valid.sum(axis=1), 1)))
+    is_used = is_valid
     for _ in range(8):
         model = np.maximum(slope * points.by_signal + height * points.by_floor, 1e-6)
-        ratio = np.where(valid, points.variance / model, np.nan)
+        ratio = np.where(is_valid, points.variance / model, np.nan)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # blocks without a value
             block_ratio = np.nanmean(np.minimum(ratio, 2.0 * edge), axis=1)
-        is_used = valid & (block_ratio < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
+        is_used = is_valid & (block_ratio < 1.0 + MAX_BLOCK_SD * spread)[:, None] & (ratio < edge)
         if is_used.sum() < MIN_VARIANCES:
             raise SchemaError(
                 "noise cannot be estimated, since no block is homogeneous",
@@ -380,7 +380,7 @@ def _labelled(
     if misfit > MAX_MISFIT + 4.0 * misfit_sd:
         text = (
             f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
-            "within blocks, or the light flickers; look at 'transfer_variance'"
+            "within blocks, or the light flickers; check 'transfer_variance'"
         )
         warnings.warn(PaintWarning(text, code="transfer-misfit"), stacklevel=3)
     noise = float(np.sqrt(max(height - quantisation, 0.0)))

@@ -126,9 +126,9 @@ def error_terms(
     """Return the terms of the uncertainty of every sample; unknown terms are zero.
 
     ``uncertain`` as of `uncertainty_inputs`; ``cube`` and ``light`` are the small variables of the line,
-    by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements whose
-    mean is the pedestal of a line, whose noise all samples of the line share; ``dark_share`` is the
-    largest root sum of squares of the weights with which a line's darks are subtracted.
+    by name; ``bad`` (band, column) are elements without a gain; ``masked`` is the number of elements without
+    light, whose mean is subtracted as pedestal of a line: all its samples share the noise of this mean;
+    ``dark_share`` is the largest root sum of squares of the weights with which a line's darks are subtracted.
 
     Raises
     ------
@@ -189,11 +189,19 @@ def band_steps(wavelength: Floats) -> Floats:
     median_step = np.median(step) if step.size else 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse_step = np.where((step / median_step > 0.0) & (step / median_step < 3.0), 1.0 / step, 0.0)
-    up, down = np.append(inverse_step, 0.0), np.insert(inverse_step, 0, 0.0)
+    inverse_next, inverse_previous = np.append(inverse_step, 0.0), np.insert(inverse_step, 0, 0.0)
     between = np.zeros_like(wavelength)
-    has_both = (up != 0.0) & (down != 0.0)
-    between[has_both] = 1.0 / (1.0 / up[has_both] + 1.0 / down[has_both])
-    return np.stack([np.where(has_both, between, up), up, np.where(has_both, between, down), down], axis=1)
+    has_both = (inverse_next != 0.0) & (inverse_previous != 0.0)
+    between[has_both] = 1.0 / (1.0 / inverse_next[has_both] + 1.0 / inverse_previous[has_both])
+    return np.stack(
+        [
+            np.where(has_both, between, inverse_next),
+            inverse_next,
+            np.where(has_both, between, inverse_previous),
+            inverse_previous,
+        ],
+        axis=1,
+    )
 
 
 def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
@@ -203,7 +211,7 @@ def _check_uncertainties(uncertain: Mapping[str, Any], bad: Array) -> None:
         values = array[~bad] if array.shape == bad.shape else array
         values = values[~np.isnan(values)]
         if values.size == 0:
-            problems.add(f"{name!r} holds no value", code="not-finite")
+            problems.add(f"{name!r} contains no value", code="not-finite")
             continue
         is_positive = name == "electrons_per_count"
         if not np.isfinite(values).all() or values.min() < 0 or (is_positive and values.min() == 0):

@@ -17,9 +17,9 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK
 class LeanRules:
     """Thresholds of leans of roofs, and of height models."""
 
-    #: Unknown lean across a car at the place where its shape is level [degree]: a car is symmetric, and the
-    #: ground leans. Parking areas are drained over slopes of 1 to 1.5 % (0.6 to 0.9 degrees), of whose two
-    #: components one is towards the sun.
+    #: Unknown lean across a car, where its symmetric roof would be level on level ground [degree]. Parking
+    #: areas are drained over slopes of 1 to 1.5 % (0.6 to 0.9 degrees), of which one of two components is
+    #: towards the sun.
     roll_deg: float = 0.5
     #: Unknown lean along the car, where a roof of 6 m radius may also be highest 7 cm from its middle
     #: [degree].
@@ -27,10 +27,10 @@ class LeanRules:
     #: Minimum height of a roof above its surroundings in a height model that shows cars and not bare ground;
     #: cars are at least 1.4 m high [m].
     min_above_m: float = 0.7
-    around_px: int = 25  #: Margin that contains ground [pixel].
-    #: Correlation length of height errors: photogrammetry matches patches [m].
-    alike_m: float = 0.15
-    floor_deg: float = 0.3  #: Lean of the height model itself, standard deviation [degree].
+    around_px: int = 25  #: Margin around a roof that contains ground [pixel].
+    #: Correlation length of height errors [m]: photogrammetry matches patches.
+    patch_m: float = 0.15
+    floor_deg: float = 0.3  #: Standard deviation of the tilt error of the height model itself [degree].
     min_px: int = 40  #: Minimum number of pixels with a height.
     min_side_px: int = 4  #: Minimum number of lines, and of columns, with such pixels.
 
@@ -42,22 +42,23 @@ class HeightModel(NamedTuple):
     """Height of the surface in every pixel."""
 
     height: Array  #: (line, column) [m].
-    spacing: float  #: Between pixels [m].
+    spacing: float  #: Distance between neighbouring pixels [m].
 
 
 class Lean(NamedTuple):
     """Lean of a roof towards the sun."""
 
     sd: float  #: Standard deviation of its unknown part [degree].
-    #: Lines and columns from its middle to where it is level along the sun's direction.
+    #: (2,): Lines and columns from the centre of the roof to where it is level along the sun's direction.
     shift: Floats
-    angle: float = np.nan  #: In its middle, positive where it faces the sun [degree]; NaN if not measured.
+    #: Lean in the centre, positive where the roof faces the sun [degree]; NaN if not measured.
+    angle: float = np.nan
 
 
 def height_model_of(line: xr.Dataset) -> HeightModel | None:
     """Return the height model of a line; None without heights.
 
-    Needs ``east``, ``north`` and ``ground_height`` as `hyperpaint.geometry.locate` writes them with a ``dem``
+    The heights are ``east``, ``north`` and ``ground_height`` from `hyperpaint.geometry.locate` with a ``dem``
     of surfaces.
     """
     names, dims = ("east", "north", "ground_height"), (ALONG_TRACK, CROSS_TRACK)
@@ -85,7 +86,7 @@ def measured_lean(
     model: HeightModel | None,
     window: tuple[slice, slice],
     inside: Bools,
-    middle: tuple[float, float],
+    centre: tuple[float, float],
     prior: float,
     shadow_side: Floats | None,
 ) -> Lean:
@@ -95,46 +96,51 @@ def measured_lean(
 
     .. math:: z = z_0 + b \cdot p + p^T H p / 2,
 
-    with p [pixel] from its middle, has the slope :math:`b \cdot s` towards the sun s, and is level there
-    after :math:`- (b \cdot s) / (s^T H s)` pixels. The prior lean, 0 with the standard deviation ``prior``,
-    and the fitted one are weighted by their variances.
+    with p [pixel] from its centre, has the slope :math:`b \cdot s` towards the sun s, and is level
+    :math:`- (b \cdot s) / (s^T H s)` pixels in that direction. The prior lean, 0 with the standard deviation
+    ``prior``, and the fitted lean are weighted by their inverse variances.
 
-    Takes ``window`` and ``inside`` (line, column): the roof; ``middle``: line and column in the window;
-    ``prior`` [degree]; ``shadow_side`` (2,): see `lean_to_sun`.
+    Takes ``window``: the part of the picture with the roof; ``inside`` (line, column): its pixels there;
+    ``centre``: line and column in the window; ``prior`` [degree]; ``shadow_side`` (2,): see `lean_to_sun`.
     """
-    unknown = Lean(prior, np.zeros(2))
+    prior_lean = Lean(prior, np.zeros(2))
     if model is None or shadow_side is None:
-        return unknown
+        return prior_lean
     height = model.height[window]
-    used = inside & np.isfinite(height)
-    if used.sum() < LEANS.min_px or min(used.any(axis=0).sum(), used.any(axis=1).sum()) < LEANS.min_side_px:
-        return unknown
-    if not _stands_above_ground(model, window, height[used]):
-        return unknown
-    rows, columns = np.nonzero(used)
-    y, x = rows - middle[0], columns - middle[1]
+    valid = inside & np.isfinite(height)
+    if (
+        valid.sum() < LEANS.min_px
+        or min(valid.any(axis=0).sum(), valid.any(axis=1).sum()) < LEANS.min_side_px
+    ):
+        return prior_lean
+    if not _stands_above_ground(model, window, height[valid]):
+        return prior_lean
+    rows, columns = np.nonzero(valid)
+    y, x = rows - centre[0], columns - centre[1]
     terms = np.stack([np.ones(y.size), y, x, 0.5 * y * y, y * x, 0.5 * x * x], axis=1)
-    fitted = np.linalg.lstsq(terms, height[used], rcond=None)[0]
-    off = height[used] - terms @ fitted
-    # pixels of one patch are correlated
-    alike = max(1.0, (LEANS.alike_m / model.spacing) ** 2)
-    covariance = np.linalg.pinv(terms.T @ terms) * float(off @ off) / (y.size - terms.shape[1]) * alike
+    fitted = np.linalg.lstsq(terms, height[valid], rcond=None)[0]
+    residuals = height[valid] - terms @ fitted
+    # the height errors within one patch are correlated
+    patch_px = max(1.0, (LEANS.patch_m / model.spacing) ** 2)
+    covariance = (
+        np.linalg.pinv(terms.T @ terms) * float(residuals @ residuals) / (y.size - terms.shape[1]) * patch_px
+    )
     sun = -shadow_side
     slope = float(fitted[1:3] @ sun) / model.spacing
-    u = float(np.sqrt(sun @ covariance[1:3, 1:3] @ sun)) / model.spacing
-    sd = float(np.hypot(np.degrees(np.arctan(u)), LEANS.floor_deg))
+    slope_sd = float(np.sqrt(sun @ covariance[1:3, 1:3] @ sun)) / model.spacing
+    sd = float(np.hypot(np.degrees(np.arctan(slope_sd)), LEANS.floor_deg))
     if not sd < prior:
-        return unknown
+        return prior_lean
     weight = prior**2 / (prior**2 + sd**2)
     hessian = np.array([[fitted[3], fitted[4]], [fitted[4], fitted[5]]])
-    bend = float(sun @ hessian @ sun) / model.spacing**2
-    # a crown bends down; any other shape is level nowhere
-    shift = weight * slope / -bend / model.spacing * sun if bend < 0.0 else np.full(2, np.inf)
+    curvature = float(sun @ hessian @ sun) / model.spacing**2
+    # only a roof that curves down has a level position
+    shift = weight * slope / -curvature / model.spacing * sun if curvature < 0.0 else np.full(2, np.inf)
     return Lean(prior * sd / float(np.hypot(prior, sd)), shift, -float(np.degrees(np.arctan(slope))))
 
 
 def _stands_above_ground(model: HeightModel, window: tuple[slice, slice], roof: Floats) -> bool:
-    around = tuple(
-        slice(max(part.start - LEANS.around_px, 0), part.stop + LEANS.around_px) for part in window
+    surroundings = tuple(
+        slice(max(axis.start - LEANS.around_px, 0), axis.stop + LEANS.around_px) for axis in window
     )
-    return bool(np.median(roof) - np.nanquantile(model.height[around], 0.1) > LEANS.min_above_m)
+    return bool(np.median(roof) - np.nanquantile(model.height[surroundings], 0.1) > LEANS.min_above_m)

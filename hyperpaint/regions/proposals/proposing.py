@@ -14,7 +14,7 @@ import xarray as xr
 from hyperpaint.base import schema
 from hyperpaint.base.arrays import Array, Bools, Floats, Progress
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import documented
+from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.schema import Quality, flag_names
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.radiometry.slabs import line_chunked
@@ -32,11 +32,11 @@ from .footprints import Scene
 from .leans import height_model_of
 from .proposal_rules import SURFACES
 
-#: Right, down, left, up, as (line, column); a right turn is the next one.
+#: Steps (line, column) right, down, left, up, clockwise: a right turn is the next step.
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 
 
-def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple[Floats, ...]]:
+def outline(mask: Bools, origin: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple[Floats, ...]]:
     """Return the ring around a connected set of pixels, and those around its holes.
 
     Takes ``mask`` (line, column): the pixels; neighbours share a side; ``first``: line and column of the
@@ -51,53 +51,56 @@ def outline(mask: Bools, first: tuple[int, int] = (0, 0)) -> tuple[Floats, tuple
     sides = _sides(mask)
     rings = []
     while sides:
-        # the first corner in line order, so that the first ring is the one around all others
+        # start at the first corner in line order: the first ring then is the outer ring
         rings.append(_follow(min(sides), sides))
-    offset = np.array([first[1] - 0.5, first[0] - 0.5])
+    offset = np.array([origin[1] - 0.5, origin[0] - 0.5])
     corners = [np.array([(x, y) for y, x in ring], np.float64) + offset for ring in rings]
     return corners[0], tuple(corners[1:])
 
 
 def _sides(mask: Bools) -> dict[tuple[int, int], list[int]]:
-    # directions from every corner along the edge, with the mask to their right
-    wide = np.pad(mask, 1)
-    inner = wide[1:-1, 1:-1]
-    beside = (wide[:-2, 1:-1], wide[1:-1, 2:], wide[2:, 1:-1], wide[1:-1, :-2])
-    corner = ((0, 0), (0, 1), (1, 1), (1, 0))  # where the side above, right, below, left begins
-    ways: dict[tuple[int, int], list[int]] = {}
-    for way, (other, (down, right)) in enumerate(zip(beside, corner, strict=True)):
-        for line, column in np.argwhere(inner & ~other).tolist():
-            ways.setdefault((line + down, column + right), []).append(way)
-    return ways
+    # Indices into `_STEPS` of the sides of the mask that begin at every corner; the mask is on their right
+    padded = np.pad(mask, 1)
+    inner = padded[1:-1, 1:-1]
+    neighbours = (padded[:-2, 1:-1], padded[1:-1, 2:], padded[2:, 1:-1], padded[1:-1, :-2])
+    # corner of a pixel where its upper, right, lower, left side begins
+    corners = ((0, 0), (0, 1), (1, 1), (1, 0))
+    directions: dict[tuple[int, int], list[int]] = {}
+    for direction, (neighbour, (dy, dx)) in enumerate(zip(neighbours, corners, strict=True)):
+        for line, column in np.argwhere(inner & ~neighbour).tolist():
+            directions.setdefault((line + dy, column + dx), []).append(direction)
+    return directions
 
 
 def _follow(start: tuple[int, int], sides: dict[tuple[int, int], list[int]]) -> list[tuple[int, int]]:
+    # Corners of the ring that begins at `start`; its sides are removed from `sides`
     ring = []
-    here = start
-    way = min(sides[start])
-    before = -1
-    while here in sides:
-        ways = sides[here]
-        if len(ways) > 1 and before >= 0:
-            # two pixels touch at a corner only: turn right, and stay with this one
-            way = min(ways, key=lambda one: (one - before - 1) % 4)
+    corner = start
+    direction = min(sides[start])
+    previous = -1
+    while corner in sides:
+        directions = sides[corner]
+        if len(directions) > 1 and previous >= 0:
+            # two pixels touch only at this corner: the right turn stays with the current pixel
+            direction = min(directions, key=lambda candidate: (candidate - previous - 1) % 4)
         else:
-            way = ways[0] if before >= 0 else way
-        ways.remove(way)
-        if not ways:
-            del sides[here]
-        if way != before:
-            ring.append(here)
-        here = (here[0] + _STEPS[way][0], here[1] + _STEPS[way][1])
-        before = way
-        if here == start:
+            direction = directions[0] if previous >= 0 else direction
+        directions.remove(direction)
+        if not directions:
+            del sides[corner]
+        if direction != previous:
+            ring.append(corner)
+        corner = (corner[0] + _STEPS[direction][0], corner[1] + _STEPS[direction][1])
+        previous = direction
+        if corner == start:
             break
     return ring
 
 
-#: Flags that a signature of a proposed region excludes: glint and neighbours were judged by its brightness.
-_LEFT_OUT = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.SHADOW
+#: Flags that a signature of a proposed region excludes; brightness has already excluded glint and adjacency.
+_EXCLUDED_FLAGS = Quality.SATURATED | Quality.IRRADIANCE_GAP | Quality.NO_DATA | Quality.SHADOW
 
+#: Variables of a flagged line that proposals use.
 _LAYERS = ("glint_fraction", "blocked_direct", "adjacency", "quality")
 
 
@@ -109,10 +112,10 @@ class Proposals(Regions):
     ----------
     refused
         Every examined piece with an objection, those that look like windows, shadows or leaves last; the
-        property ``refused`` gives the objections. Bodies like the ground, pixels in cast shadow, and pieces
-        with fewer than a quarter of ``min_pixels`` pixels away from edges are not examined: a car with paint
-        like the ground is in neither list, as are regions cut off by ``most``. They are not among the
-        regions themselves, and not written with them.
+        property ``refused`` lists the objections. Writing the proposals does not write these pieces. Three
+        kinds of pieces are not examined: bodies with the colour of the ground, pixels in cast shadow, and
+        pieces with fewer than a quarter of ``min_pixels`` pixels away from edges. So a car with the colour of
+        the ground is in neither list; nor are regions that exceed ``most``.
 
     Examples
     --------
@@ -271,7 +274,7 @@ def propose_regions(
     problems = Problems("regions cannot be proposed", SchemaError)
     for key in ("erode", "glint", "shadow", "adjacency", "brightness", "angle"):
         value = getattr(limits, key)
-        if isinstance(value, bool) or not np.isfinite(value) or value < 0:
+        if not is_number(value) or value < 0:
             problems.add(f"{key}={value!r}", expected="a number from 0 on", code="value-out-of-range")
     for key, count in (("min_pixels", min_pixels), ("most", most)):
         if count is not None and count < 1:
@@ -311,10 +314,9 @@ def propose_regions(
 
 
 def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]:
-    # Line in channels (line, column, channel), and the layers `_LAYERS`.
-    # Both result from one pass over the line.
+    # The line in the model's channels (line, column, channel), and its variables `_LAYERS`, by one pass
     flagged = flag(line, model)
-    before = line.get("quality")
+    quality = line.get("quality")
     cube = line_chunked(schema.require(line, ["reflectance"], "regions")["reflectance"])
     numbers = dask.delayed(model.channel)
     blocks = [
@@ -323,17 +325,17 @@ def _read(line: xr.Dataset, model: SceneModel) -> tuple[Array, dict[str, Array]]
     results = dask.compute(*blocks, *[flagged[name].data for name in _LAYERS[:3]])
     channels = np.concatenate(results[: len(blocks)])
     layers = dict(zip(_LAYERS, results[len(blocks) :], strict=False))
-    layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if before is None else before.values
+    layers["quality"] = np.zeros(channels.shape[:2], np.uint16) if quality is None else quality.values
     return channels, layers
 
 
-def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) -> Proposals:
+def _ranked(judged: list[Judged], max_regions: int | None, flightline: str, name: str) -> Proposals:
     accepted_pieces = [piece for piece in judged if not piece.verdict.objections]
     refused_pieces = sorted(
         (piece for piece in judged if piece.verdict.objections), key=lambda piece: piece.verdict.scenery
     )
-    accepted_pieces.sort(key=lambda piece: (-piece.verdict.score, piece.piece.first, piece.piece.body))
-    accepted_candidates = accepted_pieces[:most]
+    accepted_pieces.sort(key=lambda piece: (-piece.verdict.score, piece.piece.origin, piece.piece.body))
+    accepted_candidates = accepted_pieces[:max_regions]
     digits = len(str(max(len(accepted_candidates), len(refused_pieces), 10)))
     accepted = [
         _region(
@@ -352,9 +354,9 @@ def _ranked(judged: list[Judged], most: int | None, flightline: str, name: str) 
 
 
 def _region(
-    piece: Piece, measures: Measures, verdict: Verdict, name: str, flightline: str, more: Mapping[str, Any]
+    piece: Piece, measures: Measures, verdict: Verdict, name: str, flightline: str, ranking: Mapping[str, Any]
 ) -> Region:
-    ring, holes = outline(measures.usable if measures.pixels else piece.inside, piece.first)
+    ring, holes = outline(measures.usable if measures.pixels else piece.inside, piece.origin)
     numbers = {
         "spectral_angle": measures.angle,
         "brightness_spread": measures.spread,
@@ -366,11 +368,11 @@ def _region(
         "lean": verdict.lean,
     }
     properties = {
-        **more,
+        **ranking,
         "kind": verdict.kind or "unknown",
         "finish": verdict.finish,
         "pixels": measures.pixels,
-        "excluded_flags": flag_names(_LEFT_OUT),
+        "excluded_flags": flag_names(_EXCLUDED_FLAGS),
         **{key: round(value, 5) for key, value in numbers.items() if np.isfinite(value)},
         "reasons": verdict.reasons,
     }

@@ -1,11 +1,11 @@
-"""Synthetic scenes: geometry is traced once, spectra are applied afterwards.
+"""Synthetic scenes: geometry is traced once, spectra are applied later.
 
 A path of light contributes ``w E_source(lambda) / pi x product of reflectances(lambda)``, and ``w`` does not
 depend on wavelength. `tracing` records the weights, `relighting` turns them into radiance for any paints,
 atmosphere and camera.
 
-Scenes, flights, light and paints come in; traced weights and flight lines with known truth go out.
-`simulation`, `workflows.rendering` and users call it. The modules, each building on those before:
+Scenes, flights, light and paints come in; traced weights and flight lines with their truth go out.
+`simulation`, `workflows.rendering` and users call it. The modules, in the order of their imports:
 
 The scene
     `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials;

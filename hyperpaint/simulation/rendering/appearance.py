@@ -16,40 +16,41 @@ from hyperpaint.base.facts import documented
 from .materials import Coat, Flakes, Material, fresnel_reflectance, measured_factor
 
 _GLOSS_ANGLE_DEG = 20.0
-_GLASS_INDEX = 1.567  # the black glass that reads 100
-_RECEPTOR_DEG = (1.8, 3.6)  # field of the receptor in the plane of incidence and across it: ISO 2813, table 1
-_SOURCE_DEG = (0.75, 2.5)  # image of the source
+_GLASS_INDEX = 1.567  # refractive index of the black glass with 100 gloss units
+_RECEPTOR_DEG = (1.8, 3.6)  # field of the receptor in and across the plane of incidence: ISO 2813, table 1
+_SOURCE_DEG = (0.75, 2.5)  # size of the image of the source
 _LIGHT_DEG = 45.0
 _ASPECULAR_DEG = (15.0, 45.0, 110.0)
-_ALPHAS = np.geomspace(0.03, 1.0, 40)  # GGX alpha of flakes among which a flop is looked for
+_ALPHAS = np.geomspace(0.03, 1.0, 40)  # GGX alphas of flakes for which flop indices are tabulated
 
-#: D65, relative, 380 to 780 nm by 20 nm (CIE 15).
+#: Relative spectrum of D65, 380 to 780 nm in steps of 20 nm (CIE 15).
 _D65 = (
     49.98, 82.75, 93.43, 104.86, 117.81, 115.92, 109.35, 104.79, 104.41, 100.00, 95.79, 90.01, 87.70, 83.70,
     80.21, 78.28, 71.61, 61.60, 75.09, 46.42, 63.38,
 )  # fmt: skip
 
 
-# Reflectance factors of unit spectra: of a base, of flakes, and of the light that these recycle.
+# Reflectance factors for unit spectra: of a base, of flakes, and of the light that flakes return to the
+# paint.
 class _Lobes(NamedTuple):
     base: float
     flakes: float
     recycled: float
-    turned: float  # part of the flakes' turned spectrum
+    turned: float  # share of the flakes' spectrum ``turned``
 
 
 def gloss_units(coat: Coat) -> float:
     """Return the gloss of a clear coat at 20 degrees, in gloss units: 100 for black glass of index 1.567.
 
-    The flux of the coat in the receptor over the flux of the glass (ISO 2813). The receptor sees 1.8
-    degrees in the plane of incidence and 3.6 across, the image of the source is 0.75 by 2.5 degrees. Facets
-    have the slopes of GGX, and orange peel, which is smaller than the spot of the instrument, adds Gaussian
-    ones. Light reflected by the paint under the coat is left out, as on a black paint.
+    Flux of the coat in the receptor over the flux of the glass (ISO 2813). The field of the receptor is 1.8
+    degrees in the plane of incidence and 3.6 across; the image of the source is 0.75 by 2.5 degrees. Facets
+    have the slopes of GGX; orange peel, which is smaller than the spot of the instrument, adds Gaussian
+    slopes. Light reflected by the paint under the coat is excluded.
 
     Parameters
     ----------
     coat
-        Its index, roughness and waviness.
+        Coat with index, roughness and waviness.
 
     Examples
     --------
@@ -58,39 +59,39 @@ def gloss_units(coat: Coat) -> float:
     >>> gloss_units(Coat()) > 80, gloss_units(Coat(roughness=0.05)) < 6
     (True, True)
     """
-    part = (np.arange(400) + 0.5) / 400  # of the facets
-    radius = coat.roughness * np.sqrt(part / (1.0 - part))
+    quantile = (np.arange(400) + 0.5) / 400  # of the slopes of facets
+    radius = coat.roughness * np.sqrt(quantile / (1.0 - quantile))
     angle = 2.0 * np.pi * (np.arange(48) + 0.5) / 48
     tilt, weight = np.polynomial.hermite_e.hermegauss(16)
     tilt, weight = tilt * np.radians(coat.waviness) / np.sqrt(2.0), weight / weight.sum()
-    slopes = radius[:, None] * np.cos(angle)  # along either axis
-    across = radius[:, None] * np.sin(angle)
+    slopes = radius[:, None] * np.cos(angle)  # slopes in the plane of incidence
+    cross_slopes = radius[:, None] * np.sin(angle)
     cosine = np.cos(np.radians(_GLOSS_ANGLE_DEG))
-    caught = 0.0
+    flux = 0.0
     for tilt_along, weight_along in zip(tilt, weight, strict=True):
         for tilt_across, weight_across in zip(tilt, weight, strict=True):
-            along = _overlap(2.0 * (slopes + tilt_along), 0)
-            within = along * _overlap(2.0 * cosine * (across + tilt_across), 1)
-            caught += weight_along * weight_across * float(within.mean())
+            overlap = _overlap(2.0 * (slopes + tilt_along), 0)
+            overlaps = overlap * _overlap(2.0 * cosine * (cross_slopes + tilt_across), 1)
+            flux += weight_along * weight_across * float(overlaps.mean())
     mirrors = [float(fresnel_reflectance(cosine, index)) for index in (coat.index, _GLASS_INDEX)]
-    return float(100.0 * caught * mirrors[0] / mirrors[1])
+    return float(100.0 * flux * mirrors[0] / mirrors[1])
 
 
 def _overlap(deflection: Floats, axis: int) -> Floats:
-    # Part of the source's image, shifted by an angle [rad], inside the receptor field.
+    # share of the source's image, shifted by an angle [rad], inside the field of the receptor
     receptor, source = np.radians(_RECEPTOR_DEG[axis]), np.radians(_SOURCE_DEG[axis])
     return np.asarray(np.clip((0.5 * (receptor + source) - np.abs(deflection)) / source, 0.0, 1.0))
 
 
 def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.waviness) -> Coat:
-    """Return the clear coat with a gloss at 20 degrees, the inverse of `gloss_units`.
+    """Return the clear coat with this gloss at 20 degrees, the inverse of `gloss_units`.
 
     Parameters
     ----------
     gloss
-        In gloss units, above 1.
+        Gloss units, above 1.
     index, waviness
-        As for `Coat`.
+        See `Coat`.
 
     Raises
     ------
@@ -102,42 +103,49 @@ def coat_of_gloss(gloss: float, index: float = 1.5, waviness: float = Coat.wavin
     >>> round(coat_of_gloss(70.0).roughness, 4)
     0.0036
     """
-    low, high = 0.0, 1.0
-    most, least = (gloss_units(Coat(index, alpha, waviness)) for alpha in (low, high))
-    if not least < gloss <= most:
+    min_alpha, max_alpha = 0.0, 1.0
+    max_gloss, min_gloss = (gloss_units(Coat(index, alpha, waviness)) for alpha in (min_alpha, max_alpha))
+    if not min_gloss < gloss <= max_gloss:
         raise SchemaError(
             f"gloss is {gloss} units",
-            expected=f"{least:.1f} to {most:.1f} for index {index} and waviness {waviness} degrees",
+            expected=f"{min_gloss:.1f} to {max_gloss:.1f} for index {index} and waviness {waviness} degrees",
             mend="raise the index for more gloss",
             code="value-out-of-range",
         )
     for _ in range(30):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if gloss_units(Coat(index, middle, waviness)) > gloss else (low, middle)
-    return Coat(index, 0.5 * (low + high), waviness)
+        mean_alpha = 0.5 * (min_alpha + max_alpha)
+        min_alpha, max_alpha = (
+            (mean_alpha, max_alpha)
+            if gloss_units(Coat(index, mean_alpha, waviness)) > gloss
+            else (min_alpha, mean_alpha)
+        )
+    return Coat(index, 0.5 * (min_alpha + max_alpha), waviness)
 
 
 def _lobe_factors(index: float, alpha: float, light: float, view: float, azimuth: float) -> _Lobes:
-    # Light and view at zenith angles [degree], azimuth apart. Lobes of a smooth coat (index 0: none) over a
-    # base alone, and over flakes of an alpha (0: none) alone.
+    # lobes of a smooth coat (index 0: no coat) over a base only, and over flakes of an alpha (0: no flakes)
+    # only, for light and view at zenith angles with a difference of azimuth [degree]
     from hyperpaint.simulation.transport.surfaces import lobes_at, sun_weights, surfaces_of, turned_part
 
-    one, factor = np.ones(1), np.array([0 if alpha else -1], np.int32)
-    surfaces = surfaces_of(index * one, 0 * one, 0 * one, 0.5 * one, alpha * one, 0 * factor, factor)
+    ones, factor = np.ones(1), np.array([0 if alpha else -1], np.int32)
+    surfaces = surfaces_of(index * ones, 0 * ones, 0 * ones, 0.5 * ones, alpha * ones, 0 * factor, factor)
     a, b, turn = np.radians([light, view, azimuth])
-    towards = float(np.sin(a)), 0.0, float(np.cos(a))
-    seen = float(np.sin(b) * np.cos(turn)), float(np.sin(b) * np.sin(turn)), float(np.cos(b))
-    lobes = lobes_at(surfaces, 0, seen, seen, 0.0)
-    base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, towards, towards, 0.0)
-    scale = (2.0 if alpha else 1.0) / towards[2]  # half of the light meets flakes, where there are any
+    towards_light = float(np.sin(a)), 0.0, float(np.cos(a))
+    towards_view = float(np.sin(b) * np.cos(turn)), float(np.sin(b) * np.sin(turn)), float(np.cos(b))
+    lobes = lobes_at(surfaces, 0, towards_view, towards_view, 0.0)
+    base, _, flakes, recycled = sun_weights(surfaces.numbers, lobes, towards_light, towards_light, 0.0)
+    scale = (2.0 if alpha else 1.0) / towards_light[2]  # with flakes, half of the light meets them
     return _Lobes(
-        scale * base, 2.0 * flakes / towards[2], 2.0 * recycled / towards[2], turned_part(lobes, towards)
+        scale * base,
+        2.0 * flakes / towards_light[2],
+        2.0 * recycled / towards_light[2],
+        turned_part(lobes, towards_light),
     )
 
 
 def _factor_with_flakes(lobes: _Lobes, share: float, pigment: Floats, metal: Floats) -> Floats:
-    again = share * metal + (1.0 - share) * pigment
-    return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * again)
+    returned = share * metal + (1.0 - share) * pigment
+    return (1.0 - share) * lobes.base * pigment + share * metal * (lobes.flakes + lobes.recycled * returned)
 
 
 def _share_and_alpha(material: Material) -> tuple[float, float]:
@@ -155,7 +163,7 @@ def reflectance_factor(
     azimuth: float = 180.0,
     turned: npt.ArrayLike | None = None,
 ) -> Floats:
-    """Return the reflectance factor pi f of a paint at a geometry, without the mirror image in its coat.
+    """Return the reflectance factor pi f of a paint in a geometry, without mirror reflection of its coat.
 
     Parameters
     ----------
@@ -167,10 +175,10 @@ def reflectance_factor(
     light, view
         Zenith angles [degree].
     azimuth
-        Between them [degree]; 180 where the view is on the side of the mirror direction.
+        Difference of their azimuths [degree]; 180 with the view on the side of the mirror direction.
     turned
-        Reflectance of the flakes where light and view are at right angles (`Flakes.turned`); None where
-        angles do not matter.
+        Reflectance of the flakes for light and view at right angles (`Flakes.turned`); None if it does not
+        depend on angles.
 
     Examples
     --------
@@ -184,15 +192,15 @@ def reflectance_factor(
     lobes = _lobe_factors(index or 0.0, alpha, light, view, azimuth)
     metal = np.asarray(flakes, np.float64)
     mixed = metal if turned is None else metal + lobes.turned * (np.asarray(turned, np.float64) - metal)
-    seen = _factor_with_flakes(lobes, share, measured_factor(body, index), metal)
-    return np.asarray(seen + share * lobes.flakes * (mixed - metal))
+    unturned = _factor_with_flakes(lobes, share, measured_factor(body, index), metal)
+    return np.asarray(unturned + share * lobes.flakes * (mixed - metal))
 
 
 @documented()
 def flop_index(
     material: Material, wavelength: npt.ArrayLike, body: npt.ArrayLike, flakes: npt.ArrayLike = 0.0
 ) -> float:
-    """Return the flop index: how much darker a paint is away from its mirror direction; about 0 when solid.
+    """Return the flop index: decrease of lightness away from the mirror direction; near 0 for solid paints.
 
     Alman's index 2.69 (L*15 - L*110)^1.11 / L*45^0.86 of CIE 1976 lightness at three aspecular angles, lit
     at 45 degrees; D65, 10 degree observer (its luminosity as fitted by C. Wyman, P.-P. Sloan, P. Shirley,
@@ -231,7 +239,8 @@ def _paint_curves(
 
 
 def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
-    views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]  # positive on the mirror's side
+    # view angles, positive on the side of the mirror direction
+    views = [_LIGHT_DEG - aspecular for aspecular in _ASPECULAR_DEG]
     return [
         _lobe_factors(index, alpha, _LIGHT_DEG, abs(view), side)
         for view, side in zip(views, [180.0 if view >= 0 else 0.0 for view in views], strict=True)
@@ -239,14 +248,14 @@ def _three_geometries(index: float, alpha: float) -> list[_Lobes]:
 
 
 def _flop(geometries: list[_Lobes], share: float, pigment: Floats, metal: Floats) -> float:
-    seen = np.array(_D65) * np.exp(-0.5 * ((np.linspace(380.0, 780.0, len(_D65)) - 556.1) / 46.14) ** 2)
+    weights = np.array(_D65) * np.exp(-0.5 * ((np.linspace(380.0, 780.0, len(_D65)) - 556.1) / 46.14) ** 2)
     lightness = []
     for lobes in geometries:
-        luminance = float((seen * _factor_with_flakes(lobes, share, pigment, metal)).sum() / seen.sum())
-        above = luminance > 216 / 24389
-        lightness.append(116.0 * np.cbrt(luminance) - 16.0 if above else 24389 / 27 * luminance)
-    near, face, far = lightness
-    return float(2.69 * max(near - far, 0.0) ** 1.11 / face**0.86)
+        luminance = float((weights * _factor_with_flakes(lobes, share, pigment, metal)).sum() / weights.sum())
+        is_bright = luminance > 216 / 24389
+        lightness.append(116.0 * np.cbrt(luminance) - 16.0 if is_bright else 24389 / 27 * luminance)
+    near_lightness, face_lightness, far_lightness = lightness
+    return float(2.69 * max(near_lightness - far_lightness, 0.0) ** 1.11 / face_lightness**0.86)
 
 
 @functools.cache
@@ -268,13 +277,13 @@ def flakes_of_flop(
     Parameters
     ----------
     flop
-        The index asked for; 15 to 17 is very high.
+        Flop index; 15 to 17 is very high.
     material
-        Its coat, and flakes whose share and spectrum stay.
+        Coat, and flakes whose share and spectrum are kept.
     wavelength, body, flakes
         As for `flop_index`.
     nearest
-        Take the lobe that comes nearest where none has the index.
+        Return the lobe with the nearest flop index if none has this index.
 
     Raises
     ------
@@ -294,15 +303,17 @@ def flakes_of_flop(
             mend="pass flakes=Flakes(share)",
             code="flakes-missing",
         )
-    own, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
+    old_flakes, index = material.flakes, 0.0 if material.coat is None else round(material.coat.index, 2)
     curves = _paint_curves(material, wavelength, body, flakes)
-    flops = np.array([_flop(lobes, own.share, *curves) for lobes in _lobes_by_alpha(index)])
-    peak = int(flops.argmax())  # sharper lobes miss the first angle
+    flops = np.array([_flop(lobes, old_flakes.share, *curves) for lobes in _lobes_by_alpha(index)])
+    peak = int(flops.argmax())  # sharper lobes do not reach the first angle
     if not (nearest or flops[-1] <= flop <= flops[peak]):
         raise SchemaError(
             f"flop index is {flop}",
-            expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {own.share}",
+            expected=f"{flops[-1]:.1f} to {flops[peak]:.1f} for a flake share of {old_flakes.share}",
             mend="for more flop, raise the flake share or darken the pigment",
             code="value-out-of-range",
         )
-    return replace(own, roughness=float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:])))))
+    return replace(
+        old_flakes, roughness=float(np.exp(np.interp(-flop, -flops[peak:], np.log(_ALPHAS[peak:]))))
+    )

@@ -10,9 +10,9 @@ import numpy as np
 from hyperpaint.base.arrays import Floats
 from hyperpaint.simulation.paint_spectra import Bump, Edge, Feature, Paint
 
-#: Kinds of base coat of `generate_paint`: titanium white; a coloured pigment; the same in a white base;
-#: carbon in a white base; carbon; a dye that is black to the eye and transparent in the near infrared; colour
-#: over aluminium flakes; colour among mica flakes with an interference colour.
+#: Families of base coats of `generate_paint`: titanium white; a coloured pigment; a coloured pigment in a
+#: white base; carbon in a white base; carbon; a black dye that is transparent in the near infrared; a pigment
+#: with aluminium flakes; a pigment with mica flakes of an interference colour.
 FAMILIES = ("white", "solid", "tinted", "grey", "carbon_black", "ir_black", "metallic", "pearl")
 
 
@@ -30,10 +30,10 @@ HUES: dict[str, tuple[tuple[str, float, float, float, float], ...]] = {
     "brown": (("edge", 575.0, 12.0, -32.0, 4.5),),
 }  # fmt: skip
 
-_FLAKE_DEPTH = 0.05  # of the flakes, times S of the pigment
-_BINDER_INDEX, _FILM_INDEX = 1.5, 2.5  # of binder and coat; titanium dioxide on mica
+_FLAKE_DEPTH = 0.05  # depth of the flakes times the scattering S of the pigment
+_BINDER_INDEX, _FILM_INDEX = 1.5, 2.5  # refractive index of binder and coat, and of titanium dioxide on mica
 
-#: Cosine in the film of light that meets a flake at 45 degrees [1].
+#: Cosine in the film for light that meets a flake at 45 degrees [1].
 _TURNED_COSINE = float(np.sqrt(1.0 - 0.5 * (_BINDER_INDEX / _FILM_INDEX) ** 2))
 
 _TITANIUM = Edge(404.0, -5.0, 4.0)  # rutile absorbs in the ultraviolet
@@ -46,11 +46,12 @@ class Pigments:
     Attributes
     ----------
     absorption
-        K/S at every wavelength.
+        K/S that is constant over wavelength.
     absorbers
-        What they add at some.
+        Edges and bands added to K/S.
     interference
-        Optical thickness of the mica flakes' film [nm] and depth of its modulation, 0 to 1; None without.
+        Optical thickness of the film on mica flakes [nm] and depth of its modulation, 0 to 1; None without
+        mica.
     """
 
     absorption: float
@@ -58,38 +59,38 @@ class Pigments:
     interference: tuple[float, float] | None = None
 
     def albedo(self, wavelength: Floats) -> Floats:
-        # Albedo of the base under the coat at ``wavelength`` [nm], 0 to 1.
-        # without an interface, Paint is the bare Kubelka-Munk layer
+        # albedo of the base under the coat at ``wavelength`` [nm], 0 to 1: Paint without interface is the
+        # bare layer
         return Paint(self.absorption, self.absorbers, interface=0.0, internal=0.0)(wavelength)
 
     def flakes(self, wavelength: Floats, *, turned: bool = False) -> Floats:
-        """Return the reflectance of the flakes, seen through the tinted binder, 0 to 1.
+        """Return the reflectance of the flakes through the tinted binder, 0 to 1.
 
-        Light passes the tint twice, down to a flake and back, each time a twentieth of the depth in which the
-        pigment would scatter it (S d = 0.05). A film on mica adds a comb cos^2(2 pi d cos(theta) / lambda),
-        theta in the film: 0, or, where it is ``turned``, of light that meets the flake at 45 degrees.
+        Light passes the tint twice, to a flake and back, with S d = 0.05. A film on mica adds the modulation
+        cos^2(2 pi d cos(theta) / lambda), with the angle theta in the film: 0, or with ``turned`` that of
+        light which meets the flake at 45 degrees.
         """
         tint = np.full_like(wavelength, self.absorption, dtype=np.float64)
         for absorber in self.absorbers:
             tint += absorber(wavelength)
-        bare = aluminium(wavelength)
+        metal = aluminium(wavelength)
         if self.interference is not None:
             thickness, depth = self.interference
             thickness *= _TURNED_COSINE if turned else 1.0
-            bare = bare * (1.0 - depth * np.cos(2.0 * np.pi * thickness / wavelength) ** 2)
-        return np.asarray(bare * np.exp(-2.0 * _FLAKE_DEPTH * tint))
+            metal = metal * (1.0 - depth * np.cos(2.0 * np.pi * thickness / wavelength) ** 2)
+        return np.asarray(metal * np.exp(-2.0 * _FLAKE_DEPTH * tint))
 
 
 def aluminium(wavelength: Floats) -> Floats:
-    """Return the reflectance of aluminium in a binder, with its dip of the interband transition at 825 nm.
+    """Return the reflectance of aluminium in a binder, with the dip of its interband transition at 825 nm.
 
-    A smooth curve through handbook values of the bare metal, about 0.92 in the green and 0.87 at 825 nm.
+    A smooth fit to handbook values of the bare metal, about 0.92 in the green and 0.87 at 825 nm.
     """
     return 0.92 - 0.01 * (wavelength - 550.0) / 1000.0 + Bump(825.0, 65.0, -0.045)(wavelength)
 
 
 def mix(family: str, hue: str, rng: np.random.Generator) -> tuple[Pigments, str]:
-    """Return the base of one paint of a family of `FAMILIES`, and its colour in words."""
+    """Return the base coat of a random paint of a family of `FAMILIES`, and its colour in words."""
     if family == "white":
         return Pigments(rng.uniform(0.002, 0.012), (_TITANIUM,)), "white"
     if family == "grey":
@@ -120,9 +121,9 @@ def absorbers_of(
     """Return absorption edges and bands of K/S drawn around the ``rows`` of `HUES`."""
     return tuple(
         (Edge if kind == "edge" else Bump)(
-            centre + rng.normal(0.0, spread / 2.0),
+            centre + rng.normal(0.0, centre_range / 2.0),
             width * rng.uniform(0.8, 1.3),
             strength * height * rng.uniform(0.8, 1.2),
         )
-        for kind, centre, spread, width, height in rows
+        for kind, centre, centre_range, width, height in rows
     )

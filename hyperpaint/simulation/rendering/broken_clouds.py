@@ -1,9 +1,8 @@
 """Broken clouds over a scene: their shadows move over the ground, so that light varies over swath and time.
 
-Where a Gaussian random field of ground position, carried along by the wind, is above a threshold, there is a
-cloud's shadow. The field is a sum of plane waves with random directions and phases (M. Shinozuka, J. Sound
-Vib. 25, 111, 1972): it has a value at every place and time, needs no grid, and is the same whatever is asked
-for first.
+The ground is in shadow where a Gaussian random field, which moves with the wind, exceeds a threshold. The
+field is a sum of plane waves with random directions and phases (M. Shinozuka, J. Sound Vib. 25, 111, 1972):
+it is defined at every position and time without a grid, and does not depend on the order of evaluation.
 """
 
 from __future__ import annotations
@@ -15,32 +14,18 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.setting_checks import check_number, check_whole
+from hyperpaint.base.facts import check_fields, declared, fact
+from hyperpaint.simulation.settings import MAX_SEED
 
 _WAVES = 64
-_RETURNED = 1.0 / 3.0  # of the direct light that clouds take, as diffuse light everywhere
+#: Share of the direct light blocked by clouds that becomes diffuse light everywhere.
+_SCATTERED_SHARE = 1.0 / 3.0
 
 
+@declared
 @dataclass(frozen=True)
 class BrokenClouds:
     """Shadows of broken clouds.
-
-    Attributes
-    ----------
-    cover
-        Share of the ground in shadow, 0 to 1.
-    size
-        Distance over which the field loses its memory [m].
-    speed, heading
-        Of the shadows [m s-1], and where they go to, clockwise from north [degree].
-    opacity
-        Share of the direct light that a cloud takes, 0 to 1.
-    edge
-        Width of a shadow's edge relative to ``size``.
-    station
-        East and north of the spectrometer that records the irradiance [m].
-    seed
-        Another seed, other clouds.
 
     Raises
     ------
@@ -55,29 +40,29 @@ class BrokenClouds:
     (True, True)
     """
 
-    cover: float = 0.4
-    size: float = 200.0
-    speed: float = 8.0
-    heading: float = 90.0
-    opacity: float = 0.8
-    edge: float = 0.05
-    station: tuple[float, float] = (0.0, 0.0)
-    seed: int = 0
+    cover: float = fact(0.4, "share of the ground in shadow", least=0.0, most=1.0)
+    size: float = fact(
+        200.0,
+        "distance over which the random field of the clouds loses its correlation",
+        unit="m",
+        least=0.0,
+        above=True,
+        most=1e6,
+    )
+    speed: float = fact(8.0, "speed of the shadows", unit="m s-1", least=0.0, most=1e3)
+    heading: float = fact(90.0, "direction of the shadows, clockwise from north", unit="degree")
+    opacity: float = fact(0.8, "share of the direct light that a cloud takes", least=0.0, most=1.0)
+    edge: float = fact(
+        0.05, "width of the edge of a shadow relative to ``size``", least=0.0, above=True, most=10.0
+    )
+    station: tuple[float, float] = fact(
+        (0.0, 0.0), "east and north of the spectrometer that records the irradiance", unit="m", length=2
+    )
+    seed: int = fact(0, "chooses the clouds", least=0, most=MAX_SEED)
 
     def __post_init__(self) -> None:
-        problems = Problems("clouds cannot be over this scene", SchemaError)
-        for name in ("cover", "opacity"):
-            check_number(problems, name, getattr(self, name), 0.0, 1.0)
-        check_number(problems, "size", self.size, 0.0, 1e6, above=True)
-        check_number(problems, "speed", self.speed, 0.0, 1e3)
-        check_number(problems, "edge", self.edge, 0.0, 10.0, above=True)
-        check_whole(problems, "seed", self.seed, 0, 2**63 - 1)
-        if not np.isfinite([self.heading, *self.station]).all():
-            problems.add(
-                f"heading={self.heading!r} and station={self.station!r:.60}",
-                expected="finite numbers",
-                code="not-finite",
-            )
+        problems = Problems("the clouds cannot be used", SchemaError)
+        check_fields(self, problems)
         problems.raise_if_any()
 
     def factors(self, east: npt.ArrayLike, north: npt.ArrayLike, seconds: npt.ArrayLike) -> Floats:
@@ -86,18 +71,18 @@ class BrokenClouds:
         Parameters
         ----------
         east, north
-            Places on the ground, any shapes that go together [m].
+            Positions on the ground, of shapes that broadcast [m].
         seconds
-            Times, likewise [s].
+            Times, of a shape that broadcasts [s].
         """
         from scipy.special import ndtri
 
-        x, y, t = np.broadcast_arrays(*(np.asarray(part, np.float64) for part in (east, north, seconds)))
+        x, y, t = np.broadcast_arrays(*(np.asarray(values, np.float64) for values in (east, north, seconds)))
         towards = np.radians(self.heading)
         x = x - self.speed * np.sin(towards) * t
         y = y - self.speed * np.cos(towards) * t
         rng = np.random.default_rng([self.seed, 7])
-        # waves of a field whose correlation falls as exp(-d^2 / size^2)
+        # waves of a field with the correlation exp(-d^2 / size^2)
         waves = rng.standard_normal((_WAVES, 2)) * np.sqrt(2.0) / self.size
         phase = rng.uniform(0.0, 2.0 * np.pi, _WAVES)
         field = np.zeros(x.shape)
@@ -106,6 +91,6 @@ class BrokenClouds:
         field *= np.sqrt(2.0 / _WAVES)
         shadow = np.clip(0.5 + (field - ndtri(1.0 - self.cover)) / self.edge, 0.0, 1.0)
         direct = 1.0 - self.opacity * shadow
-        diffuse = np.full(x.shape, 1.0 + _RETURNED * self.opacity * self.cover)
-        there = np.isfinite(x + y)
-        return np.stack([np.where(there, direct, 1.0), np.where(there, diffuse, 1.0)])
+        diffuse = np.full(x.shape, 1.0 + _SCATTERED_SHARE * self.opacity * self.cover)
+        is_finite = np.isfinite(x + y)
+        return np.stack([np.where(is_finite, direct, 1.0), np.where(is_finite, diffuse, 1.0)])

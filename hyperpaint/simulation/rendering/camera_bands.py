@@ -2,10 +2,10 @@
 
     INT E(lambda) rho(lambda) R_b(lambda) d lambda,   rho(lambda) = sum_k rho(lambda_k) phi_k(lambda)
 
-The spectrum E of a source has absorption lines far narrower than any band. A product of reflectances rho is
-smooth: cubic interpolation between points ``lambda_k`` 0.5 nm apart reproduces it to 1e-6. The integral
-INT E phi_k R_b of every band and point is computed once for a source, on a grid as fine as its absorption
-lines; after that a path costs a short sum.
+The spectrum E of a source has absorption lines much narrower than a band. A product of reflectances rho is
+smooth: cubic interpolation between points ``lambda_k`` 0.5 nm apart reproduces it to 1e-6. The integral INT E
+phi_k R_b of every band and point is computed once for a source, on a grid that resolves its absorption lines;
+the integral of a path is then a short sum.
 """
 
 from __future__ import annotations
@@ -20,37 +20,39 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import one_of
 from hyperpaint.simulation.camera import cubic_weights, line_shape
-from hyperpaint.simulation.setting_checks import check_choice, finite_floats
+from hyperpaint.simulation.setting_checks import finite_floats
 from hyperpaint.simulation.settings import SHAPES, SimulationSettings
 
-_GAUSSIAN_REACH = 2.5  # full widths; beyond them lies 1e-8 of a Gaussian's area
-#: Distance of the shifts at which products are made: at the most [nm], and in parts of the narrowest band.
-#: Between them products are cubic; a slit's image has corners.
+_GAUSSIAN_REACH = 2.5  # full widths, beyond which the area of a Gaussian is below 1e-8
+#: Distance of the shifts at which products are computed: maximum [nm], and as a fraction 1 / n of the
+#: narrowest band. Between them products are interpolated by cubics; line shapes of slits have corners and
+#: need smaller steps.
 _NODE_STEP = {"gaussian": (0.25, 24.0), "slit": (0.1, 60.0)}
 
 
 @dataclass(frozen=True, eq=False)
 class BandSet:
-    """Responses of bands, as they differ from column to column.
+    """Responses of bands in all columns.
 
     Attributes
     ----------
     wavelength
         Centres at the centre column, shape (band,), increasing [nm].
     fwhm
-        Full width at half maximum, shape (band,), or one for all [nm].
+        Full width at half maximum [nm], shape (band,), or of all bands.
     shape
         "gaussian", or "slit": a box ``fwhm`` wide convolved with a box one band wide.
     wavelength_shift
-        Smile, shape (cross_track,) [nm]; None for a camera without.
+        Smile, shape (cross_track,) [nm]; None for a camera without smile.
     responsivity
         Function of wavelength [nm] that multiplies the line shapes; None for a constant.
 
     Raises
     ------
     SchemaError
-        Shapes or values that no camera has; all problems are listed.
+        Shapes or values are invalid; all problems are listed.
 
     Examples
     --------
@@ -85,7 +87,7 @@ class BandSet:
             problems.add(
                 f"fwhm falls to {fwhm.min():g} nm", expected="a width above 0", code="value-out-of-range"
             )
-        check_choice(problems, "shape", self.shape, SHAPES)
+        one_of(self.shape, SHAPES, "shape", problems=problems)
         shift = None
         if self.wavelength_shift is not None:
             shift = finite_floats(self.wavelength_shift, "wavelength_shift", problems)
@@ -100,22 +102,22 @@ class BandSet:
 
     @classmethod
     def nano_hyperspec(cls) -> BandSet:
-        """Return the 272 bands of a Headwall Nano-Hyperspec as the simulator has it, without smile."""
+        """Return the 272 bands of the simulator's Headwall Nano-Hyperspec, without smile."""
         camera = SimulationSettings()
         wavelength = np.linspace(camera.first_wavelength, camera.last_wavelength, camera.bands)
         return cls(wavelength, np.full(camera.bands, camera.fwhm_nm), camera.srf_shape)
 
     @classmethod
     def of(cls, bands: Any = None) -> BandSet:
-        """Return anything with ``wavelength`` and ``fwhm`` as bands; None is the Nano-Hyperspec.
+        """Return the bands of an object with ``wavelength`` and ``fwhm``; None gives the Nano-Hyperspec.
 
-        A Dataset says the shape in its attribute ``srf_shape``, anything else in ``shape``. Of a simulated
-        imager come the smile and the slope of its responsivity, and not the elements' own factors.
+        The line shape is the attribute ``srf_shape`` of a Dataset, or ``shape`` of other objects. Smile and
+        responsivity of a simulated imager are used, but not its element factors.
 
         Raises
         ------
         SchemaError
-            ``wavelength`` or ``fwhm`` are missing, or no camera can have them.
+            ``wavelength`` or ``fwhm`` are missing or invalid.
         """
         if bands is None:
             return cls.nano_hyperspec()
@@ -148,7 +150,7 @@ class BandSet:
 
     @cached_property
     def reach(self) -> float:
-        """Distance from a band's own centre beyond which it does not respond [nm]."""
+        """Distance from the centre of a band beyond which it does not respond [nm]."""
         return (
             _GAUSSIAN_REACH * float(self.fwhm.max())
             if self.shape == "gaussian"
@@ -157,22 +159,22 @@ class BandSet:
 
     @property
     def _node_step(self) -> float:
-        # Distance of the nodes [nm]: sharper bands change faster with the shift.
-        widest, parts = _NODE_STEP[self.shape]
+        # distance of the nodes [nm]: products of sharper bands change faster with the shift
+        max_step, divisor = _NODE_STEP[self.shape]
         narrowest = float(self.fwhm.min())
         if self.shape == "slit":
             narrowest = min(narrowest, float(self.spacing.min()) * 3.0)
-        return min(widest, narrowest / parts)
+        return min(max_step, narrowest / divisor)
 
     @cached_property
     def nodes(self) -> Floats:
-        """Shifts at which products are made, shape (node,) [nm]: one without smile, at least four with it."""
+        """Shifts at which products are computed, shape (node,) [nm]: 0 without smile, else at least four."""
         if self.wavelength_shift is None:
             return np.zeros(1)
-        low, high = float(self.wavelength_shift.min()), float(self.wavelength_shift.max())
+        min_shift, max_shift = float(self.wavelength_shift.min()), float(self.wavelength_shift.max())
         step = self._node_step
-        cells = max(1, int(np.ceil((high - low) / step)))
-        return np.asarray(low + step * np.arange(-1, cells + 2), np.float64)
+        cells = max(1, int(np.ceil((max_shift - min_shift) / step)))
+        return np.asarray(min_shift + step * np.arange(-1, cells + 2), np.float64)
 
     def between_nodes(self) -> tuple[NDArray[np.int64], Floats]:
         """Return the position of columns among the nodes: first of four nodes, and the four weights.
@@ -181,22 +183,22 @@ class BandSet:
         -------
         first : (cross_track,)
         weight : (cross_track, 4)
-            Of Lagrange's cubic; each row sums to 1.
+            Weights of Lagrange's cubic; rows sum to 1.
 
         Raises
         ------
         SchemaError
-            The bands have no smile, and so one node.
+            The bands have no smile, and therefore a single node.
         """
         if self.wavelength_shift is None:
             raise SchemaError(
                 "bands without smile have one node",
-                mend="use the products of that node",
+                mend="use the products of this node",
                 code="smile-missing",
             )
-        place = (self.wavelength_shift - self.nodes[0]) / self._node_step
-        first = np.clip(np.floor(place).astype(np.int64) - 1, 0, self.nodes.size - 4)
-        return first, cubic_weights(place - first - 1)
+        node_position = (self.wavelength_shift - self.nodes[0]) / self._node_step
+        first = np.clip(np.floor(node_position).astype(np.int64) - 1, 0, self.nodes.size - 4)
+        return first, cubic_weights(node_position - first - 1)
 
     def lowest(self) -> float:
         """Return the lowest wavelength at which any element responds [nm]."""
@@ -207,8 +209,8 @@ class BandSet:
         return float(self.wavelength[-1] + self.nodes.max() + self.reach)
 
 
-_FACTOR_STEP_NM = 0.5  # nm between the points at which products of reflectances are taken
-_MAX_FINE_STEP_NM = 0.05  # nm at which responses are taken, or a hundredth of the sharpest
+_FACTOR_STEP_NM = 0.5  # step of the grid for products of reflectances
+_MAX_FINE_STEP_NM = 0.05  # maximum step of the grid for responses, else a hundredth of the narrowest band
 
 
 class BandResponses:
@@ -217,22 +219,22 @@ class BandResponses:
     Parameters
     ----------
     bands
-        Of the camera.
+        Bands of the camera.
     covered
-        First and last wavelength at which sources are known [nm]; responses end there.
+        First and last wavelength of the sources [nm]; responses are cut to this range.
     normalise
         Divide integrals by INT R d lambda, so that they are means over the response.
 
     Attributes
     ----------
     grid : (grid,)
-        Where factors are taken [nm].
+        Wavelengths of factors [nm].
     fine : (fine,)
-        Where sources are taken [nm].
+        Wavelengths of sources [nm].
     first_band : (grid,), int64
-        First of the bands that a grid point counts for.
+        First band to which a grid point contributes.
     width
-        How many they are.
+        Number of bands to which a grid point contributes.
     """
 
     def __init__(
@@ -242,25 +244,27 @@ class BandResponses:
         finest = min(_MAX_FINE_STEP_NM, float(bands.fwhm.min()) / 100.0)
         self._cell = max(1, round(_FACTOR_STEP_NM / finest))
         self._fine_step = _FACTOR_STEP_NM / self._cell
-        low = int(np.floor(bands.lowest() / _FACTOR_STEP_NM)) - 1
+        first_point = int(np.floor(bands.lowest() / _FACTOR_STEP_NM)) - 1
         nodes = bands.nodes
         starts = np.floor((bands.wavelength + nodes.min() - bands.reach) / _FACTOR_STEP_NM).astype(np.int64)
-        self._starts = starts - low
+        self._starts = starts - first_point
         self._cells = int(np.ceil((2 * bands.reach + np.ptp(nodes)) / _FACTOR_STEP_NM)) + 1
         points = int(self._starts[-1]) + self._cells + 2
-        self.grid: Floats = np.asarray((low + np.arange(points)) * _FACTOR_STEP_NM, np.float64)
+        self.grid: Floats = np.asarray((first_point + np.arange(points)) * _FACTOR_STEP_NM, np.float64)
         self.fine: Floats = np.asarray(
-            low * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step, np.float64
+            first_point * _FACTOR_STEP_NM + np.arange(points * self._cell) * self._fine_step, np.float64
         )
         self._inside = (self.fine >= covered[0]) & (self.fine <= covered[1])
-        # cells reach one point back and two points on, by the cubic
-        stops, places = self._starts + self._cells + 2, np.arange(points)
-        first = np.searchsorted(stops, places, side="right")
-        self.width = max(1, int((np.searchsorted(self._starts - 1, places, side="right") - first).max()))
-        self.first_band = np.clip(first, 0, starts.size - self.width)
+        # cubic interpolation in a cell uses one point before it and two points after it
+        stops, point_numbers = self._starts + self._cells + 2, np.arange(points)
+        first_band = np.searchsorted(stops, point_numbers, side="right")
+        self.width = max(
+            1, int((np.searchsorted(self._starts - 1, point_numbers, side="right") - first_band).max())
+        )
+        self.first_band = np.clip(first_band, 0, starts.size - self.width)
 
     def _responses(self, node: int) -> tuple[NDArray[np.int64], Floats]:
-        # Fine points of every band, and response x step there, both (band, point).
+        # numbers of the fine points of every band, and response x step at them, both (band, point)
         bands = self.bands
         points = self._starts[:, None] * self._cell + np.arange(self._cells * self._cell)
         offset = self.fine[points] - (bands.wavelength + bands.nodes[node])[:, None]
@@ -293,16 +297,16 @@ class BandResponses:
         for node in range(shape[1]):
             points, responses = self._responses(node)
             for number, spectrum in enumerate(sources):
-                lit = (responses * spectrum[points]).reshape(len(points), self._cells, self._cell)
-                spread = np.zeros(grid_points.shape)
-                # not a matrix product: the same bits whatever the threads of a BLAS
-                for place, part in enumerate(np.einsum("bcp,pj->jbc", lit, cubic)):
-                    spread[:, place : place + self._cells] += part
-                grid_weights[number, node, grid_points, band] = spread
+                weighted = (responses * spectrum[points]).reshape(len(points), self._cells, self._cell)
+                band_weights = np.zeros(grid_points.shape)
+                # einsum instead of a matrix product, whose bits depend on the threads of BLAS
+                for offset, cell_weights in enumerate(np.einsum("bcp,pj->jbc", weighted, cubic)):
+                    band_weights[:, offset : offset + self._cells] += cell_weights
+                grid_weights[number, node, grid_points, band] = band_weights
         return grid_weights
 
     def means(self, spectra: Floats) -> Floats:
-        # Band means of spectra on the fine grid, shape (spectrum, node, band).
+        # band means of spectra on the fine grid, shape (spectrum, node, band)
         band_means = np.empty((len(spectra), self.bands.nodes.size, self._starts.size))
         for node in range(band_means.shape[1]):
             points, responses = self._responses(node)
@@ -314,8 +318,8 @@ class BandResponses:
 def cell_means(wavelength: Floats, spectrum: Floats, grid: Floats) -> Floats:
     """Return the mean of a spectrum over the cells of an even grid; zero outside the spectrum.
 
-    The spectrum is taken as linear between its points, however finer or coarser than the grid they are, and
-    integrated exactly.
+    The spectrum is linear between its points, which may be finer or coarser than the grid, and is integrated
+    exactly.
 
     Parameters
     ----------
@@ -326,17 +330,17 @@ def cell_means(wavelength: Floats, spectrum: Floats, grid: Floats) -> Floats:
 
     Examples
     --------
-    >>> line = cell_means(np.array([0.0, 1.0, 1.01, 1.02, 5.0]), np.array([0, 0, 8.0, 0, 0]), np.arange(4.0))
-    >>> line.round(6)
+    >>> means = cell_means(np.array([0.0, 1.0, 1.01, 1.02, 5.0]), np.array([0, 0, 8.0, 0, 0]), np.arange(4.0))
+    >>> means.round(6)
     array([0.  , 0.08, 0.  , 0.  ])
     """
     step = grid[1] - grid[0]
     steps = np.diff(wavelength)
-    whole = np.concatenate([[0.0], np.cumsum(0.5 * (spectrum[1:] + spectrum[:-1]) * steps)])
+    cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (spectrum[1:] + spectrum[:-1]) * steps)])
     edges = np.concatenate([grid - step / 2, grid[-1:] + step / 2]).clip(wavelength[0], wavelength[-1])
     cell = np.clip(np.searchsorted(wavelength, edges, side="right") - 1, 0, wavelength.size - 2)
-    into = edges - wavelength[cell]
+    distance = edges - wavelength[cell]
     slope = (spectrum[cell + 1] - spectrum[cell]) / steps[cell]
-    integral = whole[cell] + into * (spectrum[cell] + 0.5 * slope * into)
+    integral = cumulative[cell] + distance * (spectrum[cell] + 0.5 * slope * distance)
     covered = np.diff(edges)
     return np.divide(np.diff(integral), covered, out=np.zeros_like(grid), where=covered > 1e-9 * step)

@@ -1,9 +1,9 @@
-"""Parametric cars that look like cars from above at pixels of a centimetre and more.
+"""Parametric cars, realistic from above for pixels of a centimetre and more.
 
-A body is one lofted sheet: cross sections at stations along its length, each from the left sill over flank,
-belt, window, roof rail and roof to the right sill. Bonnet, windscreen, roof, rear window and boot are
-stretches of the sheet; seams are cells a centimetre wide. Lengths are fractions of the car's length from its
-nose, heights metres above the ground.
+A body is a lofted sheet: cross sections at stations along its length, from the left sill over flank, belt,
+window, roof rail and roof to the right sill. Bonnet, windscreen, roof, rear window and boot are ranges of
+stations; seams are cells a centimetre wide. Positions along the car are fractions of its length from the
+nose, heights are metres above the ground.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from .primitives import Mesh, cuboid, lattice, polygon, put_together, smoothed, 
 
 Words = NDArray[np.object_]
 
-_CREASE = 38.0  # what bends by more is an edge [degree]
-_SEAM = 0.009  # width of a gap between body parts [m]
-_SILL = 0.19  # height of the lower edge of the body [m]
-_WHEEL = (0.315, 0.20)  # radius and width [m]
-_SIDES = 10  # of a wheel
+_CREASE_DEG = 38.0  # angle above which an edge is not smoothed
+_SEAM_M = 0.009  # width of a gap between body parts
+_SILL_M = 0.19  # height of the lower edge of the body
+_WHEEL_M = (0.315, 0.20)  # radius and width
+_WHEEL_SIDES = 10
 
 
 @dataclass(frozen=True)
 class CarShape:
-    """Proportions of a type of car; fractions of its length count from the nose, heights in metres.
+    """Proportions of a type of car: positions as fractions of its length from the nose, heights in metres.
 
     Attributes
     ----------
     length, width, height
-        Shortest and longest, narrowest and widest, lowest and highest [m].
+        Minimum and maximum dimensions [m].
     cowl, windscreen_top, roof_end, rear_base
-        Where windscreen, roof and rear window begin and end.
+        Positions at which windscreen, roof and rear window begin and end.
     edge
         Height of the shoulder: (fraction, metres) from nose to tail.
     roof_share
         Half width of the roof as a share of the half width of the car.
     pillars
-        Where the side windows are interrupted or end: (from, to).
+        Ranges of the pillars between side windows: (from, to).
     doors
-        Where the vertical seams of the doors are.
+        Positions of the vertical seams of the doors.
     bed
-        Where a cargo bed begins and ends; None for a closed car.
+        Start and end of a cargo bed; None for a closed car.
     rails
-        Whether it may carry roof rails.
+        Whether the car may have roof rails.
     """
 
     length: tuple[float, float]
@@ -66,7 +66,7 @@ class CarShape:
     rails: bool = False
 
 
-#: The kinds of car there are.
+#: Types of cars.
 CAR_TYPES: dict[str, CarShape] = {
     "sedan": CarShape(
         (4.45, 4.75), (1.78, 1.86), (1.42, 1.47), 0.285, 0.42, 0.68, 0.835,
@@ -111,19 +111,18 @@ _PLAN = (
     (0.0, 0.70), (0.006, 0.80), (0.02, 0.885), (0.05, 0.945), (0.12, 0.985), (0.25, 1.0),
     (0.75, 1.0), (0.88, 0.985), (0.95, 0.945), (0.98, 0.89), (0.994, 0.81), (1.0, 0.72),
 )  # fmt: skip
-#: How far the middle of a section lies before its ends, as a share of the length.
+#: Distance of the middle of a section ahead of its ends: position, distance, as fractions of the length.
 _BOW = ((0.0, 0.026), (0.25, 0.020), (0.45, 0.006), (0.60, 0.0), (0.85, -0.010), (1.0, -0.020))
 
-#: Columns of a half section from the sill to the middle. Cells lie between them: flank (3), shoulder, window,
-#: seam, rail, and two of the top.
+#: Cells of a half section from the sill to the middle: flank (3), shoulder, window, seam, rail, and top (2).
 _FLANK, _SHOULDER, _WINDOW, _DITCH, _RAIL, _TOP = range(3), 3, 4, 5, 6, range(7, 9)
 _COLUMNS = 10
 
 
 def car_body(kind: str, rng: np.random.Generator) -> Mesh:
-    """Return a car that stands on the ground around the origin, its nose to the north.
+    """Return a car on the ground around the origin, with its nose to the north.
 
-    It is of one of `CAR_TYPES`; ``rng`` chooses its size and what it has on its roof. Surfaces are "paint",
+    ``kind`` is one of `CAR_TYPES`; ``rng`` chooses size, sunroof and roof rails. Surfaces are "paint",
     "glass", "trim", "tyre", "rim", "lamp", "tail_lamp" and "plate".
 
     Examples
@@ -139,7 +138,7 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
     sections = _sections(shape, stations, length, width, height)
     surface, part = _cells(shape, 0.5 * (stations[1:] + stations[:-1]), length, sunroof=sunroof)
     shell = lattice(sections, surface, part)
-    # a floor between the sills, so that no light comes up through the car
+    # a floor between the sills blocks light from below
     rows = np.unique(np.linspace(0, len(sections) - 1, 8).astype(int))
     floor_cells = (len(rows) - 1, 1)
     floor = lattice(
@@ -147,34 +146,36 @@ def car_body(kind: str, rng: np.random.Generator) -> Mesh:
         np.full(floor_cells, "trim", object),
         np.full(floor_cells, "underbody", object),
     )
-    pieces = [smoothed(put_together([shell]), _CREASE), *_ends(sections), floor, *_wheels(length, width)]
+    pieces = [smoothed(put_together([shell]), _CREASE_DEG), *_ends(sections), floor, *_wheels(length, width)]
     # mirrors
     station = shape.cowl + 0.45 * (shape.windscreen_top - shape.cowl)
     mirror_height = float(_profile(np.array(station), shape.edge)) + 0.01
     mirror = cuboid((0.17, 0.08, 0.12), "paint", "mirror")
     for side in (-1, 1):
-        at = (side * (0.5 * width + 0.045), length * (0.5 - station), mirror_height)
-        pieces.append(mirror.shifted(at))
-    # number plates, and the dark grille over the front one
+        offset = (side * (0.5 * width + 0.045), length * (0.5 - station), mirror_height)
+        pieces.append(mirror.shifted(offset))
+    # number plates, and the dark grille above the front plate
     nose, tail = sections[0, :, 1].max() + 0.004, sections[-1, :, 1].min() - 0.004
-    for place, side, low, (half, tall), word in (
+    for y, side, base, (half_width, plate_height), word in (
         (nose, -1, 0.34, (0.26, 0.11), "plate"),
         (tail, 1, 0.44, (0.26, 0.11), "plate"),
         (nose, -1, 0.47, (0.40, 0.07), "trim"),
     ):
-        corners = [(side * half * x, place, low + tall * z) for x, z in ((-1, 0), (1, 0), (1, 1), (-1, 1))]
+        corners = [
+            (side * half_width * x, y, base + plate_height * z) for x, z in ((-1, 0), (1, 0), (1, 1), (-1, 1))
+        ]
         pieces.append(polygon(corners, word, "plate" if word == "plate" else "bumper"))
     if rails and shape.rails:
         begin, end = shape.windscreen_top + 0.04, shape.roof_end - 0.04
         rail = cuboid((0.035, (end - begin) * length, 0.05), "rim", "")
-        middle, aside = 0.5 - 0.5 * (begin + end), shape.roof_share * 0.5 * width - 0.03
-        pieces += [rail.shifted((side * aside, middle * length, height - 0.075)) for side in (-1, 1)]
+        y, x = (0.5 - 0.5 * (begin + end)) * length, shape.roof_share * 0.5 * width - 0.03
+        pieces += [rail.shifted((side * x, y, height - 0.075)) for side in (-1, 1)]
     return put_together(pieces)
 
 
 def _stations(shape: CarShape, length: float) -> Floats:
-    # From nose (0) to tail (1).
-    gap = _SEAM / length
+    # stations of sections, from nose (0) to tail (1)
+    gap = _SEAM_M / length
     seams = [0.045, *shape.doors, *(() if shape.bed else (_boot_seam(shape),))]
     bends = [0.0, 0.006, 0.02, 0.085, 0.16, shape.cowl - 0.018, 0.96, 0.982, 0.994, 1.0]
     glass = [shape.cowl, 0.5 * (shape.cowl + shape.windscreen_top), shape.windscreen_top]
@@ -187,44 +188,46 @@ def _stations(shape: CarShape, length: float) -> Floats:
 
 
 def _boot_seam(shape: CarShape) -> float:
-    # The boot lid meets the bumper here.
+    # position of the seam between boot lid and bumper
     return 0.972 if shape.rear_base < 0.9 else 0.988
 
 
 def _sections(shape: CarShape, stations: Floats, length: float, width: float, height: float) -> Floats:
-    # Left sill to right sill, shape (station, column, 3) [m].
-    half = 0.5 * width * _profile(stations, _PLAN)
+    # points of the sections from left to right sill, shape (station, column, 3) [m]
+    half_width = 0.5 * width * _profile(stations, _PLAN)
     edge = _profile(stations, shape.edge)
-    rise = edge - _SILL
-    # rise of a section from deck (0) to roof (1)
+    rise = edge - _SILL_M
+    # height of a section between deck (0) and roof (1)
     front = np.clip((stations - shape.cowl) / (shape.windscreen_top - shape.cowl), 0.0, 1.0)
     back = np.clip((shape.rear_base - stations) / (shape.rear_base - shape.roof_end), 0.0, 1.0)
-    raised = np.asarray((1 - (1 - front) ** 1.2) * (1 - (1 - back) ** 1.2))
+    roof_share = np.asarray((1 - (1 - front) ** 1.2) * (1 - (1 - back) ** 1.2))
     flank = [
-        (0.945 * half, np.full_like(half, _SILL)),
-        (1.0 * half, _SILL + 0.33 * rise),
-        (0.995 * half, _SILL + 0.78 * rise),
-        (0.965 * half, edge - 0.02),
-        (0.905 * half, edge + 0.004),
+        (0.945 * half_width, np.full_like(half_width, _SILL_M)),
+        (1.0 * half_width, _SILL_M + 0.33 * rise),
+        (0.995 * half_width, _SILL_M + 0.78 * rise),
+        (0.965 * half_width, edge - 0.02),
+        (0.905 * half_width, edge + 0.004),
     ]
     roof = shape.roof_share * 0.5 * width
-    along = np.clip((stations - shape.windscreen_top) / (shape.roof_end - shape.windscreen_top), 0.0, 1.0)
-    top = height - 0.035 * (2 * along - 1) ** 2 - 0.01
-    seam = _SEAM / 0.905
+    roof_position = np.clip(
+        (stations - shape.windscreen_top) / (shape.roof_end - shape.windscreen_top), 0.0, 1.0
+    )
+    top = height - 0.035 * (2 * roof_position - 1) ** 2 - 0.01
+    seam = _SEAM_M / 0.905
     inner = []
     for share, inset, drop in (
         (0.86, 0.0, 0.10),
-        (0.86 - seam, _SEAM, 0.094),
+        (0.86 - seam, _SEAM_M, 0.094),
         (0.78, 0.075, 0.045),
         (0.40, 0.5 * roof, 0.010),
         (0.0, roof, 0.0),
     ):
-        low = edge + 0.004 + 0.05 * (1 - (share / 0.9) ** 2) * np.clip(rise / 0.5, 0, 1)
-        across = share * half + raised * (roof - inset - share * half)
-        inner.append((across, low + raised * (top - drop - low)))
+        deck = edge + 0.004 + 0.05 * (1 - (share / 0.9) ** 2) * np.clip(rise / 0.5, 0, 1)
+        half_span = share * half_width + roof_share * (roof - inset - share * half_width)
+        inner.append((half_span, deck + roof_share * (top - drop - deck)))
     if shape.bed:
-        within = (stations > shape.bed[0]) & (stations <= shape.bed[1])
-        inner[1:] = [(x, np.where(within, 0.72, z)) for x, z in inner[1:]]
+        in_bed = (stations > shape.bed[0]) & (stations <= shape.bed[1])
+        inner[1:] = [(x, np.where(in_bed, 0.72, z)) for x, z in inner[1:]]
     x, z = (np.stack([point[axis] for point in flank + inner], axis=1) for axis in (0, 1))
     x, z = np.concatenate([-x, x[:, -2::-1]], axis=1), np.concatenate([z, z[:, -2::-1]], axis=1)
     bow = _profile(stations, _BOW)[:, None] * (1 - (x / (0.5 * width)) ** 2)
@@ -237,14 +240,14 @@ def _profile(stations: Floats, points: tuple[tuple[float, float], ...]) -> Float
 
 
 def _cells(shape: CarShape, middles: Floats, length: float, *, sunroof: bool) -> tuple[Words, Words]:
-    # Surface and body part of every cell of the sheet, shape (station - 1, column - 1).
-    half = _COLUMNS - 1
-    surface = np.full((len(middles), half), "paint", object)
-    part = np.full((len(middles), half), "", object)
+    # surface and body part of every cell of the sheet, shape (station - 1, column - 1)
+    half_columns = _COLUMNS - 1
+    surface = np.full((len(middles), half_columns), "paint", object)
+    part = np.full((len(middles), half_columns), "", object)
 
-    def mark(rows: NDArray[np.bool_], columns: int | range, word: str, of: str) -> None:
-        chosen = np.ix_(rows, np.atleast_1d(columns))
-        surface[chosen], part[chosen] = word, of
+    def mark(rows: NDArray[np.bool_], columns: int | range, word: str, part_name: str) -> None:
+        cells = np.ix_(rows, np.atleast_1d(columns))
+        surface[cells], part[cells] = word, part_name
 
     _mark_top(shape, middles, length, mark, sunroof=sunroof)
     _mark_flank(shape, middles, length, mark)
@@ -255,85 +258,89 @@ Mark = Callable[[NDArray[np.bool_], "int | range", str, str], None]
 
 
 def _mark_top(shape: CarShape, s: Floats, length: float, mark: Mark, *, sunroof: bool) -> None:
-    lid, nose, gap = _boot_seam(shape), 0.045, _SEAM / length
-    front, glazed = s < shape.cowl, (s > shape.cowl) & (s < shape.windscreen_top)
-    roofed = (s > shape.windscreen_top) & (s < shape.roof_end)
-    behind, rear = s > shape.rear_base, (s > shape.roof_end) & (s < shape.rear_base)
-    middle = range(_DITCH, _TOP.stop)
-    for rows, name in ((front, "bonnet"), (roofed, "roof"), (behind, "boot")):
-        mark(rows, middle, "paint", name)
+    lid, nose, gap = _boot_seam(shape), 0.045, _SEAM_M / length
+    at_bonnet, at_windscreen = s < shape.cowl, (s > shape.cowl) & (s < shape.windscreen_top)
+    at_roof = (s > shape.windscreen_top) & (s < shape.roof_end)
+    at_boot, at_rear_window = s > shape.rear_base, (s > shape.roof_end) & (s < shape.rear_base)
+    centre_columns = range(_DITCH, _TOP.stop)
+    for rows, name in ((at_bonnet, "bonnet"), (at_roof, "roof"), (at_boot, "boot")):
+        mark(rows, centre_columns, "paint", name)
         mark(rows, _DITCH, "trim", "seam")
-    mark(glazed | rear, range(_DITCH, _TOP.start), "paint", "pillar")
-    mark(glazed, _TOP, "glass", "windscreen")
-    mark(rear, _TOP, "glass", "rear_window")
-    mark(front & (s > shape.cowl - 0.018), range(_DITCH, _TOP.stop), "trim", "seam")  # wipers lie here
-    mark((s < nose) | (s > lid), middle, "paint", "bumper")
-    mark(_between(s, nose, nose + gap), middle, "trim", "seam")
+    mark(at_windscreen | at_rear_window, range(_DITCH, _TOP.start), "paint", "pillar")
+    mark(at_windscreen, _TOP, "glass", "windscreen")
+    mark(at_rear_window, _TOP, "glass", "rear_window")
+    # the recess of the wipers
+    mark(at_bonnet & (s > shape.cowl - 0.018), range(_DITCH, _TOP.stop), "trim", "seam")
+    mark((s < nose) | (s > lid), centre_columns, "paint", "bumper")
+    mark(_is_between(s, nose, nose + gap), centre_columns, "trim", "seam")
     if sunroof and not shape.bed:
         quarter = (shape.roof_end - shape.windscreen_top) / 2
-        mark(_between(s, shape.windscreen_top + 0.03, shape.windscreen_top + quarter), _TOP, "glass", "roof")
-    if shape.bed:
-        mark(_between(s, *shape.bed), middle, "trim", "bed")
         mark(
-            _between(s, shape.bed[0], shape.bed[0] + gap) | _between(s, shape.bed[1], 1.0),
-            middle,
+            _is_between(s, shape.windscreen_top + 0.03, shape.windscreen_top + quarter), _TOP, "glass", "roof"
+        )
+    if shape.bed:
+        mark(_is_between(s, *shape.bed), centre_columns, "trim", "bed")
+        mark(
+            _is_between(s, shape.bed[0], shape.bed[0] + gap) | _is_between(s, shape.bed[1], 1.0),
+            centre_columns,
             "paint",
             "bed",
         )
     else:
-        mark(_between(s, lid, lid + gap), middle, "trim", "seam")
+        mark(_is_between(s, lid, lid + gap), centre_columns, "trim", "seam")
 
 
 def _mark_flank(shape: CarShape, s: Floats, length: float, mark: Mark) -> None:
-    gap = _SEAM / length
-    cabin, flank = _between(s, shape.cowl, shape.rear_base), range(_FLANK.start, _SHOULDER + 1)
+    gap = _SEAM_M / length
+    cabin, flank = _is_between(s, shape.cowl, shape.rear_base), range(_FLANK.start, _SHOULDER + 1)
     mark(np.ones(len(s), bool), range(_FLANK.start, _WINDOW + 1), "paint", "wing")
-    mark(_between(s, shape.doors[0], shape.doors[-1]), flank, "paint", "door")
+    mark(_is_between(s, shape.doors[0], shape.doors[-1]), flank, "paint", "door")
     mark((s < 0.045) | (s > 0.972), range(_FLANK.start, _WINDOW + 1), "paint", "bumper")
     mark(cabin, _WINDOW, "paint", "pillar")
-    opened = cabin & (s > shape.cowl + 0.3 * (shape.windscreen_top - shape.cowl))
+    at_window = cabin & (s > shape.cowl + 0.3 * (shape.windscreen_top - shape.cowl))
     for begin, end in shape.pillars:
-        opened &= ~_between(s, begin, end)
-    mark(opened, _WINDOW, "glass", "side_window")
+        at_window &= ~_is_between(s, begin, end)
+    mark(at_window, _WINDOW, "glass", "side_window")
     for door in shape.doors:
-        mark(_between(s, door, door + gap), flank, "trim", "seam")
-    mark(_between(s, 0.006, 0.085), range(_SHOULDER, _WINDOW + 1), "lamp", "lamp")
-    mark(_between(s, 0.96, 0.994), range(_FLANK.stop - 1, _SHOULDER + 1), "tail_lamp", "lamp")
+        mark(_is_between(s, door, door + gap), flank, "trim", "seam")
+    mark(_is_between(s, 0.006, 0.085), range(_SHOULDER, _WINDOW + 1), "lamp", "lamp")
+    mark(_is_between(s, 0.96, 0.994), range(_FLANK.stop - 1, _SHOULDER + 1), "tail_lamp", "lamp")
 
 
-def _between(s: Floats, begin: float, end: float) -> NDArray[np.bool_]:
+def _is_between(s: Floats, begin: float, end: float) -> NDArray[np.bool_]:
     return np.asarray((s > begin) & (s < end))
 
 
 def _ends(sections: Floats) -> list[Mesh]:
-    # Two sheets close the body at nose and tail.
+    # sheets that close the body at nose and tail
     sheets = []
     for row, order in ((0, 1), (-1, -1)):
         left, right = sections[row, :_COLUMNS], sections[row, : _COLUMNS - 2 : -1]
         points = np.stack([left, right], axis=1)[::order]
         cells = (len(points) - 1, 1)
         sheet = lattice(points, np.full(cells, "paint", object), np.full(cells, "bumper", object))
-        sheets.append(smoothed(sheet, _CREASE))  # where left meets right, cells are triangles
+        sheets.append(smoothed(sheet, _CREASE_DEG))  # cells next to the centre line are triangles
     return sheets
 
 
 def _wheels(length: float, width: float) -> list[Mesh]:
-    radius, thick = _WHEEL
-    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    radius, wheel_width = _WHEEL_M
+    angle = 2 * np.pi * np.arange(_WHEEL_SIDES) / _WHEEL_SIDES
     pieces = []
     for side in (-1, 1):
-        outside = side * (0.5 * width + 0.006)
-        rim = np.stack([np.zeros(_SIDES), side * np.cos(angle), np.sin(angle)], axis=1)
+        x = side * (0.5 * width + 0.006)
+        rim = np.stack([np.zeros(_WHEEL_SIDES), side * np.cos(angle), np.sin(angle)], axis=1)
         for axle in (0.5 - 0.185, 0.5 - 0.80):
-            hub = np.array([outside, axle * length, radius])
-            back = hub - (side * thick, 0, 0)
-            tread = tube(back, hub, (radius, radius), "tyre", sides=_SIDES, part="wheel", closed=False)
+            hub = np.array([x, axle * length, radius])
+            back = hub - (side * wheel_width, 0, 0)
+            tread = tube(back, hub, (radius, radius), "tyre", sides=_WHEEL_SIDES, part="wheel", closed=False)
             arch = hub - (side * 0.003, 0, 0) + 1.17 * radius * rim
-            arch[:, 2] = np.maximum(arch[:, 2], _SILL)
+            arch[:, 2] = np.maximum(arch[:, 2], _SILL_M)
             pieces += [
                 smoothed(tread),
                 polygon(hub + radius * rim, "tyre", "wheel"),
                 polygon(hub + (side * 0.004, 0, 0) + 0.62 * radius * rim, "rim", "wheel"),
-                smoothed(polygon(arch, "trim", "wing"), 1.0),  # what is cut off below leaves empty triangles
+                # smoothing drops the triangles without area that clipping at the sill leaves
+                smoothed(polygon(arch, "trim", "wing"), 1.0),
             ]
     return pieces

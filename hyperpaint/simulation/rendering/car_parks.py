@@ -13,17 +13,17 @@ few overlapping blobs and turned any way around facing outwards. Leaves are Lamb
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import Fact, Spelling, argument_facts, as_argument, check_values
 from hyperpaint.simulation.paint_spectra import PANELS
-from hyperpaint.simulation.setting_checks import check_choice, check_number, check_whole
-from hyperpaint.simulation.settings import FLEETS
+from hyperpaint.simulation.settings import FLEETS, MAX_SEED
 
 from .car_bodies import CAR_TYPES, car_body
 from .materials import Coat, Material
@@ -34,6 +34,10 @@ from .scene_spectra import FOURTEEN, fleet_names, is_paint, paint_spec
 #: Length and width of a bay [m].
 BAY = (5.0, 2.5)
 
+#: Maximum number of rows of bays.
+MAX_ROWS = 199
+
+_ROUNDING_M = 1e-9  # by which a width may be too small for its rows
 _GRASS, _KERB, _GUTTER = 1.0, 0.3, 0.1  # widths of what lies west of the first row [m]
 _AISLE, _WIDEST_AISLE = 4.5, 6.5
 _KERB_HEIGHT, _LAWN = 0.12, 0.10  # above the asphalt [m]
@@ -104,12 +108,7 @@ class Layout:
 def strips_across(
     length: float, width: float, rows: int | None, *, margin: float, line_width: float, islands: bool
 ) -> Layout:
-    """Return the layout of rows and aisles.
-
-    Raises
-    ------
-    SchemaError
-        The rows do not fit into the width.
+    """Return the layout of ``rows`` of bays, as many as fit by default, and of aisles.
 
     Examples
     --------
@@ -118,15 +117,7 @@ def strips_across(
     [(-6.6, -1.6), (2.9, 7.9), (-1.6, 2.9)]
     """
     edge = _GRASS + _KERB + _GUTTER
-    most = max((n for n in range(1, 200) if _least_width(n) <= width + 1e-9), default=0)
-    wanted = most if rows is None else rows
-    if not 1 <= wanted <= most:
-        least = _least_width(max(wanted, 1))
-        raise SchemaError(
-            f"the car park is {width:g} m wide",
-            expected=f"{least:.1f} m or more for {max(wanted, 1)} rows of bays",
-            code="car-park-too-narrow",
-        )
+    wanted = rows or max(n for n in range(1, MAX_ROWS + 1) if _least_width(n) <= width + _ROUNDING_M)
     aisles = (wanted + 1) // 2
     aisle = min(_AISLE + (width - _least_width(wanted)) / aisles, _WIDEST_AISLE) if wanted < 4 else _AISLE
     west, row_ends, aisle_ends = edge - 0.5 * width, [], []
@@ -294,39 +285,25 @@ def car_park(
 
     Parameters
     ----------
-    length, width
-        Of the park along y and x [m]; 16 m hold two rows and an aisle, 32 m four rows and two aisles.
+    length
+    width
     rows
-        Number of rows of bays; as many as fit unless given.
     occupancy
-        Share of the bays that are taken.
     paints
-        Names of spectra, each used once before any is used again; those of the ``fleet`` unless given.
     fleet
-        "solid": the fourteen paints of the catalogue in equal numbers, on clean uniform ground. "real":
-        colours, finishes, age and dust in the shares of a fleet (`hyperpaint.simulation.rendering.fleet`), on
-        asphalt, concrete, lines and lawns that are worn.
     types
-        Which `CAR_TYPES` there are; all unless given.
     seed
-        Of all random numbers.
     neighbours
-        Which of `NEIGHBOURS` there are.
     panels
-        Whether grey panels lie in the first aisle, one row of them every 30 m.
     islands
-        Whether kerbed islands with grass take the place of every tenth bay or so.
     coat
         Clear coat of all paints; "own" for what the catalogue says of each (``Coat()`` of paints it does not
         know), None for Lambert paints.
     flakes
         Whether paints have the metal flakes that the catalogue says; without a coat there are none.
     line_width
-        Of the lines between bays [m].
     leaves
-        Of every tree.
     margin
-        How far the ground goes on around the park [m].
     name
         Of the scene.
 
@@ -348,6 +325,14 @@ def car_park(
     >>> sorted({one.kind for one in park.instances})
     ['car', 'ground', 'panel']
     """
+    values = {
+        "length": length, "width": width, "rows": rows, "occupancy": occupancy, "paints": paints,
+        "fleet": fleet, "types": types, "seed": seed, "neighbours": neighbours, "panels": panels,
+        "islands": islands, "line_width": line_width, "leaves": leaves, "margin": margin,
+    }  # fmt: skip
+    problems = Problems("the car park cannot be laid out", SchemaError)
+    note_car_park_faults(values, problems)
+    problems.raise_if_any()
     if paints is None:
         first = int(np.random.default_rng([seed, _PAINTS]).integers(0, 10**8)) if fleet == "real" else 0
         paints = fleet_names(first, _FLEET_SIZE) if fleet == "real" else FOURTEEN
@@ -360,20 +345,6 @@ def car_park(
         flakes,
         _WORN if fleet == "real" else _SURROUNDINGS,
     )
-    problems = Problems("the car park cannot be laid out", SchemaError)
-    check_number(problems, "occupancy", occupancy, 0.0, 1.0)
-    check_choice(problems, "fleet", fleet, FLEETS)
-    check_number(problems, "length", length, 0.0, 10_000.0, above=True)
-    check_number(problems, "line_width", line_width, 0.02, 1.0)
-    check_number(problems, "margin", margin, 0.0, 10_000.0)
-    check_whole(problems, "leaves", leaves, 0, 100_000)
-    check_whole(problems, "seed", seed, 0)
-    for what, names, allowed in (("neighbours", neighbours, NEIGHBOURS), ("types", chosen.types, CAR_TYPES)):
-        for name_in_list in names:
-            check_choice(problems, what, name_in_list, allowed)
-    if not chosen.paints or not chosen.types:
-        problems.add("paints or types are empty", expected="at least one name of each", code="empty-input")
-    problems.raise_if_any()
     layout = strips_across(length, width, rows, margin=margin, line_width=line_width, islands=islands)
     ground = put_together([paved(layout), *worn(layout, seed)])
     things = [ground.scene(chosen.surroundings, Instance("ground", "ground"))]
@@ -387,6 +358,81 @@ def car_park(
     if "lamps" in neighbours:
         things += _lamps(layout)
     return Scene.join(things, name)
+
+
+_LENGTH: dict[str, Any] = {"kind": "number", "unit": "m", "scale": 1.0, "most": 10_000.0}
+
+#: Facts of the arguments of `car_park`; ``key`` is the spelling in ``[scene]`` of a ``scene.toml``.
+CAR_PARK = argument_facts(
+    car_park,
+    (
+        Fact(
+            name="length", key="length_m", **_LENGTH, least=0.0, above=True,
+            doc="length of the car park, northwards from y = 0",
+        ),
+        Fact(
+            name="width", key="width_m", **_LENGTH, least=0.0, above=True,
+            doc="width of the car park; 16 m hold two rows of cars and an aisle, 32 m four rows",
+        ),
+        Fact(name="rows", kind="whole", least=1, most=MAX_ROWS,
+             doc="number of rows of parking bays; by default all that fit"),
+        Fact(name="occupancy", kind="number", least=0.0, most=1.0,
+             doc="share of the parking bays with a car"),
+        Fact(
+            name="paints", kind="words",
+            doc="names of the paint spectra of the cars, instead of the spectra of the fleet; every spectrum "
+            "is used once before one is used again",
+        ),
+        Fact(
+            name="fleet", kind="choice", choices=FLEETS,
+            doc="paints of the cars and state of the ground; real: colours, finishes, age and dust as in "
+            "real car parks, on worn ground; solid: fourteen non-metallic paints in equal numbers, on clean "
+            "ground",
+        ),
+        Fact(name="types", kind="words", choices=tuple(CAR_TYPES),
+             doc="types of cars in the scene; by default all types"),
+        Fact(name="seed", kind="whole", least=0, most=MAX_SEED,
+             doc="seed of the random numbers for cars, paints, positions and trees"),
+        Fact(
+            name="neighbours", kind="words", choices=NEIGHBOURS,
+            doc="objects around the car park; [] for none",
+        ),
+        Fact(name="panels", kind="flag",
+             doc="whether grey panels of known reflectance lie every 30 m along an aisle"),
+        Fact(name="islands", kind="flag",
+             doc="whether kerbed islands with grass replace about every tenth bay"),
+        Fact(
+            name="line_width", key="line_width_m", **_LENGTH | {"most": 1.0}, least=0.02,
+            doc="width of the painted lines between parking bays",
+        ),
+        Fact(name="leaves", kind="whole", least=0, most=100_000, doc="number of leaves of a tree"),
+        Fact(
+            name="margin", key="margin_m", **_LENGTH, least=0.0,
+            doc="width of the strip of ground around the car park",
+        ),
+    ),
+)  # fmt: skip
+
+
+def note_car_park_faults(
+    values: Mapping[str, Any], problems: Problems, spelled: Spelling = as_argument
+) -> None:
+    before = len(problems)
+    check_values(CAR_PARK, values, problems, spelled)
+    for name in ("paints", "types"):
+        if values[name] is not None and not values[name]:
+            problems.add(spelled(name, values[name]), expected="at least one name", code="empty-input")
+    if len(problems) > before:
+        return
+    rows = values["rows"] or 1
+    least = _least_width(rows)
+    if values["width"] + _ROUNDING_M < least:
+        problems.add(
+            spelled("width", values["width"]),
+            expected=f"{least:.1f} m or more for {rows} rows of bays",
+            mend="make it wider, or take fewer rows",
+            code="car-park-too-narrow",
+        )
 
 
 @dataclass(frozen=True)

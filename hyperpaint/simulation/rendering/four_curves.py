@@ -1,8 +1,8 @@
 """The light on a scene, and the air before the camera, as four spectra.
 
-They are those of DIRSIG5's FourCurveAtmosphere: sunlight and skylight at the ground, extinction and path
-radiance per metre. Wherever they come from (the simulator's own sky, SPECTRL2, a spectrometer, MODTRAN or
-libRadtran in a table), a renderer needs nothing else.
+The spectra are those of DIRSIG5's FourCurveAtmosphere: sunlight and skylight at the ground, extinction and
+path radiance per metre. Their sources are the sky of the simulator, SPECTRL2, a spectrometer, or tables of
+MODTRAN or libRadtran.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ import xarray as xr
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.facts import check_values, one_of
 from hyperpaint.base.units import convert
 from hyperpaint.simulation.atmosphere import spectral_grid
-from hyperpaint.simulation.setting_checks import check_number
 
 from .sky_models import (
     CIE_OVERCAST_SHARE,
     HAZE,
+    SKY,
     Haze,
     Spread,
     built_in_sky,
@@ -47,12 +48,10 @@ _SHARES = {
     "aureole": ("1", "Share of skylight that is spread around the sun, as aerosol scatters it"),
 }
 _NUMBERS = {
-    "sun_zenith": ("degree", "Angle between the sun and the vertical"),
-    "sun_azimuth": ("degree", "Direction of the sun, clockwise from north"),
-    "overcast_share": ("1", "Share of skylight whose radiance goes with the cosine of the zenith angle"),
+    name: (SKY[name].unit or "1", SKY[name].doc.capitalize())
+    for name in ("sun_zenith", "sun_azimuth", "overcast_share")
 }
-_RANGE = (340.0, 1100.0)  # nm, of the built-in sky
-_MAX_SUN_ZENITH_DEG = 89.0  # degree; below, neither air mass nor four curves mean much
+_RANGE_NM = (340.0, 1100.0)  # wavelengths of the built-in sky
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,27 +61,27 @@ class Atmosphere:
     Attributes
     ----------
     wavelength
-        Increasing, fine enough for the narrowest band that will look at it, shape (wavelength,) [nm].
+        Increasing wavelengths, with steps much finer than the narrowest band, shape (wavelength,) [nm].
     sun
         Direct irradiance at the ground on a surface normal to the beam, shape (wavelength,) [W m-2 nm-1].
     sky
         Diffuse irradiance of a level surface, shape (wavelength,) [W m-2 nm-1].
     extinction
-        Of the air near the ground, shape (wavelength,) [m-1].
+        Extinction of the air near the ground, shape (wavelength,) [m-1].
     path_radiance
-        What a metre of air adds, shape (wavelength,) [W m-2 sr-1 nm-1 m-1].
+        Radiance added by a metre of air, shape (wavelength,) [W m-2 sr-1 nm-1 m-1].
     sun_zenith, sun_azimuth
-        Where the sun stands: from the vertical, and clockwise from north [degree].
+        Zenith angle and azimuth of the sun, clockwise from north [degree].
     overcast_share
-        Share of the diffuse irradiance whose radiance goes with the cosine of the zenith angle: 0 to 1, 4/7
-        for a CIE overcast sky (see `sky_models`).
+        Share of the diffuse irradiance whose radiance is proportional to the cosine of the zenith angle: 0 to
+        1, 4/7 for a CIE overcast sky (see `sky_models`).
     name
-        What to call it.
+        Name of the atmosphere.
     haze
-        What the third and fourth curve were made from; None where they were given.
+        Source of extinction and path radiance; None if these were passed.
     molecular, aureole
-        Shares of the diffuse irradiance that are spread as the functions of a clear sky
-        (`hyperpaint.light.sky_functions`), shape (wavelength,) [1]; None for none. The rest is uniform.
+        Shares of the diffuse irradiance that are distributed like the functions of a clear sky
+        (`hyperpaint.light.sky_functions`), shape (wavelength,) [1]; None for 0. The rest is uniform.
 
     Raises
     ------
@@ -107,7 +106,7 @@ class Atmosphere:
     overcast_share: float = 0.0
     name: str = ""
     haze: Haze | None = None
-    molecular: Floats = None  # type: ignore[assignment]  # an array once it is there
+    molecular: Floats = None  # type: ignore[assignment]  # None becomes zeros
     aureole: Floats = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
@@ -116,22 +115,15 @@ class Atmosphere:
                 object.__setattr__(self, name, np.zeros(np.shape(self.wavelength)))
         for name in ("wavelength", *_CURVES, *_SHARES):
             array = np.array(getattr(self, name), dtype=np.float64)
-            array.setflags(write=False)  # presets are shared
+            array.setflags(write=False)  # presets are shared objects
             object.__setattr__(self, name, array)
         problems = Problems(f"atmosphere {self.name!r} cannot be used", SchemaError)
         check_curves(problems, {name: getattr(self, name) for name in ("wavelength", *_CURVES, *_SHARES)})
-        check_number(problems, "sun_zenith", self.sun_zenith, 0.0, _MAX_SUN_ZENITH_DEG)
-        if not np.isfinite(self.sun_azimuth):
-            problems.add(
-                f"sun_azimuth={self.sun_azimuth!r}",
-                expected="degrees clockwise from north",
-                code="not-finite",
-            )
-        check_number(problems, "overcast_share", self.overcast_share, 0.0, 1.0)
+        check_values(SKY, {name: getattr(self, name) for name in _NUMBERS}, problems)
         if not problems and self.uniform.min(initial=0.0) < -1e-9:
-            whole = 1.0 - self.uniform.min()
+            total = 1.0 - self.uniform.min()
             problems.add(
-                f"overcast_share + molecular + aureole is {whole:.4g}",
+                f"overcast_share + molecular + aureole is {total:.4g}",
                 expected="at most 1",
                 code="shares-too-large",
             )
@@ -165,20 +157,20 @@ class Atmosphere:
         wavelength: npt.ArrayLike | None = None,
         name: str = "clear",
     ) -> Atmosphere:
-        """Return the clear sky of the simulator, which has every line of oxygen; it needs no extra.
+        """Return the clear sky of the simulator, which resolves the absorption lines of oxygen.
 
         Parameters
         ----------
         sun_zenith, sun_azimuth, name
-            As for the class.
+            See `Atmosphere`.
         aerosol
             Aerosol optical depth of the whole atmosphere at 500 nm.
         ozone
             Ozone column [atm cm].
         water
-            Precipitable water relative to a usual summer day.
+            Precipitable water relative to a typical summer day.
         haze
-            The air before the camera; None for none.
+            The air before the camera; None for no air.
         wavelength
             Grid, shape (wavelength,) [nm]; by default 340 to 1100 nm in steps of 0.05 nm. The sky has no
             absorption bands beyond 1000 nm.
@@ -186,25 +178,25 @@ class Atmosphere:
         Raises
         ------
         SchemaError
-            The sun is not above the horizon, or the grid is no grid.
+            The sun is not above the horizon, or the grid is invalid.
         """
-        grid = spectral_grid(*_RANGE) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
+        grid = spectral_grid(*_RANGE_NM) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
         spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)
-        return cls._hazy(
+        return cls._with_haze(
             grid, sun, sky, haze, spread, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
         )
 
     @classmethod
-    def _hazy(
-        cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, spread: Spread, **more: Any
+    def _with_haze(
+        cls, grid: Floats, sun: Floats, sky: Floats, haze: Haze | None, spread: Spread, **options: Any
     ) -> Atmosphere:
-        # Extinction and path radiance follow from sun and sky.
+        # atmosphere whose extinction and path radiance are computed from haze, sun and sky
         extinction = path = np.zeros_like(grid)
         if haze is not None:
             extinction = haze.extinction(grid)
-            path = haze.path_radiance(grid, sun, sky, more["sun_zenith"])
-        return cls(grid, sun, sky, extinction, path, haze=haze, **spread._asdict(), **more)
+            path = haze.path_radiance(grid, sun, sky, options["sun_zenith"])
+        return cls(grid, sun, sky, extinction, path, haze=haze, **spread._asdict(), **options)
 
     @classmethod
     def spectrl2(
@@ -224,21 +216,21 @@ class Atmosphere:
     ) -> Atmosphere:
         """Return the clear sky of SPECTRL2 (Bird & Riordan 1986), by pvlib.
 
-        Its steps are 5 nm around the oxygen A band and 10 to 20 nm elsewhere, with straight lines between
-        them here: the bands of oxygen and water are there, but shallower and wider than in nature.
+        Its steps of 5 nm around the oxygen A band and 10 to 20 nm elsewhere are interpolated linearly, so
+        that bands of oxygen and water are shallower and wider than in nature.
 
         Parameters
         ----------
         sun_zenith, sun_azimuth, aerosol, ozone, haze, name
-            As for `clear`; distrust zenith angles beyond 85 degrees.
+            See `clear`; inaccurate for zenith angles beyond 85 degrees.
         precipitable_water
             Water column [cm].
         ground
             Reflectance of the surroundings, which brightens the sky.
         pressure
-            At the ground [Pa].
+            Air pressure at the ground [Pa].
         dayofyear
-            For the distance of the sun.
+            Day of the year, for the distance of the sun.
         wavelength
             Grid, shape (wavelength,), within 300 to 4000 [nm]; by default 340 to 1100 nm in steps of 0.5 nm.
 
@@ -247,15 +239,17 @@ class Atmosphere:
         MissingExtraError
             pvlib is not installed.
         SchemaError
-            The sun is not above the horizon, or the grid leaves SPECTRL2's.
+            The sun is not above the horizon, or the grid exceeds 300 to 4000 nm.
         """
-        grid = spectral_grid(*_RANGE, 0.5) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
+        grid = (
+            spectral_grid(*_RANGE_NM, 0.5) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
+        )
         air = {"aerosol_turbidity_500nm": aerosol, "ozone": ozone, "precipitable_water": precipitable_water}
         sun, sky = spectrl2_sky(
             grid, sun_zenith, ground_albedo=ground, surface_pressure=pressure, dayofyear=dayofyear, **air
         )
         spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)
-        return cls._hazy(
+        return cls._with_haze(
             grid, sun, sky, haze, spread, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
         )
 
@@ -277,14 +271,14 @@ class Atmosphere:
         Parameters
         ----------
         series
-            Has ``irradiance`` (irradiance_time, irradiance_wavelength), total on a level surface.
+            Dataset with ``irradiance`` (irradiance_time, irradiance_wavelength), total on a level surface.
         sun_zenith, sun_azimuth, overcast_share, name
-            As for the class.
+            See `Atmosphere`.
         time
-            When, UTC; between two samples the irradiance is interpolated. None where there is one sample.
+            Time, UTC, at which irradiance is interpolated; None for a series of one sample.
         direct_fraction
             Direct over total irradiance, one number or shape (wavelength,): 0 under an overcast sky. By
-            default that of the built-in clear sky with this sun.
+            default the fraction of the built-in clear sky with this sun.
         haze
             The air before the camera; None for none.
 
@@ -307,17 +301,18 @@ class Atmosphere:
             level = sun * np.cos(np.radians(sun_zenith))
             direct_fraction = level / (level + sky)
         fraction = np.asarray(direct_fraction, dtype=np.float64)
-        if fraction.shape not in ((), grid.shape) or not ((fraction >= 0.0) & (fraction <= 1.0)).all():
+        share = SKY["direct_fraction"]
+        if fraction.shape not in ((), grid.shape) or any(map(share.fault, fraction.ravel().tolist())):
             raise SchemaError(
                 f"direct_fraction of shape {fraction.shape}",
-                expected=f"one number or an array of shape {grid.shape}, from 0 to 1",
+                expected=f"{share.expected}, or an array of such numbers of shape {grid.shape}",
                 code="value-out-of-range",
             )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
-        where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
+        options = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
         spread = clear_spread(grid, sun, sun_zenith, overcast_share)
-        return cls._hazy(grid, sun, sky, haze, spread, **where, name=name)
+        return cls._with_haze(grid, sun, sky, haze, spread, **options, name=name)
 
     @classmethod
     def from_table(
@@ -330,28 +325,28 @@ class Atmosphere:
         haze: Haze | None = None,
         name: str | None = None,
     ) -> Atmosphere:
-        """Return the atmosphere of a table, as MODTRAN or libRadtran may have filled it.
+        """Return the atmosphere of a table, for example with results of MODTRAN or libRadtran.
 
         Parameters
         ----------
         table
-            A text file of comma-separated columns, lines beginning with ``#`` being comments, or a mapping of
-            columns. Headings are a name and its units: ``wavelength [nm]``, ``sun [W m-2 nm-1]`` (normal to
-            the beam), ``sky [W m-2 nm-1]`` (on a level surface), and, both or neither,
-            ``extinction [m-1]`` and ``path_radiance [W m-2 sr-1 nm-1 m-1]``, or others of the same dimension.
-            Or a Dataset from a reader of `hyperpaint.io.skies`, whose ``sky_radiance``, if any, is fitted
+            A text file of comma-separated columns with comments after ``#``, or a mapping of columns.
+            Headings are a name and units: ``wavelength [nm]``, ``sun [W m-2 nm-1]`` (normal to the beam),
+            ``sky [W m-2 nm-1]`` (on a level surface), and, both or neither, ``extinction [m-1]`` and
+            ``path_radiance [W m-2 sr-1 nm-1 m-1]``, or others of the same dimension. Or a Dataset from a
+            reader of `hyperpaint.io.skies`, whose ``sky_radiance``, if any, is fitted
             (`hyperpaint.light.fit_sky`).
         sun_zenith, sun_azimuth, overcast_share
-            As for the class.
+            See `Atmosphere`.
         haze
-            Where the table says nothing of it, the air before the camera; None for none.
+            The air before the camera, if the table does not have it; None for no air.
         name
-            What to call it; by default the file's name.
+            Name of the atmosphere; by default the name of the file.
 
         Raises
         ------
         FormatError
-            The table is not as described; all problems are listed.
+            The table has another form; all problems are listed.
         SchemaError
             The sun is not above the horizon.
         """
@@ -364,11 +359,11 @@ class Atmosphere:
             curves = read_table(table)
         if name is None:
             name = "table" if isinstance(table, Mapping) else Path(table).stem
-        where = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
+        options = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
         air = [curves[name] for name in ("extinction", "path_radiance") if name in curves]
         grid, sun, sky = curves["wavelength"], curves["sun"], curves["sky"]
         spread = fitted or clear_spread(grid, sun, sun_zenith, overcast_share)
-        hazy = cls._hazy(grid, sun, sky, None if air else haze, spread, **where, name=name)
+        hazy = cls._with_haze(grid, sun, sky, None if air else haze, spread, **options, name=name)
         return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
@@ -392,24 +387,26 @@ class Atmosphere:
         >>> bool((overcast.sun == 0.0).all()), round(overcast.overcast_share, 3)
         (True, 0.571)
         """
-        hidden = oktas / 8.0
-        left = cloud_transmittance(self.wavelength, oktas, colour=colour)
-        sun = self.sun * (1.0 - hidden)
-        sky = self.irradiance * left - sun * self.sun_cosine
+        cover = oktas / 8.0
+        transmittance = cloud_transmittance(self.wavelength, oktas, colour=colour)
+        sun = self.sun * (1.0 - cover)
+        sky = self.irradiance * transmittance - sun * self.sun_cosine
         if self.haze is not None:
             path = self.haze.path_radiance(self.wavelength, sun, sky, self.sun_zenith)
         else:
-            # from what directions the air scatters is not known: in proportion to the light in the air
-            before, after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
-            path = self.path_radiance * np.divide(after, before, out=np.zeros_like(after), where=before > 0)
+            # without haze the phase function is unknown: path radiance in proportion to the light in the air
+            light_before, light_after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
+            path = self.path_radiance * np.divide(
+                light_after, light_before, out=np.zeros_like(light_after), where=light_before > 0
+            )
         return replace(
             self,
             sun=sun,
             sky=sky,
             path_radiance=path,
-            overcast_share=(1.0 - hidden) * self.overcast_share + hidden * CIE_OVERCAST_SHARE,
-            molecular=(1.0 - hidden) * self.molecular,
-            aureole=(1.0 - hidden) * self.aureole,
+            overcast_share=(1.0 - cover) * self.overcast_share + cover * CIE_OVERCAST_SHARE,
+            molecular=(1.0 - cover) * self.molecular,
+            aureole=(1.0 - cover) * self.aureole,
             name=f"{self.name}, {oktas:g} oktas" if self.name else f"{oktas:g} oktas",
         )
 
@@ -436,7 +433,7 @@ class Atmosphere:
         SchemaError
             Variables are missing, or their values cannot be used; all are listed.
         UnitsError
-            A variable has no units or those of something else.
+            A variable has no units, or units of another quantity.
         """
         problems = Problems("an atmosphere cannot be read", SchemaError)
         for name in ("wavelength", *_CURVES, *_NUMBERS):
@@ -446,7 +443,7 @@ class Atmosphere:
         sun, sky, extinction, path = (
             convert(dataset[name], units).values for name, (units, _) in _CURVES.items()
         )
-        # atmospheres of before have a uniform sky
+        # older datasets without shares have a uniform sky
         shares = {name: convert(dataset[name], "1").values for name in _SHARES if name in dataset.variables}
         zenith, azimuth, share = (
             float(convert(dataset[name], units)) for name, (units, _) in _NUMBERS.items()
@@ -465,16 +462,16 @@ class Atmosphere:
         return cls(grid, sun, sky, extinction, path, zenith, azimuth, share, name, haze, **shares)
 
 
-#: The three atmospheres of the paper.
-PRESETS = ("noon", "near_sunset", "cloudy")
+#: Zenith angle and azimuth of the sun in the three atmospheres of the paper [degree].
+PRESETS = {"noon": (25.0, 180.0), "near_sunset": (82.0, 265.0), "cloudy": (25.0, 180.0)}
 
 
 @functools.cache
 def preset_atmosphere(name: str) -> Atmosphere:
     """Return one of the paper's three atmospheres.
 
-    "noon" is clear with the sun 25 degrees from the vertical in the south; "near_sunset" is clear with it at
-    82 degrees in the west; "cloudy" is noon under 8 oktas: nothing but an overcast sky.
+    "noon" is clear with the sun 25 degrees from the zenith in the south; "near_sunset" is clear with the sun
+    82 degrees from the zenith in the west; "cloudy" is noon under 8 oktas, a completely overcast sky.
 
     Parameters
     ----------
@@ -489,18 +486,13 @@ def preset_atmosphere(name: str) -> Atmosphere:
     Raises
     ------
     SchemaError
-        There is no such preset.
+        The preset is unknown.
 
     Examples
     --------
     >>> preset_atmosphere("near_sunset").sun_zenith
     82.0
     """
-    if name == "near_sunset":
-        return Atmosphere.clear(82.0, 265.0, name=name)
-    if name in PRESETS:
-        noon = Atmosphere.clear(25.0, 180.0, name=name)
-        return noon if name == "noon" else replace(noon.clouded(8.0), name=name)
-    raise SchemaError(
-        f"there is no atmosphere {name!r}", expected=f"one of {', '.join(PRESETS)}", code="choice-unknown"
-    )
+    one_of(name, PRESETS, "preset")
+    clear = Atmosphere.clear(*PRESETS[name], name=name)
+    return replace(clear.clouded(8.0), name=name) if name == "cloudy" else clear

@@ -1,12 +1,12 @@
-"""Light, spectra and camera of one relighting, and the radiance of a block of traced lines.
+"""Light, spectra and camera of a relighting, and the radiance of a block of traced lines.
 
-A path of weight ``w`` adds ``w E(lambda)/pi x product of its factors`` to the radiance of a pixel. The second
-part depends only on the path's code, of which a scene has some thousands: it is computed once for every code
-and band, and cached.
+A path of weight ``w`` adds ``w E(lambda)/pi x product of its factors`` to the radiance of a pixel. The term
+after ``w`` depends only on the path's code, of which a scene has some thousands: it is computed once for
+every code and band, and cached.
 
-Shares are those of the light that the scene sends to the camera, before the air between: of radiance, mean
-over all bands at the wavelengths of the centre column. Light of the sun and of the sky add up to 1; glint,
-the mirrored sky and indirect light are parts of them that exclude one another.
+Shares of light are shares of the radiance at the surface, before the air, as a mean over all bands at the
+wavelengths of the centre column. Shares of sun and sky add up to 1; glint, mirrored sky and indirect light
+are disjoint parts of them.
 """
 
 from __future__ import annotations
@@ -41,32 +41,32 @@ from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere
 from .scene_record import TraceSettings, sun_vectors
 
-#: Layers that say where the light of a pixel came from.
+#: Layers with the shares of light in a pixel by source.
 SHARES = ("sun_share", "sky_share", "glint_share", "mirrored_sky_share", "indirect_share")
 
-_SAME_DIRECTION = 0.01  # degree
+_MAX_SUN_ANGLE_DEG = 0.01  # between the sun of an atmosphere and the traced sun
 
 
 def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
-    """Return the number of the traced sun of an atmosphere; without direct light the nearest one.
+    """Return the number of the traced sun of an atmosphere; without direct light, of the nearest sun.
 
     Raises
     ------
     SchemaError
-        No sun was traced where the atmosphere has it, or no overcast or clear sky where it has one.
+        The sun of the atmosphere, or its overcast or clear sky, was not traced.
     """
     towards = sun_vectors([(atmosphere.sun_zenith, atmosphere.sun_azimuth)])
-    apart = np.degrees(
+    angles = np.degrees(
         2 * np.arcsin(np.linalg.norm(sun_vectors(settings.suns) - towards, axis=1).clip(0, 2) / 2)
     )
-    nearest = int(apart.argmin())
-    clear = bool((atmosphere.sky * (atmosphere.molecular + atmosphere.aureole)).any())
-    if apart[nearest] > _SAME_DIRECTION and (atmosphere.sun.any() or clear):
-        there = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
+    nearest = int(angles.argmin())
+    has_clear_sky = bool((atmosphere.sky * (atmosphere.molecular + atmosphere.aureole)).any())
+    if angles[nearest] > _MAX_SUN_ANGLE_DEG and (atmosphere.sun.any() or has_clear_sky):
+        traced_directions = ", ".join(f"({zenith:g}, {azimuth:g})" for zenith, azimuth in settings.suns)
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has its sun at (zenith, azimuth) = "
             f"({atmosphere.sun_zenith:g}, {atmosphere.sun_azimuth:g}) degrees",
-            expected=f"a traced sun: {there}",
+            expected=f"a traced sun: {traced_directions}",
             mend="trace the scene with this sun as well",
             code="sun-not-traced",
         )
@@ -77,7 +77,7 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
             mend="trace the scene with overcast=True",
             code="sky-not-traced",
         )
-    if clear and not settings.clear:
+    if has_clear_sky and not settings.clear:
         raise SchemaError(
             f"atmosphere {atmosphere.name!r} has a clear sky, but no clear sky was traced",
             mend="trace the scene with clear=True",
@@ -89,12 +89,12 @@ def traced_sun(atmosphere: Atmosphere, settings: TraceSettings) -> int:
 def source_spectra(atmosphere: Atmosphere, settings: TraceSettings) -> dict[int, Floats]:
     """Return the irradiance of every traced source that shines, by number, on the atmosphere's grid."""
     sun = traced_sun(atmosphere, settings)
-    first = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun
+    first_function = FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun
     shares = {
         SKY: atmosphere.uniform,
         OVERCAST_SKY: np.asarray(atmosphere.overcast_share),
-        first: atmosphere.molecular,
-        first + 1: atmosphere.aureole,
+        first_function: atmosphere.molecular,
+        first_function + 1: atmosphere.aureole,
     }
     skies = {number: atmosphere.sky * share for number, share in shares.items() if share.any()}
     return {**skies, FIRST_SUN + sun: atmosphere.sun}
@@ -109,9 +109,9 @@ class Lighting:
     table
         Products of paths.
     direct, diffuse : (band, cross_track or 1)
-        Level irradiance as the bands see it [W m-2 nm-1].
+        Irradiance of a level surface in the bands [W m-2 nm-1].
     extinction, path_radiance : (band, cross_track or 1), float32
-        Of the air before the camera [m-1], [W m-2 sr-1 nm-1 m-1].
+        Properties of the air before the camera [m-1], [W m-2 sr-1 nm-1 m-1].
     """
 
     table: ProductTable
@@ -128,19 +128,19 @@ class Lighting:
         Parameters
         ----------
         weight, code : (line, slot, column)
-            As traced.
+            Paths as traced.
         variation : (line, 2) or (line, 2, column)
-            Factors of direct and diffuse light; None for ones.
+            Factors of direct and diffuse light; None for factors of 1.
         texture
-            Members of populations that pixels show; None for the means.
+            Members of populations shown by pixels; None for the means.
         """
         lines, _, columns = weight.shape
-        out = np.empty((lines, self.table.bands.wavelength.size, columns), np.float32)
-        self.table.mix(_varied(weight, code, variation), code, out, texture)
-        return out
+        radiance = np.empty((lines, self.table.bands.wavelength.size, columns), np.float32)
+        self.table.mix(_varied(weight, code, variation), code, radiance, texture)
+        return radiance
 
     def at_sensor(self, surface: Floats32, distance: Floats32, *, in_place: bool = False) -> Floats32:
-        # L exp(-k d) + Lp d, the radiance behind a distance d of air; no air for NaN.
+        # L exp(-k d) + Lp d, the radiance after a distance d of air; NaN distances have no air
         if not (self.extinction.any() or self.path_radiance.any()):
             return surface
         out = surface if in_place else np.empty_like(surface)
@@ -148,30 +148,32 @@ class Lighting:
         return out
 
     def reflectance(self, surface: Floats32, variation: Floats | None) -> Floats32:
-        # pi L / E of the radiance at the surface [1]; NaN without light.
-        out = np.empty_like(surface)
+        # pi L / E of the radiance at the surface [1]; NaN without light
+        factor = np.empty_like(surface)
         factors = np.ones((len(surface), 2)) if variation is None else variation
         for line, (direct, diffuse) in enumerate(factors):
             light = self.direct * direct + self.diffuse * diffuse
             scale = np.divide(np.pi, light, out=np.full_like(light, np.nan), where=light > 0)
-            np.multiply(surface[line], scale.astype(np.float32), out=out[line])
-        return out
+            np.multiply(surface[line], scale.astype(np.float32), out=factor[line])
+        return factor
 
     def shares(self, weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
-        # Shares of the light by source, (line, share, column); see `SHARES`.
+        # shares of light by source, (line, share, column); see `SHARES`
         distinct, index = index_paths(code)
         node = int(np.abs(self.table.bands.nodes).argmin())
         level = self.table.rows(distinct)[node].mean(axis=1, dtype=np.float64)
-        # weight of every path in all light, and in each of `SHARES`
+        # weight of every path in the total light, and in the layers of `SHARES`
         sun, mirrored, indirect = is_direct(distinct), is_mirrored(distinct), is_indirect(distinct)
         mirror_image = mirrored & ~indirect
-        everything = np.ones(distinct.shape, bool)
-        members = [everything, sun, ~sun, mirror_image & sun, mirror_image & ~sun, indirect]
-        parts = np.stack([np.where(part, level.astype(np.float32), 0.0) for part in members], axis=1)
-        sums = np.empty((len(weight), parts.shape[1], weight.shape[2]), np.float32)
-        mix(_varied(weight, code, variation), index, parts.astype(np.float32), sums)
-        whole = sums[:, :1]
-        return np.divide(sums[:, 1:], whole, out=np.full_like(sums[:, 1:], np.nan), where=whole > 0)
+        all_paths = np.ones(distinct.shape, bool)
+        members = [all_paths, sun, ~sun, mirror_image & sun, mirror_image & ~sun, indirect]
+        terms = np.stack(
+            [np.where(is_member, level.astype(np.float32), 0.0) for is_member in members], axis=1
+        )
+        sums = np.empty((len(weight), terms.shape[1], weight.shape[2]), np.float32)
+        mix(_varied(weight, code, variation), index, terms.astype(np.float32), sums)
+        total = sums[:, :1]
+        return np.divide(sums[:, 1:], total, out=np.full_like(sums[:, 1:], np.nan), where=total > 0)
 
 
 def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32:
@@ -184,9 +186,9 @@ def _varied(weight: Floats32, code: Array, variation: Floats | None) -> Floats32
 def make_lighting(
     bands: BandSet, codes: PathCodes, atmosphere: Atmosphere, settings: TraceSettings, factors: Floats
 ) -> Lighting:
-    """Return the light, the spectra and the camera of a relighting, as its tasks need them.
+    """Return light, spectra and camera of a relighting.
 
-    ``factors`` (factor, grid) are those of all paths, on the grid of `BandResponses`.
+    ``factors`` (factor, grid): spectra of all factors of paths, on the grid of `BandResponses`.
     """
     wavelength, sources = atmosphere.wavelength, source_spectra(atmosphere, settings)
     sun_cosine = float(np.cos(np.radians(settings.suns[traced_sun(atmosphere, settings)][0])))
@@ -202,36 +204,35 @@ def make_lighting(
     return Lighting(table, np.asarray(direct), np.asarray(diffuse), extinction, path)
 
 
-_MAX_CACHE_BYTES = 96 * 2**20  # bytes of products that are kept; more are made again each time
+_MAX_CACHE_BYTES = 96 * 2**20  # maximum size of cached products; others are computed whenever needed
 
 
 class ProductTable:
     """Band spectra of path codes, computed when first needed.
 
-    Of a calibrated camera they are means over the responses [W m-2 sr-1 nm-1]. With ``normalise=False`` they
-    are those of a detector: INT L R d lambda [W m-2 sr-1 count J-1]. For an imager, the elements'
-    own factors (`Imager.element_factor`) are left to the caller: mixed, and multiplied by them, it is what
-    `simulation.camera.expected_counts` takes.
+    Products are means over the responses [W m-2 sr-1 nm-1]. With ``normalise=False`` they are integrals INT L
+    R d lambda [W m-2 sr-1 count J-1] for a detector; the caller multiplies the sum over paths by the element
+    factors (`Imager.element_factor`) to get the input of `simulation.camera.expected_counts`.
 
-    Threads share one table. It can be sent to other processes, where it starts empty. No product depends on
-    what was asked for before or beside it.
+    Threads share a table. It can be sent to other processes, where it starts empty. Products do not depend on
+    earlier or simultaneous requests.
 
     Parameters
     ----------
     bands
-        Of the camera.
+        Bands of the camera.
     codes
-        How codes are read.
+        Layout of the path codes.
     wavelength : (point,)
-        Of the sources, increasing [nm]. Responses end where it does.
+        Wavelengths of the sources, increasing [nm]; responses are cut to this range.
     sources
-        Number of a source to its irradiance, shape (point,) [W m-2 nm-1]: direct normal of a sun, level
-        diffuse of a sky. Sources that are not named are dark.
+        Irradiance by number of the source, shape (point,) [W m-2 nm-1]: direct normal for a sun, diffuse on a
+        level surface for a sky. Missing sources are dark.
     factors
-        Gives all factors at wavelengths [nm], shape (factor, wavelength); see
+        Function that returns all factors at wavelengths [nm], shape (factor, wavelength); see
         `hyperpaint.simulation.rendering.painting.factor_spectra`.
     normalise
-        As for `BandResponses`.
+        See `BandResponses`.
 
     Examples
     --------
@@ -277,8 +278,8 @@ class ProductTable:
         self._lock = threading.Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        left = {"_cached_codes", "_products", "_lock"}
-        return {name: value for name, value in self.__dict__.items() if name not in left}
+        excluded = {"_cached_codes", "_products", "_lock"}
+        return {name: value for name, value in self.__dict__.items() if name not in excluded}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -290,7 +291,7 @@ class ProductTable:
         Parameters
         ----------
         codes : (path,)
-            Distinct, without empty slots.
+            Distinct codes, without empty slots.
 
         Raises
         ------
@@ -300,19 +301,19 @@ class ProductTable:
         codes = np.ascontiguousarray(codes, np.int64)
         with self._lock:
             cached_codes, products = self._cached_codes, self._products
-        place = _lookup(cached_codes, codes)
-        missing = np.flatnonzero(place < 0)
-        if not missing.size:
-            return np.ascontiguousarray(products[place].swapaxes(0, 1))
-        new_products = self._make(codes[missing])
-        self._keep(codes[missing], new_products)
+        rows = _lookup(cached_codes, codes)
+        new_codes = np.flatnonzero(rows < 0)
+        if not new_codes.size:
+            return np.ascontiguousarray(products[rows].swapaxes(0, 1))
+        new_products = self._compute_products(codes[new_codes])
+        self._add_to_cache(codes[new_codes], new_products)
         gathered = np.empty((codes.size, *new_products.shape[1:]), np.float32)
-        there = place >= 0
-        gathered[there], gathered[missing] = products[place[there]], new_products
+        is_cached = rows >= 0
+        gathered[is_cached], gathered[new_codes] = products[rows[is_cached]], new_products
         return np.ascontiguousarray(gathered.swapaxes(0, 1))
 
     def to_columns(self, at_nodes: Floats) -> Floats:
-        # Values at nodes (..., node, band) as every column sees them, (..., band, cross_track).
+        # interpolate values at nodes (..., node, band) to columns, (..., band, cross_track)
         if self.bands.wavelength_shift is None:
             return np.moveaxis(at_nodes, -2, -1)
         first, weight = self.bands.between_nodes()
@@ -326,22 +327,22 @@ class ProductTable:
         out: NDArray[np.float32],
         texture: Texture | None = None,
     ) -> None:
-        """Write the sum of weight x product over the paths of every pixel, with the smile of each column.
+        """Write the sum of weight x product over the paths of every pixel, with the smile of the columns.
 
         Parameters
         ----------
         weight, codes : (line, slot, column)
-            As traced; empty slots add nothing.
+            Paths as traced; empty slots add nothing.
         out : (line, band, column)
-            Overwritten; in the units of the table.
+            Result, in the units of the table.
         texture
-            Members of populations that pixels show; None for the means.
+            Members of populations shown by pixels; None for the means.
         """
         distinct, index = index_paths(codes)
         lit = self._row_of_source[source_of(distinct)] >= 0
-        if not lit.all():  # slots of dark sources are passed over
-            place = np.append(np.where(lit, np.cumsum(lit) - 1, -1), -1).astype(np.int32)
-            distinct, index = distinct[lit], place[index]
+        if not lit.all():  # skip paths from dark sources
+            new_index = np.append(np.where(lit, np.cumsum(lit) - 1, -1), -1).astype(np.int32)
+            distinct, index = distinct[lit], new_index[index]
         products = self.rows(distinct)
         columns = out.shape[2]
         nodes = np.zeros(columns, np.int64), np.ones((columns, 1))
@@ -355,7 +356,7 @@ class ProductTable:
         # Irradiance of a source in the bands, shape (node, band).
         return np.pi * self.rows(np.array([source], np.int64))[:, 0].astype(np.float64)
 
-    def _make(self, codes: Ints) -> NDArray[np.float32]:
+    def _compute_products(self, codes: Ints) -> NDArray[np.float32]:
         out = np.empty((self.bands.nodes.size, codes.size, self.bands.wavelength.size), np.float32)
         chosen, source = self.codes.factors(codes), self._row_of_source[source_of(codes)]
         if chosen.max(initial=-1) >= len(self._factors):
@@ -368,7 +369,7 @@ class ProductTable:
         integrate_bands(self._factors, chosen, source, self._weights, self._first_band, out)
         return out.swapaxes(0, 1)
 
-    def _keep(self, codes: Ints, products: NDArray[np.float32]) -> None:
+    def _add_to_cache(self, codes: Ints, products: NDArray[np.float32]) -> None:
         with self._lock:
             if self._products.nbytes + products.nbytes > _MAX_CACHE_BYTES:
                 return
@@ -383,5 +384,5 @@ def _lookup(sorted_codes: Ints, codes: Ints) -> Ints:
     # -1 for codes that are not in the array.
     if not sorted_codes.size:
         return np.full(codes.shape, -1, np.int64)
-    place = np.searchsorted(sorted_codes, codes).clip(max=sorted_codes.size - 1)
-    return np.where(sorted_codes[place] == codes, place, -1)
+    index = np.searchsorted(sorted_codes, codes).clip(max=sorted_codes.size - 1)
+    return np.where(sorted_codes[index] == codes, index, -1)

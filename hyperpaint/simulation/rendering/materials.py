@@ -1,22 +1,21 @@
 """Surfaces: a diffuse base, with or without a clear coat over it, with or without metal flakes in it.
 
-A clear coat hides the base it lies on. Light enters it through the interface (transmittance ``Ti`` of its
-direction), is scattered by the base of albedo ``b``, and leaves (``To``) or is thrown back at the base by
-total reflection, of which the share is ``Fi``; summing the returns (Saunderson 1942), the light that does
-not leave by mirror reflection is reflected as
+Light enters a clear coat through its interface (transmittance ``Ti`` of its direction), is scattered by the
+base of albedo ``b``, and leaves (``To``) or is reflected back to the base by the interface (share ``Fi``).
+The sum over all returns (Saunderson 1942) gives the BRDF without the mirror reflection:
 
     f_d = To Ti b / (pi n^2 (1 - b Fi)) = To Ti rho' / (pi n^2 (1 - Fi)),  rho' = b (1 - Fi) / (1 - b Fi)
 
-with ``n^2`` from the widening of the cone of light that leaves. All that depends on wavelength is in the
-*effective factor* ``rho'``, which is at most 1: what the tracer records is the rest. A measured reflectance
-factor without the mirror reflection is ``R = pi f_d`` in the instrument's geometry, so that ``rho'`` is
-proportional to ``R``; the base itself is ``b = q / (1 + q Fi)`` with ``q = R n^2 / (To Ti)``.
+where ``n^2`` is the widening of the cone of light that leaves. Only the *effective factor* ``rho'``, at most
+1, depends on wavelength; the tracer records all other factors. A measured reflectance factor without the
+mirror reflection is ``R = pi f_d`` in the geometry of the instrument, so that ``rho'`` is proportional to
+``R``; the albedo of the base is ``b = q / (1 + q Fi)`` with ``q = R n^2 / (To Ti)``.
 """
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from typing import Literal
 
 import numpy as np
@@ -24,11 +23,11 @@ import numpy.typing as npt
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.simulation.setting_checks import check_choice, check_number
+from hyperpaint.base.facts import check_fields, declared, fact, one_of
 
 Geometry = Literal["0/0", "0/45", "d/0"]
 
-#: Semantic classes; the place in this tuple is the number in ``surface_class``.
+#: Semantic classes; the index in this tuple is the number in ``surface_class``.
 KINDS = (
     "asphalt",
     "paint",
@@ -46,18 +45,10 @@ KINDS = (
 )
 
 
+@declared
 @dataclass(frozen=True)
 class Coat:
     """A clear coat of one refractive index at all wavelengths.
-
-    Attributes
-    ----------
-    index
-        Refractive index, above 1 and up to 3.
-    roughness
-        GGX alpha of its surface, 0 (a mirror) to 1; by default that of a fresh topcoat.
-    waviness
-        Orange peel: root mean square slope of its waves of millimetres to a centimetre, 0 to 5 [degree].
 
     Raises
     ------
@@ -65,34 +56,46 @@ class Coat:
         An attribute is outside its range; all are listed.
     """
 
-    index: float = 1.5
-    roughness: float = 1e-3
-    waviness: float = 0.15
+    index: float = fact(
+        1.5, "refractive index of the clear coat", key="coat_index", scale=1.0, least=1.001, most=3.0
+    )
+    roughness: float = fact(
+        1e-3,
+        "roughness of the clear coat, the parameter alpha of the GGX model; 0 is a mirror",
+        key="coat_roughness",
+        scale=1.0,
+        least=0.0,
+        most=1.0,
+    )
+    waviness: float = fact(
+        0.15,
+        "orange peel of the clear coat: root mean square slope of waves with lengths from 1 to 10 mm",
+        unit="degree",
+        key="coat_waviness_deg",
+        scale=1.0,
+        least=0.0,
+        most=5.0,
+    )
 
     def __post_init__(self) -> None:
         problems = Problems("a clear coat cannot be made", SchemaError)
-        check_number(problems, "index", self.index, 1.001, 3.0)
-        check_number(problems, "roughness", self.roughness, 0.0, 1.0)
-        check_number(problems, "waviness", self.waviness, 0.0, 5.0)
+        check_fields(self, problems)
         problems.raise_if_any()
 
 
+@declared
 @dataclass(frozen=True)
 class Flakes:
     """Metal flakes under the coat, a broad lobe around the mirror direction.
 
     Attributes
     ----------
-    share
-        Part of the light entering the paint that meets flakes rather than pigment, 0 to 1.
-    roughness
-        GGX alpha of the lobe, above 0 and up to 1.
     spectrum
-        Name of their reflectance spectrum: light comes back the way it came.
+        Name of their reflectance spectrum, for light and view in the same direction.
     turned
-        Name of the same where light and view are at right angles in the coat, of flakes with an interference
-        colour; between, spectra are mixed (`transport.surfaces.turned_part`). Empty where angles do not
-        matter.
+        For flakes with an interference colour, name of their spectrum for light and view at right angles in
+        the coat; for other angles the two spectra are mixed (`transport.surfaces.turned_part`). Empty if the
+        spectrum does not depend on angles.
 
     Raises
     ------
@@ -100,15 +103,22 @@ class Flakes:
         An attribute is outside its range; all are listed.
     """
 
-    share: float
-    roughness: float = 0.15
+    share: float = fact(
+        MISSING,
+        "share of the light in the paint that metal flakes reflect; pigment reflects the rest",
+        kind="number",
+        key="flakes",
+        scale=1.0,
+        least=0.0,
+        most=1.0,
+    )
+    roughness: float = fact(0.15, "GGX alpha of the lobe", least=0.0, above=True, most=1.0)
     spectrum: str = "aluminium"
     turned: str = ""
 
     def __post_init__(self) -> None:
         problems = Problems("metal flakes cannot be made", SchemaError)
-        check_number(problems, "share", self.share, 0.0, 1.0)
-        check_number(problems, "roughness", self.roughness, 0.0, 1.0, above=True)
+        check_fields(self, problems)
         if not self.spectrum:
             problems.add("spectrum is empty", expected="a name such as 'aluminium'", code="argument-missing")
         problems.raise_if_any()
@@ -116,12 +126,12 @@ class Flakes:
 
 @dataclass(frozen=True)
 class Material:
-    """One surface.
+    """The material of a surface.
 
     Attributes
     ----------
     name
-        Its own name: "asphalt", "paint of car_007".
+        Name of the material: "asphalt", "paint of car_007".
     spectrum
         Name of its reflectance spectrum: near normal, without the specular component.
     kind
@@ -129,15 +139,15 @@ class Material:
     coat
         Clear coat; None for a Lambert surface.
     flakes
-        Metal flakes; only under a coat. The spectrum is then that of the pigment between them.
+        Metal flakes, only under a coat; ``spectrum`` is then that of the pigment between them.
     transmittance
-        Name of the spectrum that a thin surface without a coat, such as a leaf, passes diffusely; empty for
-        what is opaque.
+        Name of the spectrum of diffuse transmittance of a thin surface without a coat, such as a leaf; empty
+        for opaque surfaces.
 
     Raises
     ------
     SchemaError
-        A name is empty, the class unknown, or flakes have no coat over them; all are listed.
+        A name is empty, the class is unknown, or flakes are without a coat; all are listed.
     """
 
     name: str
@@ -155,20 +165,20 @@ class Material:
             problems.add(
                 "spectrum is empty", expected="the name of a reflectance spectrum", code="argument-missing"
             )
-        check_choice(problems, "kind", self.kind, KINDS)
+        one_of(self.kind, KINDS, "kind", problems=problems)
         if self.flakes is not None and self.coat is None:
             problems.add("flakes without a coat", mend="pass coat=Coat()", code="coat-missing")
         if self.transmittance and self.coat is not None:
             problems.add(
                 "transmittance with a coat",
-                mend="leave one out: only thin surfaces without a coat pass light",
+                mend="leave one out: only thin surfaces without a coat transmit light",
                 code="option-conflict",
             )
         problems.raise_if_any()
 
 
 def fresnel_reflectance(cosine: npt.ArrayLike, index: float = 1.5) -> Floats:
-    """Return the reflectance of an interface for unpolarised light coming from the air.
+    """Return the reflectance of an interface for unpolarised light from the air.
 
     Parameters
     ----------
@@ -183,14 +193,14 @@ def fresnel_reflectance(cosine: npt.ArrayLike, index: float = 1.5) -> Floats:
     array([0.04, 1.  ])
     """
     cosine = np.asarray(cosine, dtype=np.float64)
-    inside = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
-    across = (cosine - index * inside) / (cosine + index * inside)
-    along = (index * cosine - inside) / (index * cosine + inside)
-    return np.asarray(0.5 * (across**2 + along**2))
+    inner_cosine = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
+    s_amplitude = (cosine - index * inner_cosine) / (cosine + index * inner_cosine)
+    p_amplitude = (index * cosine - inner_cosine) / (index * cosine + inner_cosine)
+    return np.asarray(0.5 * (s_amplitude**2 + p_amplitude**2))
 
 
 def hemispherical_reflectance(index: float = 1.5) -> float:
-    """Return the reflectance of an interface for diffuse light coming from the air.
+    """Return the reflectance of an interface for diffuse light from the air.
 
     The integral of Fresnel's reflectance over a uniform hemisphere in closed form (Walsh 1926; Duntley 1942;
     Judd, J. Res. NBS 29, 329, 1942).
@@ -217,9 +227,9 @@ def hemispherical_reflectance(index: float = 1.5) -> float:
 
 
 def internal_reflectance(index: float = 1.5) -> float:
-    """Return ``Fi``: the reflectance of an interface for diffuse light coming from inside the coat.
+    """Return ``Fi``: the reflectance of an interface for diffuse light from inside the coat.
 
-    Reciprocity ties it to the diffuse light from outside: n^2 (1 - Fi) = 1 - F_diffuse. Most of it is total
+    Reciprocity relates it to diffuse light from outside: n^2 (1 - Fi) = 1 - F_diffuse. Most of it is total
     reflection.
 
     Parameters
@@ -236,18 +246,15 @@ def internal_reflectance(index: float = 1.5) -> float:
 
 
 def _through_interface(index: float, geometry: Geometry) -> float:
-    # ``To Ti / n^2``: the part of the light that crosses the interface twice [1].
+    # ``To Ti / n^2``: share of the light that crosses the interface twice [1]
     normal = float(fresnel_reflectance(1.0, index))
-    others = {
+    second_interface = {
         "0/0": normal,
         "0/45": float(fresnel_reflectance(np.sqrt(0.5), index)),
         "d/0": hemispherical_reflectance(index),
     }
-    if geometry not in others:
-        raise SchemaError(
-            f"geometry is {geometry!r}", expected=f"one of {', '.join(others)}", code="choice-unknown"
-        )
-    return (1.0 - normal) * (1.0 - others[geometry]) / index**2
+    one_of(geometry, second_interface, "geometry")
+    return (1.0 - normal) * (1.0 - second_interface[geometry]) / index**2
 
 
 def measured_factor(
@@ -266,11 +273,11 @@ def measured_factor(
     index
         Refractive index of the coat; None for a Lambert surface, whose factor is its reflectance.
     geometry
-        Of the measurement: "0/0" near normal illumination and view; "0/45" (or 45/0); "d/0" an integrating
-        sphere (d/8 or 8/d). For equal paint the sphere reads 5.4 % less than "0/0" for an index of 1.5.
+        Geometry of the measurement: "0/0" illumination and view near normal; "0/45" (or 45/0); "d/0" an
+        integrating sphere (d/8 or 8/d). For an index of 1.5, the sphere measures 5.4 % less than "0/0".
     specular_included
-        The measurement contains the mirror reflection, which is then taken off: near normal
-        ((n-1)/(n+1))^2, in each geometry that can contain it ("0/45" cannot).
+        Whether the measurement contains the mirror reflection, which is then subtracted: ((n-1)/(n+1))^2. A
+        "0/45" measurement does not contain it.
 
     Returns
     -------
@@ -280,13 +287,13 @@ def measured_factor(
     Raises
     ------
     SchemaError
-        The reflectance is not finite or above 2 (per cent?), or the geometry is unknown or does not hold the
-        mirror reflection.
+        The reflectance is not finite or above 2 (per cent?), or the geometry is unknown, or cannot contain
+        the mirror reflection.
 
     Warns
     -----
     PaintWarning
-        Values that no surface can have (below 0, or of a base brighter than white) are clamped.
+        Impossible values (below 0, or a base with an albedo above 1) are clipped.
 
     Examples
     --------
@@ -296,9 +303,9 @@ def measured_factor(
     array([0.4927])
     """
     measured = np.asarray(reflectance, dtype=np.float64)
-    if missing := int((~np.isfinite(measured)).sum()):
+    if nonfinite_count := int((~np.isfinite(measured)).sum()):
         raise SchemaError(
-            f"{missing} of {measured.size} measured reflectances are not finite",
+            f"{nonfinite_count} of {measured.size} measured reflectances are not finite",
             mend="fill the gaps",
             code="not-finite",
         )
@@ -317,16 +324,16 @@ def measured_factor(
                 code="option-conflict",
             )
         measured = measured - (0.0 if index is None else float(fresnel_reflectance(1.0, index)))
-    crossed = 1.0 if index is None else _through_interface(index, geometry)
-    back = 0.0 if index is None else internal_reflectance(index)
-    factor = measured * ((1.0 - back) / crossed)
-    wrong = (factor < 0.0) | (factor > 1.0 + 1e-12)
-    if wrong.any():
+    double_transmittance = 1.0 if index is None else _through_interface(index, geometry)
+    returned = 0.0 if index is None else internal_reflectance(index)
+    factor = measured * ((1.0 - returned) / double_transmittance)
+    is_impossible = (factor < 0.0) | (factor > 1.0 + 1e-12)
+    if is_impossible.any():
         warnings.warn(
             PaintWarning(
-                f"{int(wrong.sum())} of {factor.size} reflectances, from {measured.min():.4g} "
+                f"{int(is_impossible.sum())} of {factor.size} reflectances, from {measured.min():.4g} "
                 f"to {measured.max():.4g}, were clipped to the possible range, "
-                f"0 to {crossed / (1.0 - back):.4g}",
+                f"0 to {double_transmittance / (1.0 - returned):.4g}",
                 code="reflectance-clipped",
             ),
             stacklevel=2,
@@ -341,7 +348,7 @@ def base_albedo(
     geometry: Geometry = "0/0",
     specular_included: bool = False,
 ) -> Floats:
-    """Return the albedo of the base that explains a measured reflectance through a clear coat.
+    """Return the albedo of a base from its reflectance measured through a clear coat.
 
     ``b = q / (1 + q Fi)`` with ``q = R n^2 / (To Ti)``; near normal, To = Ti = 1 - F0. Parameters, errors and
     the warning where ``b`` would have to exceed 1 are those of `measured_factor`.
@@ -361,19 +368,19 @@ def base_albedo(
     array([0.1138, 0.7064])
     """
     factor = measured_factor(reflectance, index, geometry=geometry, specular_included=specular_included)
-    back = internal_reflectance(index)
-    return np.asarray(factor / (1.0 - back + factor * back))
+    returned = internal_reflectance(index)
+    return np.asarray(factor / (1.0 - returned + factor * returned))
 
 
 def coated_reflectance(
     albedo: npt.ArrayLike, index: float = 1.5, *, geometry: Geometry = "0/0", specular_included: bool = False
 ) -> Floats:
-    """Return the instrument reading of a base of albedo ``b`` under a clear coat; undoes `base_albedo`.
+    """Return the measured reflectance of a base of albedo ``b`` under a clear coat; inverts `base_albedo`.
 
     Parameters
     ----------
     albedo
-        Of the base, 0 to 1, any shape.
+        Albedo of the base, 0 to 1, any shape.
     index
         Refractive index of the coat.
     geometry, specular_included
@@ -388,5 +395,5 @@ def coated_reflectance(
     """
     base = np.asarray(albedo, dtype=np.float64)
     mirror = float(fresnel_reflectance(1.0, index)) if specular_included else 0.0
-    crossed = _through_interface(index, geometry)
-    return np.asarray(crossed * base / (1.0 - base * internal_reflectance(index)) + mirror)
+    double_transmittance = _through_interface(index, geometry)
+    return np.asarray(double_transmittance * base / (1.0 - base * internal_reflectance(index)) + mirror)

@@ -17,7 +17,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaEr
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor, convert
-from hyperpaint.light.sky_fit import fit_sky
+from hyperpaint.light.sky_functions import fit_sky
 from hyperpaint.simulation.setting_checks import moment_of
 
 from .sky_models import Spread, check_curves, check_wavelengths
@@ -25,8 +25,8 @@ from .sky_models import Spread, check_curves, check_wavelengths
 _MAX_BYTES = 16 * 2**20
 _MAX_LINES = 200_000
 _MAX_PROBLEMS = 10
-_MAX_RESIDUAL = 0.25  # relative, root mean square: what a plain aerosol or a thin cloud does
-_NOISE = 0.01  # of the largest irradiance
+_MAX_RESIDUAL = 0.25  # relative root mean square, reached by aerosol or thin cloud
+_NOISE = 0.01  # maximum negative noise relative to the maximum irradiance
 _HEADING = re.compile(r"([A-Za-z_]{1,40}) ?[\[(]([^\[\]()]{1,80})[\])]")
 _UNITS = {
     "wavelength": "nm",
@@ -35,7 +35,7 @@ _UNITS = {
     "extinction": "m-1",
     "path_radiance": "W m-2 sr-1 nm-1 m-1",
 }
-_NEEDED = ("wavelength", "sun", "sky")
+_REQUIRED = ("wavelength", "sun", "sky")
 
 
 def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Floats]:
@@ -65,27 +65,33 @@ def read_irradiance(series: xr.Dataset, time: Any = None) -> tuple[Floats, Float
         raise SchemaError(
             f"time is {time!r}", expected="UTC such as '2020-06-21T17:00:15'", code="time-unreadable"
         )
-    when = moment.astype(np.int64)
-    if not len(stamps) or not stamps[0] <= when <= stamps[-1]:
+    time_ns = moment.astype(np.int64)
+    if not len(stamps) or not stamps[0] <= time_ns <= stamps[-1]:
         raise SchemaError(
             f"time {moment} is outside the irradiance series",
             expected=f"from {times[0]} to {times[-1]}" if len(stamps) else "a series with samples",
             code="irradiance-coverage",
         )
-    after = min(max(int(np.searchsorted(stamps, when)), 1), len(stamps) - 1) if len(stamps) > 1 else 0
-    before = max(after - 1, 0)
-    weight = 0.0 if after == before else (when - stamps[before]) / (stamps[after] - stamps[before])
-    return grid, _without_noise(values[before] + weight * (values[after] - values[before]))
+    next_sample = (
+        min(max(int(np.searchsorted(stamps, time_ns)), 1), len(stamps) - 1) if len(stamps) > 1 else 0
+    )
+    last_sample = max(next_sample - 1, 0)
+    weight = (
+        0.0
+        if next_sample == last_sample
+        else (time_ns - stamps[last_sample]) / (stamps[next_sample] - stamps[last_sample])
+    )
+    return grid, _without_noise(values[last_sample] + weight * (values[next_sample] - values[last_sample]))
 
 
 def _without_noise(irradiance: Floats) -> Floats:
-    # Small noise below zero becomes 0; larger negative values stay.
-    low, high = irradiance.min(), irradiance.max()
-    if -_NOISE * high <= low < 0.0:
+    # set small negative noise to 0; larger negative values are kept and refused later
+    minimum, maximum = irradiance.min(), irradiance.max()
+    if -_NOISE * maximum <= minimum < 0.0:
         count = int((irradiance < 0.0).sum())
         warnings.warn(
             PaintWarning(
-                f"{count} of {irradiance.size} irradiances below zero, down to {low:.3g}, were set to 0",
+                f"{count} of {irradiance.size} irradiances below zero, down to {minimum:.3g}, were set to 0",
                 code="irradiance-negative",
             ),
             stacklevel=4,
@@ -114,23 +120,23 @@ def read_table(table: str | Path | Mapping[str, npt.ArrayLike]) -> dict[str, Flo
 
 
 def read_sky(table: xr.Dataset, sun_zenith: float) -> tuple[dict[str, Floats], Spread | None]:
-    """Return the curves of a table from `hyperpaint.io.skies`, and the spread of its radiance, if any.
+    """Return the curves of a table from `hyperpaint.io.skies`, and the distribution of its radiance, if any.
 
-    Warns where the functions of the clear sky miss the radiance by more than `_MAX_RESIDUAL`.
+    Warns if the fit of the clear-sky functions has a residual above `_MAX_RESIDUAL`.
     """
     curves = {
-        name: np.asarray(convert(table[there].reset_coords(drop=True), _UNITS[name]).values, np.float64)
-        for name, there in (("wavelength", "wavelength"), ("sun", "direct_normal"), ("sky", "diffuse"))
+        name: np.asarray(convert(table[variable].reset_coords(drop=True), _UNITS[name]).values, np.float64)
+        for name, variable in (("wavelength", "wavelength"), ("sun", "direct_normal"), ("sky", "diffuse"))
     }
     if "sky_radiance" not in table:
         return curves, None
     fit = fit_sky(table, sun_zenith)
-    worst = float(fit["misfit"].max())
-    if worst > _MAX_RESIDUAL:
+    max_residual = float(fit["misfit"].max())
+    if max_residual > _MAX_RESIDUAL:
         source = table.attrs.get("source", "the table")
         warnings.warn(
             PaintWarning(
-                f"clear-sky functions fit the radiance of {source} with a residual of {worst:.0%}",
+                f"clear-sky functions fit the radiance of {source} with a residual of {max_residual:.0%}",
                 code="sky-fit-poor",
             ),
             stacklevel=3,
@@ -156,7 +162,7 @@ def _stack_columns(headings: Sequence[Any], columns: Sequence[Any], problems: Pr
 
 
 def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
-    # Numbers have shape (row, column).
+    # headings and numbers (row, column) of a text file
     content = read_limited(path, _MAX_BYTES, "the table of an atmosphere")
     if (count := max(content.count(b"\n"), content.count(b"\r"))) > _MAX_LINES:
         problems.add(f"{count} lines", expected=f"at most {_MAX_LINES}", code="file-too-large")
@@ -198,7 +204,7 @@ def _read_rows(path: Path, problems: Problems) -> tuple[list[str], Floats]:
 
 
 def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tuple[int, float]]:
-    # Column of every curve, and the factor to our units.
+    # column of every curve, and the factor to the units of `Atmosphere`
     curves: dict[str, tuple[int, float]] = {}
     for column, heading in enumerate(headings):
         match = _HEADING.fullmatch(str(heading).strip())
@@ -221,17 +227,17 @@ def _read_headings(headings: Sequence[Any], problems: Problems) -> dict[str, tup
                 curves[name] = (column, conversion_factor(units, _UNITS[name]))
             except UnitsError as error:
                 problems.add_error(f"column {name!r}", error)
-    missing = [name for name in _NEEDED if name not in curves]
-    if missing and not len(problems):
+    absent = [name for name in _REQUIRED if name not in curves]
+    if absent and not len(problems):
         problems.add(
-            f"column {' and '.join(missing)} is missing",
-            expected=", ".join(_NEEDED),
+            f"column {' and '.join(absent)} is missing",
+            expected=", ".join(_REQUIRED),
             code="column-missing",
         )
     if ("extinction" in curves) != ("path_radiance" in curves):
         problems.add(
-            "only one of extinction and path_radiance is given",
-            mend="give both or neither",
+            "only one of extinction and path_radiance is present",
+            mend="add the other, or remove it",
             code="column-missing",
         )
     return curves

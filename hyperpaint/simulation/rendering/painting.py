@@ -1,4 +1,4 @@
-"""Which spectrum every factor of a path has: defaults by name, spectra of a user, repainted cars."""
+"""Spectra of the factors of paths: defaults by name, spectra of a user, repainted cars."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class FactorSpectra:
     names
         Name of the spectrum of every factor.
     coats
-        Refractive index of the coat over it; None for bare surfaces and for flakes.
+        Refractive index of the coat over every factor; None for bare surfaces and for flakes.
     spectra
-        Spectrum by name.
+        Spectra by name.
     scales
-        What every factor is multiplied by: a paint with more or fewer flakes than was traced.
+        Multiplier of every factor, for paints with another share of flakes than was traced.
     clip
         Limit reflectances to 0 to 1.
     """
@@ -70,9 +70,9 @@ def factor_spectra(
     Parameters
     ----------
     record
-        What is known of the scene.
+        The scene without its geometry.
     bands
-        Tabulated spectra must cover their centres to half a width; they are constant beyond their ends.
+        Bands whose centres tabulated spectra must cover to half a width.
     paints, spectra, clip, hold_edges
         As for `relighting.relight`.
 
@@ -83,17 +83,17 @@ def factor_spectra(
     """
     problems = Problems("the scene cannot be painted", SchemaError)
     library = by_name(spectra)
-    wanted: Any = {} if paints is None else paints
+    targets: Any = {} if paints is None else paints
     if is_library(paints):
-        dealt = by_name(paints)
-        library |= dealt
-        wanted = dealt_paints(record, list(dealt))
-    assigned, scales = _painted(record, dict(wanted), library, problems)
+        library_paints = by_name(paints)
+        library |= library_paints
+        targets = assigned_paints(record, list(library_paints))
+    assigned, scales = _assign_spectra(record, dict(targets), library, problems)
     reader = SpectrumReader(library, bands, problems, clip=clip, hold_edges=hold_edges)
-    read = {name: reader.read(name) for name in dict.fromkeys(assigned)}
+    spectra_or_none = {name: reader.read(name) for name in dict.fromkeys(assigned)}
     problems.raise_if_any()
     reader.warn()
-    spectra_by_name = {name: spectrum for name, spectrum in read.items() if spectrum is not None}
+    spectra_by_name = {name: spectrum for name, spectrum in spectra_or_none.items() if spectrum is not None}
     coats = []
     for factor in record.factors:
         coat = record.materials[factor.material].coat
@@ -101,55 +101,58 @@ def factor_spectra(
     return FactorSpectra(tuple(assigned), tuple(coats), spectra_by_name, tuple(scales), clip)
 
 
-def dealt_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:
+def assigned_paints(record: SceneRecord, names: Sequence[str]) -> dict[str, str]:
     """Return the assignment of library paints to spectra, materials and instances of a scene.
 
-    A paint that is called like a spectrum, a material or a thing of the scene goes there. The others are
-    dealt in turn, in their order, to the cars that none has gone to.
+    A paint with the name of a spectrum, material or instance of the scene is assigned to it. Other paints are
+    assigned in turn, in their order, to the remaining cars.
 
     Parameters
     ----------
     record
-        What is known of the scene.
+        The scene without its geometry.
     names
-        Of the paints.
+        Names of the paints.
 
     Raises
     ------
     SchemaError
-        No paint goes anywhere: none has a name of the scene, which has no car.
+        No paint can be assigned: none has a name of the scene, and the scene has no car.
 
     Examples
     --------
     >>> from .car_parks import car_park
     >>> record = SceneRecord.of(car_park(length=5.0, width=16.0, neighbours=(), seed=1))
-    >>> [one.paint for one in record.instances if one.kind == "car"]
+    >>> [instance.paint for instance in record.instances if instance.kind == "car"]
     ['light_blue', 'dark_red', 'yellow', 'white']
-    >>> dealt_paints(record, ["yellow", "roof 7"])
+    >>> assigned_paints(record, ["yellow", "roof 7"])
     {'yellow': 'yellow', 'car_000': 'roof 7', 'car_001': 'roof 7', 'car_003': 'roof 7'}
     """
     labels = [{material.name, material.spectrum} for material in record.materials]
     cars = {instance.name for instance in record.instances}
-    dealt = {name: name for name in names if name in cars.union(*labels)}
-    rest = [name for name in names if name not in dealt]
-    free = [
+    by_name = {name: name for name in names if name in cars.union(*labels)}
+    other_paints = [name for name in names if name not in by_name]
+    other_cars = [
         instance.name
         for instance, members in zip(record.instances, record.members, strict=True)
-        if instance.kind == "car" and not dealt.keys() & {instance.name}.union(*(labels[n] for n in members))
+        if instance.kind == "car"
+        and not by_name.keys() & {instance.name}.union(*(labels[n] for n in members))
     ]
-    if rest and not free and not dealt:
+    if other_paints and not other_cars and not by_name:
         raise SchemaError(
-            f"the scene has no car for {some_names(rest)}",
-            mend=f"name the materials to paint: paints={{{record.materials[0].name!r}: ...}}",
+            f"the scene has no car for {some_names(other_paints)}",
+            mend=f"pass the materials to paint: paints={{{record.materials[0].name!r}: ...}}",
             code="car-missing",
         )
-    return dealt | {car: rest[number % len(rest)] for number, car in enumerate(free) if rest}
+    return by_name | {
+        car: other_paints[number % len(other_paints)] for number, car in enumerate(other_cars) if other_paints
+    }
 
 
-def _painted(
+def _assign_spectra(
     record: SceneRecord, paints: dict[str, Any], library: dict[str, Any], problems: Problems
 ) -> tuple[list[str], list[float]]:
-    # Spectrum and scale of every factor; new spectra are added to ``library``.
+    # name of the spectrum, and scale, of every factor; new spectra are added to ``library``
     original = []
     for factor in record.factors:
         material = record.materials[factor.material]
@@ -175,68 +178,75 @@ def _painted(
         if not isinstance(paints[key], str):
             library[key] = paints[key]
         if rank[key] == 0:
-            chosen = [place for place, spectrum in enumerate(original) if spectrum == key]
+            factor_numbers = [number for number, spectrum in enumerate(original) if spectrum == key]
         elif rank[key] == 1:
-            chosen = [materials.index(key)]
+            factor_numbers = [materials.index(key)]
         else:
-            chosen = _paint_of(record, instances.index(key), problems)
-        for place in chosen:
-            assigned[place] = name
+            factor_numbers = _paint_factor(record, instances.index(key), problems)
+        for number in factor_numbers:
+            assigned[number] = name
             _exchange_flakes(
-                record, place, name if isinstance(paints[key], str) else "", assigned, scales, problems
+                record, number, name if isinstance(paints[key], str) else "", assigned, scales, problems
             )
     return assigned, scales
 
 
 def _exchange_flakes(
-    record: SceneRecord, place: int, name: str, assigned: list[str], scales: list[float], problems: Problems
+    record: SceneRecord,
+    factor_number: int,
+    name: str,
+    assigned: list[str],
+    scales: list[float],
+    problems: Problems,
 ) -> None:
-    # A repainted base gets the flakes of its new paint; path weights contain the traced flake shares.
-    material = record.factors[place].material
-    old = record.materials[material].flakes
-    if record.factors[place].flakes or old is None:
+    # give a repainted base the flakes of its new paint; scales correct the flake shares in the path weights
+    material = record.factors[factor_number].material
+    traced_flakes = record.materials[material].flakes
+    if record.factors[factor_number].flakes or traced_flakes is None:
         return
     try:
-        new = paint_spec(name).flakes
+        new_flakes = paint_spec(name).flakes
     except SchemaError:
-        new = None
-    if old.share >= 1.0:
+        new_flakes = None
+    if traced_flakes.share >= 1.0:
         problems.add(
             f"{record.materials[material].name!r} has flakes only and cannot be repainted",
             code="paint-all-flakes",
         )
         return
-    scales[place] = (1.0 - (new.share if new else 0.0)) / (1.0 - old.share)
-    for other, factor in enumerate(record.factors):
+    scales[factor_number] = (1.0 - (new_flakes.share if new_flakes else 0.0)) / (1.0 - traced_flakes.share)
+    for other_number, factor in enumerate(record.factors):
         if factor.material == material and factor.flakes:
-            scales[other] = new.share / old.share if new else 0.0
-            if new is not None:
-                assigned[other] = new.turned if factor.turned and new.turned else new.spectrum
+            scales[other_number] = new_flakes.share / traced_flakes.share if new_flakes else 0.0
+            if new_flakes is not None:
+                assigned[other_number] = (
+                    new_flakes.turned if factor.turned and new_flakes.turned else new_flakes.spectrum
+                )
 
 
-def _paint_of(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
-    # The paint factor in a list; an empty one after a problem.
+def _paint_factor(record: SceneRecord, instance: int, problems: Problems) -> list[int]:
+    # the paint factor of an instance, in a list; an empty list after a problem
     members, name = record.members[instance], record.instances[instance].name
-    chosen = [number for number in members if record.materials[number].kind == "paint"] or list(members)
-    if len(chosen) != 1:
-        names = some_names([record.materials[number].name for number in chosen])
+    candidates = [number for number in members if record.materials[number].kind == "paint"] or list(members)
+    if len(candidates) != 1:
+        names = some_names([record.materials[number].name for number in candidates])
         problems.add(
-            f"paints[{name!r}]: {len(chosen)} materials to paint",
-            mend=f"name one of {names}",
+            f"paints[{name!r}]: {len(candidates)} materials to paint",
+            mend=f"choose one of {names}",
             code="paint-target-ambiguous",
         )
         return []
     shared = [
-        record.instances[other].name
-        for other, numbers in enumerate(record.members)
-        if other != instance and chosen[0] in numbers
+        record.instances[other_instance].name
+        for other_instance, numbers in enumerate(record.members)
+        if other_instance != instance and candidates[0] in numbers
     ]
     if shared:
-        material = record.materials[chosen[0]].name
+        material = record.materials[candidates[0]].name
         problems.add(
             f"paints[{name!r}]: {some_names(shared)} would change too",
-            mend=f"name the material, {material!r}",
+            mend=f"use the material, {material!r}",
             code="paint-target-shared",
         )
         return []
-    return chosen
+    return candidates

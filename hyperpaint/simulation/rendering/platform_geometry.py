@@ -1,14 +1,14 @@
-"""The geometry of a flight line, as rays need it.
+"""The geometry of a flight line for ray tracing.
 
-Frames: the scene's is x east, y north, z up [m]. The camera's is x forward, y right, z down; a column looks
-along (tangent forward, tangent to the right, 1). With heading H clockwise from north, pitch P (nose up) and
-roll R (right wing down), a direction of the camera is in north, east, down
+Frames: the scene has x east, y north, z up [m]. The camera has x forward, y right, z down; the line of sight
+of a column is (tangent forward, tangent to the right, 1). With heading H clockwise from north, pitch P (nose
+up) and roll R (right wing down), a direction of the camera is in north, east, down
 
     d_ned = Rz(H) Ry(P) Rx(R) d_camera
 
 (the aerospace sequence yaw, pitch, roll of ISO 1151-2), and x, y, z = east, north, -down.
 
-Quaternions are (scalar, x, y, z), of unit length, and turn camera directions into north, east, down; q and -q
+Quaternions are (scalar, x, y, z), of unit length, and rotate camera directions to north, east, down; q and -q
 are the same rotation.
 """
 
@@ -23,42 +23,42 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.simulation.setting_checks import finite_floats
 
-#: Sizes of a flight that are taken; poses are held in memory, 200 bytes a line.
+#: Maximum size of a flight; poses are held in memory, 200 bytes per line.
 MAX_LINES, MAX_COLUMNS = 1_000_000, 20_000
 
-#: UTC at mid exposure of the first scan line, by default.
+#: Default UTC at mid-exposure of the first scan line.
 START = np.datetime64("2021-07-20T17:10:00", "ns")
 
-#: Tangent of the steepest view that is taken.
+#: Maximum tangent of a view angle.
 MAX_VIEW_TANGENT = float(np.tan(np.radians(85.0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Platform:
-    """The geometry of a flight line, as rays need it.
+    """The geometry of a flight line for ray tracing.
 
     Attributes
     ----------
     origin
-        Camera at begin and end of every exposure, shape (line, 2, 3) [m].
+        Position of the camera at start and end of every exposure, shape (line, 2, 3) [m].
     rotation
-        What turns camera directions into the scene's, at the same moments, shape (line, 2, 3, 3).
+        Rotations from the camera to the scene at start and end, shape (line, 2, 3, 3).
     column_edges
-        Tangents between which the columns look, to the right, shape (columns + 1,).
+        Tangents of the edges of columns, positive to the right, shape (columns + 1,).
     along_edges
-        Tangents between which every column looks, forward, shape (2,).
+        Tangents of the rear and front edge of a line, positive forward, shape (2,).
     time
-        Mid exposure of every line [ns after the first], shape (line,), int64.
+        Mid-exposure of every line [ns after the first], shape (line,), int64.
     exposure_time
-        [s]
+        Exposure [s].
     start
         UTC at which ``time`` is zero.
 
     Raises
     ------
     SchemaError
-        Shapes do not fit, numbers are not finite, rotations are none, tangents do not increase; all are
-        listed.
+        Shapes do not fit, numbers are not finite, matrices are not rotations, tangents do not increase; all
+        are listed.
     """
 
     origin: Floats
@@ -103,8 +103,8 @@ class Platform:
             )
         problems.raise_if_any()
         # values
-        turned = self.rotation @ self.rotation.swapaxes(-1, -2)
-        if not np.allclose(turned, np.eye(3), atol=1e-6) or (np.linalg.det(self.rotation) < 0).any():
+        products = self.rotation @ self.rotation.swapaxes(-1, -2)
+        if not np.allclose(products, np.eye(3), atol=1e-6) or (np.linalg.det(self.rotation) < 0).any():
             problems.add("rotation contains matrices that are not rotations", code="rotation-invalid")
         for name in ("column_edges", "along_edges"):
             edges = getattr(self, name)
@@ -146,9 +146,9 @@ class Platform:
         return np.asarray(self.start + self.time.astype("timedelta64[ns]"))
 
 
-#: north, east, down into east, north, up, and the other way round
+#: Matrix between north, east, down and east, north, up, in both directions.
 _SCENE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-_NEARLY_EQUAL = 1e-8  # angles below which the arc is taken for its chord [rad]
+_MIN_ARC_RAD = 1e-8  # angle below which rotations are interpolated linearly
 
 
 def quaternions(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> Floats:
@@ -192,27 +192,27 @@ def matrices(rotation: Floats) -> Floats:
     return np.asarray(_SCENE @ turns(rotation))
 
 
-def interpolate(first: Floats, second: Floats, part: Floats) -> Floats:
+def interpolate(first: Floats, second: Floats, share: Floats) -> Floats:
     """Return rotations on the shorter arc from ``first`` (part 0) to ``second`` (part 1), shape (..., 4)."""
     dot = (first * second).sum(axis=-1)
     second = np.where((dot < 0)[..., None], -second, second)
     angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
-    sine = np.where(angle > _NEARLY_EQUAL, np.sin(angle), 1.0)
-    near = angle <= _NEARLY_EQUAL
-    one = np.where(near, 1.0 - part, np.sin((1.0 - part) * angle) / sine)
-    other = np.where(near, part, np.sin(part * angle) / sine)
-    between = one[..., None] * first + other[..., None] * second
-    return np.asarray(between / np.linalg.norm(between, axis=-1, keepdims=True))
+    sine = np.where(angle > _MIN_ARC_RAD, np.sin(angle), 1.0)
+    is_near = angle <= _MIN_ARC_RAD
+    first_weight = np.where(is_near, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
+    second_weight = np.where(is_near, share, np.sin(share * angle) / sine)
+    sums = first_weight[..., None] * first + second_weight[..., None] * second
+    return np.asarray(sums / np.linalg.norm(sums, axis=-1, keepdims=True))
 
 
 def attitude_of(rotation: Floats) -> Floats:
-    # Roll, pitch, heading halfway between two rotations (line, 2, 3, 3), shape (line, 3) [degree].
-    sum_of_both = _SCENE @ rotation.sum(axis=1)
-    # the rotation nearest to the sum is the one halfway (Moakher 2002)
-    left, _, right = np.linalg.svd(sum_of_both)
-    middle = left @ right
-    roll = np.arctan2(middle[:, 2, 1], middle[:, 2, 2])
-    pitch = -np.arcsin(np.clip(middle[:, 2, 0], -1.0, 1.0))
-    angles = np.degrees(np.stack([roll, pitch, np.arctan2(middle[:, 1, 0], middle[:, 0, 0])], axis=-1))
+    # roll, pitch, heading of the mean of two rotations (line, 2, 3, 3), shape (line, 3) [degree]
+    rotation_sum = _SCENE @ rotation.sum(axis=1)
+    # the mean is the rotation nearest to the sum (Moakher 2002)
+    u, _, v_transposed = np.linalg.svd(rotation_sum)
+    mean = u @ v_transposed
+    roll = np.arctan2(mean[:, 2, 1], mean[:, 2, 2])
+    pitch = -np.arcsin(np.clip(mean[:, 2, 0], -1.0, 1.0))
+    angles = np.degrees(np.stack([roll, pitch, np.arctan2(mean[:, 1, 0], mean[:, 0, 0])], axis=-1))
     angles[:, 2] %= 360.0
     return np.asarray(angles)

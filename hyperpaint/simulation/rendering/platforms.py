@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.base.facts import Fact, Spelling, as_argument
+from hyperpaint.base.facts import Fact, Spelling, as_argument, check_values
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.simulation.setting_checks import check_whole, finite_floats, moment_of
-from hyperpaint.simulation.settings import MAX_SEED
+from hyperpaint.simulation.setting_checks import finite_floats, moment_of
+from hyperpaint.simulation.settings import MAX_SEED, PIXEL_ANGLE_RAD
 
 from .platform_geometry import (
     MAX_COLUMNS,
@@ -26,9 +26,6 @@ from .platform_geometry import (
     quaternions,
     turns,
 )
-
-#: Angle of a pixel: 7.4 um pixels behind a lens of 12 mm [rad].
-IFOV = 7.4e-6 / 12e-3
 
 _WOBBLE = 16  # key of the random stream
 _WOBBLE_RATES = np.geomspace(0.15, 6.0, 9)  # Hz
@@ -153,8 +150,7 @@ def note_pushbroom_faults(
 ) -> None:
     before = len(problems)
     present = {name: value for name, value in values.items() if value is not None}
-    for name, value in present.items():
-        PUSHBROOM[name].note(problems, spelled(name, value), value)
+    check_values(PUSHBROOM, present, problems, spelled)
     for one, other in (("ground_sample", "ifov"), ("speed", "line_spacing")):
         if one in present and other in present:
             problems.add(
@@ -188,7 +184,7 @@ def note_pushbroom_faults(
 def _pixel_angle(values: dict[str, Any]) -> float:
     if values.get("ground_sample") is not None:
         return float(values["ground_sample"] / values.get("altitude", PUSHBROOM["altitude"].default))
-    return IFOV if values.get("ifov") is None else float(values["ifov"])
+    return PIXEL_ANGLE_RAD if values.get("ifov") is None else float(values["ifov"])
 
 
 def _is_flight_time(value: Any) -> bool:
@@ -201,32 +197,34 @@ _PLACE: dict[str, Any] = {
     "kind": "numbers", "unit": "m", "length": 2, "least": -1e6, "most": 1e6,
 }  # fmt: skip
 _FACTS = (
-    Fact(name="lines", kind="whole", least=1, most=MAX_LINES, needed=True, doc="lines of the cube"),
-    Fact(name="columns", kind="whole", least=1, most=MAX_COLUMNS, needed=True, doc="columns of the cube"),
+    Fact(name="lines", kind="whole", least=1, most=MAX_LINES, needed=True, doc="number of lines of the cube"),
+    Fact(name="columns", kind="whole", least=1, most=MAX_COLUMNS, needed=True,
+         doc="number of columns of the cube"),
     Fact(
         name="altitude", key="altitude_m", kind="number", unit="m", scale=1.0, least=0.1, most=1e5,
-        default=15.0, doc="height above z = 0",
+        default=15.0, doc="height of the camera above the level z = 0 of the scene",
     ),
     Fact(
         name="ground_sample", key="ground_sample_m", kind="number", unit="m", scale=1.0, least=1e-5, most=1e4,
-        doc="across-track size of a pixel on z = 0; or ifov_mrad",
+        doc="size of a pixel across the track, on the level z = 0; an alternative to ifov_mrad",
     ),
     Fact(
         name="ifov", key="ifov_mrad", kind="number", unit="mrad", scale=1e-3, least=1e-7, most=1.0,
-        doc="angle of a pixel; by default a 12 mm lens in front of 7.4 um pixels",
+        doc="field of view of one pixel; by default that of a 12 mm lens and pixels of 7.4 um",
     ),
     Fact(
         name="speed", key="speed_m_s", kind="number", unit="m s-1", scale=1.0, least=1e-4, most=1e4,
-        doc="speed over ground; or line_spacing_m",
+        doc="speed of the platform over ground; an alternative to line_spacing_m",
     ),
     Fact(
         name="line_spacing", key="line_spacing_m", kind="number", unit="m", scale=1.0, least=1e-5, most=1e4,
-        doc="way from line to line; by default a line is as long as a pixel is wide",
+        doc="distance between lines along the track; by default the size of a pixel across the track",
     ),
-    Fact(name="centre", key="centre_m", **_PLACE, doc="east and north of the middle of the flight"),
+    Fact(name="centre", key="centre_m", **_PLACE,
+         doc="east and north coordinate of the middle of the flight; an alternative to start_m"),
     Fact(
         name="start", key="start_m", **_PLACE,
-        doc="east and north of the camera at the first line, in place of the centre",
+        doc="east and north coordinate of the camera at the first line; an alternative to centre_m",
     ),
     Fact(
         name="heading", key="heading_deg", kind="number", unit="degree", scale=1.0, least=-360.0, most=360.0,
@@ -234,26 +232,28 @@ _FACTS = (
     ),
     Fact(
         name="exposure_time", key="exposure_time_ms", kind="number", unit="ms", scale=1e-3, least=0.0,
-        most=3600.0, default=5e-3, doc="exposure of a line",
+        most=3600.0, default=5e-3, doc="exposure time of a line",
     ),
     Fact(
         name="frame_period", key="frame_period_ms", kind="number", unit="ms", scale=1e-3, least=1e-6,
-        most=3600.0, default=7e-3, doc="time from line to line",
+        most=3600.0, default=7e-3, doc="time from the start of a line to the start of the next line",
     ),
     Fact(
         name="wobble", key="wobble_deg", kind="numbers", single=True, length=3, unit="degree", least=0.0,
-        most=20.0, default=0.0, doc="spread of roll, pitch and heading, 1 sigma; one number or three",
+        most=20.0, default=0.0,
+        doc="standard deviation of roll, pitch and heading; one number for all, or three",
     ),
     Fact(
         name="sway", key="sway_m", kind="number", unit="m", scale=1.0, least=0.0, most=100.0, default=0.0,
-        doc="spread of east, north and up, 1 sigma",
+        doc="standard deviation of the deviation from the straight course in east, north and up",
     ),
     Fact(
         name="start_time", kind="own", accepts=_is_flight_time, doc="UTC at mid exposure of the first line",
         phrase="a UTC time such as '2021-07-20T17:10:00'",
     ),
     Fact(
-        name="seed", kind="whole", least=0, most=MAX_SEED, default=0, doc="chooses wobble and sway",
+        name="seed", kind="whole", least=0, most=MAX_SEED, default=0,
+        doc="seed of the random numbers for wobble and sway",
     ),
 )  # fmt: skip
 
@@ -286,7 +286,7 @@ def platform_from_poses(
     heading: ArrayLike,
     *,
     columns: int,
-    ifov: float = IFOV,
+    ifov: float = PIXEL_ANGLE_RAD,
     line_time: ArrayLike | None = None,
     exposure_time: float = 5e-3,
     boresight: Sequence[float] = (0.0, 0.0, 0.0),
@@ -348,7 +348,7 @@ def platform_from_poses(
         )
     }
     _check_poses(poses, seconds, problems)
-    check_whole(problems, "columns", columns, 1, MAX_COLUMNS)
+    check_values(PUSHBROOM, {"columns": columns}, problems)
     PUSHBROOM["ifov"].note(problems, as_argument("ifov", ifov), ifov)
     PUSHBROOM["exposure_time"].note(problems, as_argument("exposure_time", exposure_time), exposure_time)
     problems.raise_if_any()

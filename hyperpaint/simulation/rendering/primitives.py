@@ -1,4 +1,4 @@
-"""Shapes that things in a scene are built from: plates, boxes, tubes, lofts, with smooth normals."""
+"""Shapes for objects of a scene: plates, boxes, tubes, lofts, with smooth normals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .scene import PARTS, Instance, Scene, has_area
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles whose materials are named by words.
+    """Triangles with names of surfaces instead of materials.
 
     Attributes
     ----------
@@ -27,11 +27,11 @@ class Mesh:
     surface
         Number of the surface of every triangle, shape (face,), into ``surfaces``.
     surfaces
-        What the things that use the mesh call their materials: "paint", "glass".
+        Names of surfaces, to which materials are assigned later: "paint", "glass".
     part
         Number of the part of every triangle, shape (face,), into `scene.PARTS`.
     normals
-        At the vertices, zero where a face is flat, shape (vertex, 3).
+        Normals at the vertices, zero for flat faces, shape (vertex, 3).
     """
 
     vertices: Floats
@@ -50,7 +50,7 @@ class Mesh:
         return replace(self, vertices=self.vertices + np.asarray(offset, np.float64))
 
     def scene(self, materials: dict[str, Material], instance: Instance) -> Scene:
-        """Return the mesh as one thing; ``materials`` gives the material of each of its surfaces."""
+        """Return the mesh as a scene of one instance; ``materials``: material by name of the surface."""
         return Scene(
             instance.name,
             self.vertices,
@@ -65,21 +65,21 @@ class Mesh:
 
 
 def put_together(meshes: Sequence[Mesh]) -> Mesh:
-    """Return one mesh of several; surfaces with one name become one.
+    """Return a mesh of several meshes; surfaces with equal names are merged.
 
     Examples
     --------
-    >>> both = put_together([cuboid((1, 1, 1), "wood"), cuboid((1, 1, 1), "wood").shifted((2, 0, 0))])
-    >>> len(both.faces), both.surfaces
+    >>> joined = put_together([cuboid((1, 1, 1), "wood"), cuboid((1, 1, 1), "wood").shifted((2, 0, 0))])
+    >>> len(joined.faces), joined.surfaces
     (24, ('wood',))
     """
     surfaces: dict[str, int] = {}
-    numbers, faces, first = [], [], 0
+    numbers, faces, first_vertex = [], [], 0
     for mesh in meshes:
-        own = [surfaces.setdefault(name, len(surfaces)) for name in mesh.surfaces]
-        numbers.append(np.asarray(own, np.int64)[mesh.surface])
-        faces.append(mesh.faces + first)
-        first += len(mesh.vertices)
+        surface_numbers = [surfaces.setdefault(name, len(surfaces)) for name in mesh.surfaces]
+        numbers.append(np.asarray(surface_numbers, np.int64)[mesh.surface])
+        faces.append(mesh.faces + first_vertex)
+        first_vertex += len(mesh.vertices)
     return Mesh(
         np.concatenate([mesh.vertices for mesh in meshes]),
         np.concatenate(faces),
@@ -92,12 +92,12 @@ def put_together(meshes: Sequence[Mesh]) -> Mesh:
 
 def uniform(vertices: ArrayLike, faces: ArrayLike, surface: str, part: str = "") -> Mesh:
     triangles = np.asarray(faces, np.int64).reshape(-1, 3)
-    same = np.zeros(len(triangles), np.int64)
-    return Mesh(np.asarray(vertices, np.float64), triangles, same, (surface,), same + PARTS.index(part))
+    zeros = np.zeros(len(triangles), np.int64)
+    return Mesh(np.asarray(vertices, np.float64), triangles, zeros, (surface,), zeros + PARTS.index(part))
 
 
 def polygon(corners: ArrayLike, surface: str, part: str = "") -> Mesh:
-    """Return a convex polygon as a fan of triangles; ``corners`` (corner, 3) [m] run anticlockwise.
+    """Return a convex polygon as a fan of triangles; ``corners`` (corner, 3) [m] are anticlockwise.
 
     Examples
     --------
@@ -129,15 +129,15 @@ def box(
     centre: Sequence[float] = (0.0, 0.0, 0.0),
     instance: Instance | str = "box",
 ) -> Scene:
-    """Return a closed box of one material as a scene, the middle of its foot at ``centre`` [m].
+    """Return a closed box of one material as a scene, with the centre of its base at ``centre`` [m].
 
     Examples
     --------
     >>> box((1.0, 2.0, 3.0), Material("brick", "brick", "wall")).area.sum()
     np.float64(22.0)
     """
-    thing = Instance(instance) if isinstance(instance, str) else instance
-    return cuboid(size, "all").shifted(centre).scene({"all": material}, thing)
+    box_instance = Instance(instance) if isinstance(instance, str) else instance
+    return cuboid(size, "all").shifted(centre).scene({"all": material}, box_instance)
 
 
 def tube(
@@ -150,20 +150,20 @@ def tube(
     part: str = "",
     closed: bool = True,
 ) -> Mesh:
-    """Return a (conical) tube from ``foot`` to ``head`` [m], its ends closed by discs.
+    """Return a (conical) tube from ``foot`` to ``head`` [m].
 
     Parameters
     ----------
     foot, head
-        Middles of its ends: east, north and up [m].
+        Centres of the ends: east, north and up [m].
     radii
-        At the foot and at the head [m].
+        Radii at foot and head [m].
     surface, part
-        What it is.
+        Names of the surface and of the part.
     sides
-        Of its outline.
+        Number of sides.
     closed
-        Whether the ends are.
+        Whether discs close the ends.
 
     Examples
     --------
@@ -172,29 +172,32 @@ def tube(
     """
     begin, end = np.asarray(foot, np.float64), np.asarray(head, np.float64)
     axis = (end - begin) / np.linalg.norm(end - begin)
-    aside = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (0.0, 1.0, 0.0))
-    aside /= np.linalg.norm(aside)
+    normal = np.cross(axis, (0.0, 0.0, 1.0) if abs(axis[2]) < 0.9 else (0.0, 1.0, 0.0))
+    normal /= np.linalg.norm(normal)
     angle = 2 * np.pi * np.arange(sides) / sides
-    rim = np.outer(np.cos(angle), aside) + np.outer(np.sin(angle), np.cross(axis, aside))
+    rim = np.outer(np.cos(angle), normal) + np.outer(np.sin(angle), np.cross(axis, normal))
     vertices = np.concatenate([begin + radii[0] * rim, end + radii[1] * rim, [begin], [end]])
-    here = np.arange(sides)
-    after = (here + 1) % sides
-    faces = [np.stack([here, after, after + sides], 1), np.stack([here, after + sides, here + sides], 1)]
+    corner = np.arange(sides)
+    next_corner = (corner + 1) % sides
+    faces = [
+        np.stack([corner, next_corner, next_corner + sides], 1),
+        np.stack([corner, next_corner + sides, corner + sides], 1),
+    ]
     if closed:
-        faces.append(np.stack([after, here, np.full(sides, 2 * sides)], 1))
-        faces.append(np.stack([here + sides, after + sides, np.full(sides, 2 * sides + 1)], 1))
+        faces.append(np.stack([next_corner, corner, np.full(sides, 2 * sides)], 1))
+        faces.append(np.stack([corner + sides, next_corner + sides, np.full(sides, 2 * sides + 1)], 1))
     return uniform(vertices, np.concatenate(faces), surface, part)
 
 
 def lattice(points: ArrayLike, surface: NDArray[np.object_], part: NDArray[np.object_]) -> Mesh:
-    """Return a sheet of four-sided cells, each split in two.
+    """Return a sheet of four-sided cells, split into two triangles.
 
     Parameters
     ----------
     points
-        Shape (row, column, 3) [m]; seen from outside, columns run to the left of the way rows run.
+        Shape (row, column, 3) [m]; from outside, columns increase to the left of the direction of rows.
     surface, part
-        Word for every cell, shape (row - 1, column - 1).
+        Names for every cell, shape (row - 1, column - 1).
 
     Examples
     --------
@@ -213,19 +216,20 @@ def lattice(points: ArrayLike, surface: NDArray[np.object_], part: NDArray[np.ob
     return Mesh(grid.reshape(-1, 3), faces, numbers.repeat(2), tuple(words), parts.repeat(2))
 
 
-#: Triangles around one vertex whose normals are made smooth; a pole of a fine sphere has a hundred.
+#: Maximum number of triangles around a vertex whose normals are smoothed; a pole of a fine sphere has a
+#: hundred.
 MAX_FACES_AROUND = 256
 
 
 def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
-    """Return the mesh with smooth normals except where it bends by more than ``crease`` [degree].
+    """Return the mesh with smooth normals, except at edges of more than ``crease`` [degree].
 
-    The normal at a corner of a triangle is the mean of the normals of the triangles around its vertex that
-    lie within ``crease`` of its own, weighted by their angles there, so that it does not matter how a
-    surface is cut into triangles (Thuermer & Wuethrich, J. Graphics Tools 3, 1998). A vertex with several
-    normals becomes several vertices. Vertices must be shared, as `lattice` shares them. Triangles without
-    area are dropped. Where more than `MAX_FACES_AROUND` triangles meet, each keeps its own normal: they bend
-    little from one to the next, and comparing all pairs would take long.
+    The normal at a corner of a triangle is the mean of the normals of those triangles around the vertex that
+    differ by less than ``crease``, weighted by their angles at the vertex, so that it does not depend on the
+    triangulation (Thuermer & Wuethrich, J. Graphics Tools 3, 1998). A vertex with several normals becomes
+    several vertices. Triangles must share vertices, as in `lattice`. Triangles without area are dropped.
+    Around vertices with more than `MAX_FACES_AROUND` triangles, normals are not smoothed, because comparing
+    all pairs would take long.
 
     Examples
     --------
@@ -233,53 +237,55 @@ def smoothed(mesh: Mesh, crease: float = 40.0) -> Mesh:
     >>> len(cube.vertices), len(np.unique(cube.normals.round(6), axis=0))
     (24, 6)
     """
-    with_area = has_area(mesh.vertices, mesh.faces)
-    faces = mesh.faces[with_area]
+    keeps_area = has_area(mesh.vertices, mesh.faces)
+    faces = mesh.faces[keeps_area]
     # unit normals of the triangles, and the angles at their corners
     corners = mesh.vertices[faces]
-    to_next = np.roll(corners, -1, axis=1) - corners
-    to_last = -np.roll(to_next, 1, axis=1)
-    turned = np.cross(to_next, to_last)
-    sine = np.linalg.norm(turned, axis=2)
-    angle = np.arctan2(sine, (to_next * to_last).sum(axis=2)).reshape(-1)
-    unit = turned[:, 0] / sine[:, :1]
+    next_edge = np.roll(corners, -1, axis=1) - corners
+    last_edge = -np.roll(next_edge, 1, axis=1)
+    cross_products = np.cross(next_edge, last_edge)
+    sine = np.linalg.norm(cross_products, axis=2)
+    angle = np.arctan2(sine, (next_edge * last_edge).sum(axis=2)).reshape(-1)
+    unit = cross_products[:, 0] / sine[:, :1]
     vertex = faces.reshape(-1)
     order = np.argsort(vertex, kind="stable")
     counts = np.bincount(vertex, minlength=len(mesh.vertices))
     starts = (np.cumsum(counts) - counts)[vertex[order]]
     sizes = counts[vertex[order]]
-    place = np.arange(len(order)) - starts
-    own = unit[order // 3]
+    rank_at_vertex = np.arange(len(order)) - starts
+    own_normals = unit[order // 3]
     total = np.zeros((len(order), 3))
     crowded = sizes > MAX_FACES_AROUND
-    total[crowded] = own[crowded]
-    left = np.flatnonzero(~crowded)
-    for step in range(int(sizes[left].max(initial=0))):  # corner against the step-th next around its vertex
-        left = left[sizes[left] > step]
-        other = order[starts[left] + (place[left] + step) % sizes[left]]
-        near = (own[left] * unit[other // 3]).sum(axis=1) >= np.cos(np.radians(crease))
-        total[left] += np.where(near, angle[other], 0.0)[:, None] * unit[other // 3]
+    total[crowded] = own_normals[crowded]
+    active = np.flatnonzero(~crowded)
+    # compare every corner with the step-th next corner around its vertex
+    for step in range(int(sizes[active].max(initial=0))):
+        active = active[sizes[active] > step]
+        other_corner = order[starts[active] + (rank_at_vertex[active] + step) % sizes[active]]
+        is_similar = (own_normals[active] * unit[other_corner // 3]).sum(axis=1) >= np.cos(np.radians(crease))
+        total[active] += np.where(is_similar, angle[other_corner], 0.0)[:, None] * unit[other_corner // 3]
     normals = np.empty_like(total)
     normals[order] = total / np.linalg.norm(total, axis=1, keepdims=True)
-    first, corner = _distinct(vertex, normals)
+    first_corner, corner = _distinct(vertex, normals)
     return replace(
         mesh,
-        vertices=mesh.vertices[vertex[first]],
+        vertices=mesh.vertices[vertex[first_corner]],
         faces=corner.reshape(-1, 3).astype(np.int64),
-        surface=mesh.surface[with_area],
-        part=mesh.part[with_area],
-        normals=normals[first],
+        surface=mesh.surface[keeps_area],
+        part=mesh.part[keeps_area],
+        normals=normals[first_corner],
     )
 
 
 def _distinct(vertex: Ints, normals: Floats) -> tuple[Ints, Ints]:
-    # First corner of every distinct vertex and normal, and for every corner its distinct one.
-    # normals to 21 bits an axis, in one number: sorting is what takes time in a large mesh
+    # first corner of every distinct pair of vertex and normal, and for every corner the number of its pair;
+    # normals are packed into one integer with 21 bits per axis, because sorting dominates the time for a
+    # large mesh
     steps = np.rint((normals + 1.0) * 1e6).astype(np.int64)
     code = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]
     order = np.lexsort((code, vertex))
-    new = np.ones(len(order), bool)
-    new[1:] = (vertex[order[1:]] != vertex[order[:-1]]) | (code[order[1:]] != code[order[:-1]])
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = (vertex[order[1:]] != vertex[order[:-1]]) | (code[order[1:]] != code[order[:-1]])
     corner = np.empty(len(order), np.int64)
-    corner[order] = np.cumsum(new) - 1
-    return order[new], corner
+    corner[order] = np.cumsum(is_new) - 1
+    return order[is_new], corner

@@ -145,7 +145,7 @@ def relight(
     A pixel draws its member by a random field over the surface that it shows most of, which varies over
     20, 5 and 1.25 cm, a third of the variance each: a pixel has the spread of the members whatever its size,
     and neighbours in between are alike. Light that other surfaces throw on it has their means. The mean over
-    all members is the reflectance of the library. Seed, place and instance alone choose the member.
+    all members is the reflectance of the library. Seed, position and instance alone choose the member.
 
     Examples
     --------
@@ -153,8 +153,8 @@ def relight(
     >>> from hyperpaint.simulation.rendering.scene import plane
     >>> from hyperpaint.simulation.rendering.tracing import trace
     >>> traced = trace(plane(100.0), pushbroom(64, 8), ["noon"], samples=4)
-    >>> made = relight(traced, atmosphere="noon")
-    >>> made.radiance.dims, made.radiance.dtype, made.radiance.attrs["units"]
+    >>> line = relight(traced, atmosphere="noon")
+    >>> line.radiance.dims, line.radiance.dtype, line.radiance.attrs["units"]
     (('along_track', 'band', 'cross_track'), dtype('float32'), 'W m-2 sr-1 nm-1')
     """
     record, settings = SceneRecord.from_attrs(traced.attrs)
@@ -173,13 +173,15 @@ def relight(
     painted = factor_spectra(record, camera, paints, spectra, clip=clip, hold_edges=hold_edges)
     sun = traced_sun(sky, settings)
     cosine = float(np.cos(np.radians(settings.suns[sun][0])))
-    # light and camera are one node of the graph, shared by all tasks
+    # light and camera are a node of the dask graph, shared by all tasks
     shared = (camera, record.codes(settings), sky, settings, painted(BandResponses(camera).grid))
     light = dask.delayed(make_lighting, pure=True)(*shared)
     paths = [_whole_lines(variables[name]) for name in _PATHS]
     texture = _texture(traced, record, painted, camera, settings.seed) if population else None
     varied: Any = (
-        _shadowed(traced, variation, paths[0].chunks[0]) if isinstance(variation, BrokenClouds) else factors
+        _cloud_factors(traced, variation, paths[0].chunks[0])
+        if isinstance(variation, BrokenClouds)
+        else factors
     )
     cubes = _lazy_cubes(paths, light, varied, camera, texture, truth=truth)
     names = [""] * len(record.materials)  # spectra of the bases
@@ -207,13 +209,13 @@ def relight(
 
 def _check(bands: BandSet, atmosphere: Atmosphere, columns: int) -> None:
     problems = Problems("the traced scene cannot be relit", SchemaError)
-    low = bands.wavelength[0] + bands.nodes.min() - _COVERED * bands.fwhm[0]
-    high = bands.wavelength[-1] + bands.nodes.max() + _COVERED * bands.fwhm[-1]
-    first, last = atmosphere.wavelength[[0, -1]]
-    if first > low or last < high:
+    min_nm = bands.wavelength[0] + bands.nodes.min() - _COVERED * bands.fwhm[0]
+    max_nm = bands.wavelength[-1] + bands.nodes.max() + _COVERED * bands.fwhm[-1]
+    first_nm, last_nm = atmosphere.wavelength[[0, -1]]
+    if first_nm > min_nm or last_nm < max_nm:
         problems.add(
-            f"atmosphere {atmosphere.name!r} covers {first:.1f} to {last:.1f} nm",
-            expected=f"the range of the bands and their wings, {low:.1f} to {high:.1f} nm",
+            f"atmosphere {atmosphere.name!r} covers {first_nm:.1f} to {last_nm:.1f} nm",
+            expected=f"the range of the bands and their wings, {min_nm:.1f} to {max_nm:.1f} nm",
             code="atmosphere-coverage",
         )
     if bands.wavelength_shift is not None and bands.wavelength_shift.size != columns:
@@ -240,7 +242,7 @@ def _variation(variation: npt.ArrayLike | None, lines: int) -> Floats | None:
     return np.ascontiguousarray(factors.T)
 
 
-def _shadowed(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
+def _cloud_factors(traced: xr.Dataset, clouds: BrokenClouds, chunks: tuple[int, ...]) -> da.Array:
     places = [_whole_lines(traced[name]).rechunk({0: chunks}) for name in ("east", "north")]
     first = np.datetime64(traced.attrs["time_coverage_start"], "ns")
     return da.blockwise(
@@ -271,18 +273,18 @@ def _whole_lines(array: xr.DataArray) -> da.Array:
     return cast("da.Array", array.chunk(dict.fromkeys(split, -1)).data if split else array.data)
 
 
-_PLACES = ("material", "instance", "east", "north", "up")
+_PIXEL_LAYERS = ("material", "instance", "east", "north", "up")
 
 
 def _texture(
     traced: xr.Dataset, record: SceneRecord, painted: FactorSpectra, bands: BandSet, seed: int
 ) -> tuple[Any, Any] | None:
-    # Population member of every pixel (lazily, row of a table), and the table.
+    # population member of every pixel (lazy, as row of a table), and the table
     populations = populations_of(record, painted, bands)
     if populations is None:
         return None
-    places = [_whole_lines(traced[name].reset_coords(drop=True)) for name in _PLACES]
-    inputs = [part for place in places for part in (place, "lx")]
+    layers = [_whole_lines(traced[name].reset_coords(drop=True)) for name in _PIXEL_LAYERS]
+    inputs = [part for layer in layers for part in (layer, "lx")]
     shared = {"grain": populations.grain, "seed": seed}
     rows = da.blockwise(
         rows_of_pixels, "lx", *inputs, **shared, dtype=np.int32, meta=np.empty((0, 0), np.int32)
@@ -299,7 +301,7 @@ def _lazy_cubes(
     *,
     truth: bool,
 ) -> dict[str, da.Array]:
-    # Radiance, reflectance and shares; without truth, radiance needs one task per block.
+    # lazy radiance, reflectance and shares; without truth a block of radiance is a single task
     weight, code, distance = paths
     varied: tuple[Any, Any] = (None, None)
     if isinstance(variation, da.Array):
@@ -312,20 +314,20 @@ def _lazy_cubes(
     size = {"b": bands.wavelength.size}
     cube = {"dtype": np.float32, "meta": np.empty((0, 0, 0), np.float32)}
     if not truth:
-        alone = (light, None, *textured, distance, "lx")
-        return {"radiance": da.blockwise(_radiance_task, "lbx", *alone, new_axes=size, **cube)}
+        radiance_arguments = (light, None, *textured, distance, "lx")
+        return {"radiance": da.blockwise(_radiance_task, "lbx", *radiance_arguments, new_axes=size, **cube)}
     surface = da.blockwise(_surface_task, "lbx", light, None, *textured, new_axes=size, **cube)
-    behind_air = (light, None, surface, "lbx", distance, "lx")
+    air_arguments = (light, None, surface, "lbx", distance, "lx")
     shares = da.blockwise(_shares_task, "lcx", light, None, *traced, new_axes={"c": len(SHARES)}, **cube)
     return {
-        "radiance": da.blockwise(Lighting.at_sensor, "lbx", *behind_air, **cube),
+        "radiance": da.blockwise(Lighting.at_sensor, "lbx", *air_arguments, **cube),
         "reflectance": da.blockwise(_reflectance_task, "lbx", light, None, surface, "lbx", *varied, **cube),
-        **{name: shares[:, place] for place, name in enumerate(SHARES)},
+        **{name: shares[:, index] for index, name in enumerate(SHARES)},
     }
 
 
-def _only(nested: Any) -> Any:
-    # dask passes the sole block of dims with one block in lists.
+def _single_block(nested: Any) -> Any:
+    # dask passes the only block of a dim with one block as nested lists
     while isinstance(nested, list):
         (nested,) = nested
     return nested
@@ -334,8 +336,10 @@ def _only(nested: Any) -> Any:
 def _surface_task(
     light: Lighting, weight: Any, code: Any, variation: Any, rows: Any, populations: Populations | None
 ) -> Array:
-    texture = None if populations is None else populations.of_rows(_only(rows))
-    return light.surface_radiance(_only(weight), _only(code), _only(variation), texture)
+    texture = None if populations is None else populations.of_rows(_single_block(rows))
+    return light.surface_radiance(
+        _single_block(weight), _single_block(code), _single_block(variation), texture
+    )
 
 
 def _radiance_task(
@@ -352,11 +356,11 @@ def _radiance_task(
 
 
 def _reflectance_task(light: Lighting, surface: Array, variation: Any) -> Array:
-    return light.reflectance(surface, _only(variation))
+    return light.reflectance(surface, _single_block(variation))
 
 
 def _shares_task(light: Lighting, weight: Any, code: Any, variation: Any) -> Array:
-    return light.shares(_only(weight), _only(code), _only(variation))
+    return light.shares(_single_block(weight), _single_block(code), _single_block(variation))
 
 
 def _dataset(
@@ -391,10 +395,10 @@ def _dataset(
     return line
 
 
-_FWHM, _STEP = 3.0, 1.0  # nm, of the field spectrometer
-_GRID_STEP = 0.05  # nm
-_REACH = 3.3  # full widths of its line shape
-_MARGIN = np.timedelta64(10**9, "ns")  # how far the record goes beyond the lines
+_FWHM_NM, _STEP_NM = 3.0, 1.0  # of the irradiance spectrometer
+_GRID_STEP_NM = 0.05
+_REACH = 3.3  # extent of its line shape [full widths]
+_MARGIN = np.timedelta64(10**9, "ns")  # record before the first and after the last line
 _MAX_TIMES = 2000
 
 
@@ -405,9 +409,9 @@ def _irradiance_record(
     bands: BandSet,
     variation: Floats | BrokenClouds | None,
 ) -> xr.Dataset:
-    # ``irradiance`` and its companions as a spectrometer beside the scene records them: cut around the bands,
-    # from before the flight until after it; where the light varies from line to line, (line, 2), it follows,
-    # lazily.
+    # ``irradiance`` and related variables of a spectrometer beside the scene, for the wavelengths of the
+    # bands, from before until after the flight. With light that varies between lines, (line, 2), the record
+    # is lazy.
     centres, spectra = _spectra(atmosphere, sun_cosine, bands)
     times = _sample_times(traced, 0 if variation is None else traced.sizes[ALONG_TRACK])
     values: Any = np.broadcast_to(spectra.sum(axis=0), (times.size, centres.size)).astype(np.float32)
@@ -415,11 +419,11 @@ def _irradiance_record(
         seconds = (times - (times[0] + _MARGIN)) / np.timedelta64(1, "s")
         values = (variation.factors(*variation.station, seconds).T @ spectra).astype(np.float32)
     elif variation is not None:
-        record = dask.delayed(_at_times, pure=True)(traced["time"].data, times, variation, spectra)
+        record = dask.delayed(_irradiance_at_times, pure=True)(traced["time"].data, times, variation, spectra)
         values = da.from_delayed(record, (times.size, centres.size), dtype=dtype_of("irradiance"))
     variables = {
         "irradiance": ((IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH), values),
-        "irradiance_fwhm": ((), np.float64(_FWHM)),
+        "irradiance_fwhm": ((), np.float64(_FWHM_NM)),
         "irradiance_max_gap": ((), np.float64(2.5 * (np.diff(times).max() / np.timedelta64(1, "s")))),
         "irradiance_clock_uncertainty": ((), np.float64(0.0)),
         IRRADIANCE_TIME: (IRRADIANCE_TIME, times),
@@ -431,41 +435,47 @@ def _irradiance_record(
 
 
 def _spectra(atmosphere: Atmosphere, sun_cosine: float, bands: BandSet) -> tuple[Floats, Floats]:
-    # Channels [nm], and their direct and diffuse irradiance, (2, channel).
+    # wavelengths of the channels [nm], and their direct and diffuse irradiance, (2, channel)
     wavelength = atmosphere.wavelength
-    reach = _REACH * _FWHM
-    low = max(wavelength[0], bands.lowest() - 4 * _FWHM)
-    high = min(wavelength[-1], bands.highest() + 4 * _FWHM)
-    centres = np.arange(np.ceil(low / _STEP), np.floor(high / _STEP) + 1) * _STEP
-    # at the ends of a table a channel sees the half of its line shape that is there
-    first, last = max(wavelength[0], centres[0] - reach), min(wavelength[-1], centres[-1] + reach)
-    grid = np.arange(np.ceil(first / _GRID_STEP), np.floor(last / _GRID_STEP) + 1) * _GRID_STEP
+    reach = _REACH * _FWHM_NM
+    min_nm = max(wavelength[0], bands.lowest() - 4 * _FWHM_NM)
+    max_nm = min(wavelength[-1], bands.highest() + 4 * _FWHM_NM)
+    centres = np.arange(np.ceil(min_nm / _STEP_NM), np.floor(max_nm / _STEP_NM) + 1) * _STEP_NM
+    # at the ends of the spectra a channel uses the available part of its line shape
+    grid_start, grid_end = max(wavelength[0], centres[0] - reach), min(wavelength[-1], centres[-1] + reach)
+    grid = (
+        np.arange(np.ceil(grid_start / _GRID_STEP_NM), np.floor(grid_end / _GRID_STEP_NM) + 1) * _GRID_STEP_NM
+    )
     level = (atmosphere.sun * sun_cosine, atmosphere.sky)
-    fine = np.stack([cell_means(wavelength, curve, grid) for curve in level])
-    return centres, convolve_gaussian(fine, grid, centres, _FWHM)
+    curves = np.stack([cell_means(wavelength, curve, grid) for curve in level])
+    return centres, convolve_gaussian(curves, grid, centres, _FWHM_NM)
 
 
 def _sample_times(traced: xr.Dataset, lines: int) -> NDArray[np.datetime64]:
-    # Before and after the flight, and between where light varies.
+    # times before and after the flight; with varying light also times during the flight
     try:
-        first, last = (np.datetime64(traced.attrs[f"time_coverage_{end}"], "ns") for end in ("start", "end"))
+        start, end = (np.datetime64(traced.attrs[f"time_coverage_{name}"], "ns") for name in ("start", "end"))
     except (KeyError, ValueError, TypeError) as error:
         raise SchemaError(
             f"not a traced dataset: time_coverage_start or _end: {error}",
-            mend="use one from hyperpaint.simulation.trace",
+            mend="pass a dataset from hyperpaint.simulation.trace",
             code="metadata-damaged",
         ) from error
-    between = np.empty(0, "datetime64[ns]")
+    during = np.empty(0, "datetime64[ns]")
     if lines:
-        span = int(np.asarray(last - first, "timedelta64[ns]").astype(np.int64))
+        span = int(np.asarray(end - start, "timedelta64[ns]").astype(np.int64))
         steps = np.linspace(0, span, min(max(lines, 2), _MAX_TIMES)).astype(np.int64)
-        between = first + np.unique(steps).astype("timedelta64[ns]")
-    return np.concatenate([[first - _MARGIN], between, [last + _MARGIN]]).astype("datetime64[ns]")
+        during = start + np.unique(steps).astype("timedelta64[ns]")
+    return np.concatenate([[start - _MARGIN], during, [end + _MARGIN]]).astype("datetime64[ns]")
 
 
-def _at_times(line_times: Any, times: Any, variation: Floats, spectra: Floats) -> NDArray[np.float32]:
-    at = np.asarray(line_times).astype("datetime64[ns]").astype(np.int64)
-    order = np.argsort(at, kind="stable")
-    wanted = times.astype(np.int64) - at[order[0]]
-    factors = np.stack([np.interp(wanted, at[order] - at[order[0]], part[order]) for part in variation.T])
+def _irradiance_at_times(
+    line_times: Any, times: Any, variation: Floats, spectra: Floats
+) -> NDArray[np.float32]:
+    line_ns = np.asarray(line_times).astype("datetime64[ns]").astype(np.int64)
+    order = np.argsort(line_ns, kind="stable")
+    relative_ns = times.astype(np.int64) - line_ns[order[0]]
+    factors = np.stack(
+        [np.interp(relative_ns, line_ns[order] - line_ns[order[0]], factor[order]) for factor in variation.T]
+    )
     return (factors.T @ spectra).astype(np.float32)

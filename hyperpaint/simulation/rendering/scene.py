@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
-from hyperpaint.simulation.setting_checks import check_choice
+from hyperpaint.base.facts import one_of
 
 from .materials import Material
 
 #: Kinds of instances of a scene.
 INSTANCE_KINDS = ("ground", "car", "tree", "wall", "panel", "other")
 
-#: Parts of a car; the place in this tuple is the number in `Scene.face_part`, and 0 is no part.
+#: Parts of a car; the index in this tuple is the number in `Scene.face_part`, 0 is no part.
 PARTS = (
     "",
     "roof",
@@ -42,12 +42,12 @@ PARTS = (
     "underbody",
 )
 
-_MIN_SHAPE = 1e-12  # a triangle whose area is less than this times its longest edge squared is a line
+_MIN_SHAPE = 1e-12  # twice the area of a triangle over its longest edge squared; thinner ones have no area
 
 
 @dataclass(frozen=True)
 class Instance:
-    """One thing in a scene.
+    """An object in a scene.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Instance:
     kind
         One of `INSTANCE_KINDS`.
     paint
-        Name of a car's paint spectrum; empty for what has no paint.
+        Name of the paint spectrum of a car; empty for other instances.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Instance:
 
 @dataclass(frozen=True)
 class Factor:
-    """One spectrum that a path of light can be multiplied by.
+    """A spectrum by which a path of light can be multiplied.
 
     Attributes
     ----------
@@ -75,9 +75,9 @@ class Factor:
     flakes
         False for the base of the material, True for its metal flakes.
     through
-        True for what a thin surface passes.
+        True for the transmittance of a thin surface.
     turned
-        True for flakes with another spectrum where light and view are at right angles, and that spectrum.
+        True for the spectrum of flakes with light and view at right angles (`materials.Flakes.turned`).
     """
 
     material: int
@@ -90,26 +90,24 @@ class Factor:
 class Scene:
     """Triangles in a local frame: x east, y north, z up [m].
 
-    A scene that exists can be traced: making one checks everything, and drops triangles without area.
+    Creating a scene checks all its arrays and drops triangles without area.
 
     Attributes
     ----------
     name
-        Of the scene.
+        Name of the scene.
     vertices
         Shape (vertex, 3) [m].
     faces
         Vertices of every triangle, shape (face, 3), int64.
     normals
-        Normals at the vertices for smooth shading, shape (vertex, 3); zero where a face is flat. Given empty,
-        all are zero.
+        Normals at the vertices for smooth shading, shape (vertex, 3), zero for flat faces; empty for zeros.
     face_material, face_instance
         Number of the material and of the instance of every triangle, shape (face,), int32.
     materials, instances
-        What the numbers mean.
+        Materials and instances by number.
     face_part
-        Which part of a car every triangle is, a number into `PARTS`, shape (face,), int8. Given empty, all
-        are 0.
+        Part of a car of every triangle, an index of `PARTS`, shape (face,), int8; empty for zeros.
 
     Raises
     ------
@@ -144,7 +142,7 @@ class Scene:
         problems = Problems(f"scene {self.name!r} cannot be used", SchemaError)
         vertices = _array(problems, "vertices", self.vertices, np.float64, (None, 3))
         faces = _array(problems, "faces", self.faces, np.int64, (None, 3))
-        problems.raise_if_any()  # without these two, the rest has no meaning
+        problems.raise_if_any()  # further checks need these two arrays
         count = len(faces)
         normals = _array(problems, "normals", self.normals, np.float64, (len(vertices), 3))
         material = _array(problems, "face_material", self.face_material, np.int32, (count,))
@@ -153,10 +151,10 @@ class Scene:
         for name, values in (("vertices", vertices), ("normals", normals)):
             bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
             if len(bad):
-                where = ", ".join(str(index) for index in bad[:5]) + (", ..." if len(bad) > 5 else "")
+                numbers = ", ".join(str(index) for index in bad[:5]) + (", ..." if len(bad) > 5 else "")
                 problems.add(
-                    f"{name} {where} ({len(bad)} of {len(values)}) are not finite",
-                    mend="mend or remove them",
+                    f"{name} {numbers} ({len(bad)} of {len(values)}) are not finite",
+                    mend="correct or remove them",
                     code="not-finite",
                 )
         _check_range(problems, "faces", faces, len(vertices), "vertices")
@@ -165,18 +163,18 @@ class Scene:
         _check_range(problems, "face_part", part, len(PARTS), "PARTS")
         _check_names(problems, "material", [material.name for material in self.materials])
         _check_names(problems, "instance", [instance.name for instance in self.instances])
-        for thing in self.instances:
-            check_choice(problems, f"kind of instance {thing.name!r}", thing.kind, INSTANCE_KINDS)
+        for item in self.instances:
+            one_of(item.kind, INSTANCE_KINDS, f"kind of instance {item.name!r}", problems=problems)
         problems.raise_if_any()
-        with_area = has_area(vertices, faces)
-        warn_of_dropped(self.name, with_area)
+        keeps_area = has_area(vertices, faces)
+        warn_of_dropped(self.name, keeps_area)
         checked: dict[str, Any] = {
             "vertices": vertices,
-            "faces": faces[with_area],
+            "faces": faces[keeps_area],
             "normals": normals,
-            "face_material": material[with_area].astype(np.int32),
-            "face_instance": instance[with_area].astype(np.int32),
-            "face_part": part[with_area].astype(np.int8),
+            "face_material": material[keeps_area].astype(np.int32),
+            "face_instance": instance[keeps_area].astype(np.int32),
+            "face_part": part[keeps_area].astype(np.int8),
             "materials": tuple(self.materials),
             "instances": tuple(self.instances),
         }
@@ -195,20 +193,20 @@ class Scene:
         instance: Instance | str = "thing",
         name: str = "",
     ) -> Scene:
-        """Return a scene of one thing.
+        """Return a scene of one instance.
 
         Parameters
         ----------
         vertices, faces, normals
-            As `Scene` has them; flat faces without ``normals``.
+            As for `Scene`; flat faces without ``normals``.
         material
-            What all of it is made of, or the materials that ``face_material`` counts.
+            The material, or several materials that ``face_material`` numbers.
         face_material
             Number of the material of every triangle, shape (face,); needed with more than one material.
         instance
-            What it is; a mere name makes an "other".
+            The instance; a name creates an instance of the kind "other".
         name
-            Of the scene; the name of the thing where it is empty.
+            Name of the scene; by default that of the instance.
 
         Raises
         ------
@@ -221,39 +219,39 @@ class Scene:
         >>> Scene.from_arrays(corners, [[0, 1, 2]], Material("grey", "panel_20", "panel")).area.round(3)
         array([0.5])
         """
-        thing = Instance(instance) if isinstance(instance, str) else instance
+        scene_instance = Instance(instance) if isinstance(instance, str) else instance
         materials = (material,) if isinstance(material, Material) else tuple(material)
         count = len(np.atleast_1d(np.asarray(faces)))
         if face_material is None:
             if len(materials) != 1:
                 raise SchemaError(
-                    f"scene of {thing.name!r} has {len(materials)} materials and no face_material",
+                    f"scene of {scene_instance.name!r} has {len(materials)} materials and no face_material",
                     expected="the number of the material of every triangle",
                     mend="pass face_material=",
                     code="argument-missing",
                 )
             face_material = np.zeros(count, np.int32)
         return cls(
-            name or thing.name,
+            name or scene_instance.name,
             np.asarray(vertices),
             np.asarray(faces),
             np.zeros((0, 3)) if normals is None else np.asarray(normals),
             np.asarray(face_material),
             np.zeros(count, np.int32),
             materials,
-            (thing,),
+            (scene_instance,),
         )
 
     @classmethod
     def join(cls, scenes: Sequence[Scene], name: str = "scene") -> Scene:
-        """Return one scene with the content of several; equal materials become one.
+        """Return a scene with the content of several scenes; equal materials are merged.
 
         Parameters
         ----------
         scenes
-            Their instances must have different names: see `prefixed`.
+            Scenes whose instances have different names.
         name
-            Of the new scene.
+            Name of the new scene.
 
         Raises
         ------
@@ -264,21 +262,21 @@ class Scene:
         --------
         >>> grey = Material("grey", "panel_20", "panel")
         >>> low, high = plane(2.0, grey, instance="low"), plane(1.0, grey, instance="high")
-        >>> both = Scene.join([low, high.moved((0, 0, 1))], "steps")
-        >>> len(both.faces), len(both.materials), [one.name for one in both.instances]
+        >>> joined = Scene.join([low, high.moved((0, 0, 1))], "steps")
+        >>> len(joined.faces), len(joined.materials), [instance.name for instance in joined.instances]
         (4, 1, ['low', 'high'])
         """
         materials: dict[Material, int] = {}
         instances: list[Instance] = []
         faces, face_material, face_instance = [], [], []
-        first = 0
+        first_vertex = 0
         for scene in scenes:
             numbers = [materials.setdefault(material, len(materials)) for material in scene.materials]
-            faces.append(scene.faces + first)
+            faces.append(scene.faces + first_vertex)
             face_material.append(np.asarray(numbers, np.int32)[scene.face_material])
             face_instance.append(scene.face_instance + np.int32(len(instances)))
             instances.extend(scene.instances)
-            first += len(scene.vertices)
+            first_vertex += len(scene.vertices)
         return cls(
             name,
             np.concatenate([np.zeros((0, 3)), *(scene.vertices for scene in scenes)]),
@@ -293,20 +291,20 @@ class Scene:
 
     @property
     def bounds(self) -> Floats:
-        """Lowest and highest corner of its triangles, shape (2, 3) [m]; NaN where there are none."""
+        """Minimum and maximum coordinates of the triangles, shape (2, 3) [m]; NaN without triangles."""
         if not len(self.faces):
             return np.full((2, 3), np.nan)
-        used = self.vertices[self.faces.reshape(-1)]
-        return np.stack([used.min(axis=0), used.max(axis=0)])
+        corners = self.vertices[self.faces.reshape(-1)]
+        return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
     @property
     def area(self) -> Floats:
         """Area of every triangle, shape (face,) [m2]."""
-        return np.asarray(0.5 * np.linalg.norm(_crossed(self.vertices, self.faces), axis=1))
+        return np.asarray(0.5 * np.linalg.norm(_double_area_vectors(self.vertices, self.faces), axis=1))
 
     @property
     def factors(self) -> tuple[Factor, ...]:
-        """Every spectrum of the scene in the order of path codes: bases, flakes, plates, turned flakes.
+        """All spectra of the scene in the order of path codes: bases, flakes, transmittances, turned flakes.
 
         Examples
         --------
@@ -317,23 +315,25 @@ class Scene:
         """
         bases = [Factor(number) for number in range(len(self.materials))]
         flakes = [Factor(i, True) for i, material in enumerate(self.materials) if material.flakes is not None]
-        plates = [Factor(i, through=True) for i, one in enumerate(self.materials) if one.transmittance]
+        plates = [
+            Factor(i, through=True) for i, material in enumerate(self.materials) if material.transmittance
+        ]
         turned = [
             Factor(i, True, turned=True)
-            for i, one in enumerate(self.materials)
-            if one.flakes and one.flakes.turned
+            for i, material in enumerate(self.materials)
+            if material.flakes and material.flakes.turned
         ]
         return (*bases, *flakes, *plates, *turned)
 
     def moved(self, offset: Sequence[float] = (0.0, 0.0, 0.0), heading: float = 0.0) -> Scene:
-        """Return the scene turned about the vertical through its origin, then shifted.
+        """Return the scene rotated around the vertical through its origin, then shifted.
 
         Parameters
         ----------
         offset
-            East, north and up [m].
+            Shift to the east, north and up [m].
         heading
-            Where its y axis points then, clockwise from north [degree].
+            New direction of its y axis, clockwise from north [degree].
 
         Examples
         --------
@@ -359,18 +359,18 @@ def plane(
     centre: Sequence[float] = (0.0, 0.0, 0.0),
     instance: Instance | str = "ground",
 ) -> Scene:
-    """Return a level rectangle that looks up, of two triangles.
+    """Return a level rectangle of two triangles that face upwards.
 
     Parameters
     ----------
     size
-        Along east and north [m].
+        Size along east and north [m].
     material
-        Asphalt unless given.
+        Material; by default asphalt.
     centre
-        East, north and up [m].
+        East, north and up of the centre [m].
     instance
-        What it is.
+        The instance, or its name.
 
     Raises
     ------
@@ -387,60 +387,65 @@ def plane(
     vertices = corners * (east, north, 1.0) + np.asarray(centre, np.float64)
     if isinstance(instance, str):
         instance = Instance(instance, "ground" if instance == "ground" else "other")
-    made_of = material or Material("asphalt", "asphalt", "asphalt")
-    return Scene.from_arrays(vertices, [[0, 1, 2], [0, 2, 3]], made_of, instance=instance)
+    ground_material = material or Material("asphalt", "asphalt", "asphalt")
+    return Scene.from_arrays(vertices, [[0, 1, 2], [0, 2, 3]], ground_material, instance=instance)
 
 
 def _array(
     problems: Problems, name: str, values: object, dtype: type, shape: tuple[int | None, ...]
 ) -> NDArray[Any]:
-    # Empty values become zeros of the known length.
+    # values as an array of this shape (None is any length); empty values become zeros; faults are noted
     array = np.asarray(values)
     if array.size == 0 and shape[0] is not None:
         return np.zeros([length or 0 for length in shape], dtype)
-    wanted = " x ".join("any" if length is None else str(length) for length in shape)
+    expected_shape = " x ".join("any" if length is None else str(length) for length in shape)
     if array.ndim != len(shape) or any(
-        w is not None and w != f for w, f in zip(shape, array.shape, strict=True)
+        expected is not None and expected != actual
+        for expected, actual in zip(shape, array.shape, strict=True)
     ):
-        problems.add(f"{name} has shape {array.shape}", expected=wanted, code="dims-wrong")
+        problems.add(f"{name} has shape {array.shape}", expected=expected_shape, code="dims-wrong")
     elif array.dtype.kind not in ("iu" if np.issubdtype(dtype, np.integer) else "iuf"):
         problems.add(
             f"{name} is {array.dtype}", expected=f"numbers that fit {np.dtype(dtype)}", code="type-wrong"
         )
     else:
-        # whole numbers stay wide until their range has been looked at
+        # integers are narrowed after their range is checked
         return array.astype(np.int64 if np.issubdtype(dtype, np.integer) else np.float64)
     return np.zeros([length or 0 for length in shape], dtype)
 
 
-def _check_range(problems: Problems, name: str, numbers: NDArray[Any], count: int, of: str) -> None:
+def _check_range(problems: Problems, name: str, numbers: NDArray[Any], count: int, item_name: str) -> None:
     if numbers.size and (numbers.min() < 0 or numbers.max() >= count):
         problems.add(
             f"{name} has numbers from {numbers.min()} to {numbers.max()}",
-            expected=f"numbers of {count} {of}, counted from 0",
+            expected=f"numbers of {count} {item_name}, counted from 0",
             code="index-out-of-range",
         )
 
 
-def _check_names(problems: Problems, what: str, names: Sequence[str]) -> None:
+def _check_names(problems: Problems, kind: str, names: Sequence[str]) -> None:
     if "" in names:
-        problems.add(f"{what} {names.index('')} has an empty name", code="name-empty")
+        problems.add(f"{kind} {names.index('')} has an empty name", code="name-empty")
     if len(set(names)) < len(names):
-        twice = sorted(name for name, count in Counter(names).items() if count > 1)
+        duplicates = sorted(name for name, count in Counter(names).items() if count > 1)
         problems.add(
-            f"several {what}s are named {', '.join(twice[:5])}", mend="rename them", code="name-duplicate"
+            f"several {kind}s are named {', '.join(duplicates[:5])}",
+            mend="rename them",
+            code="name-duplicate",
         )
 
 
-def _crossed(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
+def _double_area_vectors(vertices: Floats, faces: NDArray[np.int64]) -> Floats:
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     return np.asarray(np.cross(b - a, c - a))
 
 
 def has_area(vertices: Floats, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which triangles have an area, shape (face,); thinner ones have no direction."""
-    longest = ((vertices[faces] - vertices[np.roll(faces, 1, axis=1)]) ** 2).sum(axis=2).max(axis=1)
-    return np.asarray(np.linalg.norm(_crossed(vertices, faces), axis=1) > _MIN_SHAPE * longest)
+    """Return which triangles have an area, shape (face,); the normal of thinner triangles is undefined."""
+    longest_squared = ((vertices[faces] - vertices[np.roll(faces, 1, axis=1)]) ** 2).sum(axis=2).max(axis=1)
+    return np.asarray(
+        np.linalg.norm(_double_area_vectors(vertices, faces), axis=1) > _MIN_SHAPE * longest_squared
+    )
 
 
 def warn_of_dropped(name: str, with_area: NDArray[np.bool_]) -> None:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats
 from hyperpaint.base.errors import Problems, SchemaError
-from hyperpaint.simulation.setting_checks import check_number, check_whole
-from hyperpaint.simulation.settings import MOST_SAMPLES
+from hyperpaint.base.facts import check_fields, declared, fact
+from hyperpaint.simulation.settings import MAX_SEED, MOST_SAMPLES
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
     MAX_SUNS,
@@ -28,10 +28,8 @@ from .scene_spectra import FOURTEEN
 
 _MAX_SLOTS = 4096
 
-#: Angular radius of the sun [degree].
-SUN_RADIUS_DEG = 0.267
 
-
+@declared
 @dataclass(frozen=True)
 class TraceSettings:
     """Settings of a trace.
@@ -40,7 +38,7 @@ class TraceSettings:
     ----------
     suns
         Zenith and azimuth, clockwise from north, of every sun [degree].
-    samples, depth, seed, slots, overcast, clear, sun_radius
+    overcast, clear
         As for `tracing.trace`.
 
     Raises
@@ -50,13 +48,33 @@ class TraceSettings:
     """
 
     suns: tuple[tuple[float, float], ...]
-    samples: int = 64
-    depth: int = 4
-    seed: int = 0
-    slots: int | None = None
+    samples: int = fact(
+        64,
+        "number of rays per pixel; noise falls with the square root of this number",
+        least=1,
+        most=MOST_SAMPLES,
+    )
+    depth: int = fact(4, "maximum number of reflections of a ray", least=1, most=32)
+    slots: int | None = fact(
+        None,
+        "maximum number of light paths that are stored per pixel; by default from the number of suns, skies "
+        "and samples",
+        kind="whole",
+        least=1,
+        most=_MAX_SLOTS,
+    )
+    seed: int = fact(0, "seed of the random numbers for the rays", least=0, most=MAX_SEED)
+    sun_radius: float = fact(
+        0.267,
+        "angular radius of the sun",
+        unit="degree",
+        key="sun_radius_deg",
+        scale=1.0,
+        least=0.0,
+        most=45.0,
+    )
     overcast: bool = False
     clear: bool = True
-    sun_radius: float = SUN_RADIUS_DEG
 
     def __post_init__(self) -> None:
         problems = Problems("the scene cannot be traced", SchemaError)
@@ -73,12 +91,7 @@ class TraceSettings:
                     expected="0 to below 90 degrees",
                     code="value-out-of-range",
                 )
-        check_whole(problems, "samples", self.samples, 1, MOST_SAMPLES)
-        check_whole(problems, "depth", self.depth, 1, 32)
-        check_whole(problems, "seed", self.seed, 0, 2**63 - 1)
-        if self.slots is not None:
-            check_whole(problems, "slots", self.slots, 1, _MAX_SLOTS)
-        check_number(problems, "sun_radius", self.sun_radius, 0.0, 45.0)
+        check_fields(self, problems)
         problems.raise_if_any()
 
     @property
@@ -130,13 +143,13 @@ class SceneRecord:
     Attributes
     ----------
     name
-        Of the scene.
+        Name of the scene.
     materials, instances
-        What the numbers of the label layers mean.
+        Materials and instances by the numbers of the label layers.
     members
-        Materials of every instance.
+        Numbers of the materials of every instance.
     factors
-        What the digits of path codes mean.
+        Spectra by the digits of path codes.
     """
 
     name: str
@@ -192,7 +205,7 @@ class SceneRecord:
             )
         problems = Problems("not a dataset from hyperpaint.simulation.trace", SchemaError)
         texts = {
-            name: _parsed(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
+            name: _parse_list(attrs, name, problems) for name in ("materials", "instances", "factors", "suns")
         }
         for name in ("samples", "depth", "seed", "overcast", "clear"):
             if not isinstance(attrs.get(name), int | np.integer):
@@ -245,11 +258,11 @@ class LabelTables:
     Attributes
     ----------
     surface_class : (material + 1,), int16
-        Number of the semantic class; the last entry serves the sky.
+        Number of the semantic class; the last entry is for the sky.
     paint_id : (material + 1,), int16
-        Number of the paint spectrum; -1 for what is no paint.
+        Number of the paint spectrum; -1 for other surfaces.
     car_id : (instance + 1,), int32
-        The instance itself where it is a car, else -1.
+        Number of the instance if it is a car, else -1.
     paints
         Names of the paint spectra.
     """
@@ -272,9 +285,11 @@ class LabelTables:
         """
         spectra = [material.spectrum for material in record.materials] if names is None else list(names)
         is_paint = [material.kind == "paint" for material in record.materials]
-        # built-in paints first, all of them: a number means the same paint in every scene of a training set
-        others = {name for name, paint in zip(spectra, is_paint, strict=True) if paint}.difference(FOURTEEN)
-        paints = (*FOURTEEN, *sorted(others))
+        # all built-in paints come first, so that their numbers are equal in all scenes of a training set
+        further_paints = {name for name, paint in zip(spectra, is_paint, strict=True) if paint}.difference(
+            FOURTEEN
+        )
+        paints = (*FOURTEEN, *sorted(further_paints))
         number = [paints.index(name) if paint else -1 for name, paint in zip(spectra, is_paint, strict=True)]
         cars = np.where(record.is_car, np.arange(len(record.instances)), -1)
         return cls(
@@ -285,7 +300,7 @@ class LabelTables:
         )
 
     def layers(self, material: Array, instance: Array) -> dict[str, Array]:
-        # Label layers of pixels; -1, the sky, takes the last entry of each table.
+        # label layers of pixels; the sky (-1) takes the last entry of the tables
         return {
             "surface_class": self.surface_class[material],
             "paint_id": self.paint_id[material],
@@ -299,7 +314,7 @@ class LabelTables:
         return {"flag_values": np.arange(len(meanings), dtype=np.int16), "flag_meanings": " ".join(meanings)}
 
 
-def _parsed(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:
+def _parse_list(attrs: Mapping[Any, Any], name: str, problems: Problems) -> list[Any]:
     try:
         entries = json.loads(attrs[name])
     except KeyError:

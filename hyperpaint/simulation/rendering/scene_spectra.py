@@ -1,16 +1,16 @@
-"""Every reflectance spectrum that a scene can name: near normal, without the mirror reflection.
+"""Named reflectance spectra of a scene: near normal, without the mirror reflection.
 
-Car paints lie under a clear coat whose first reflection the renderer makes itself, so that it is left out
-here: of the paints of `hyperpaint.simulation.paint_spectra`, Saunderson's k1 is taken off. What has no coat
-keeps all that it reflects. Of glass, what is behind it is left.
+The renderer computes the first reflection of the clear coat over car paints, so that spectra exclude it:
+Saunderson's k1 is subtracted from the paints of `hyperpaint.simulation.paint_spectra`. Spectra of surfaces
+without a coat include all reflected light. The spectrum of glass is that of the surface behind it.
 
-*Car paints* come from a few parameters: pigments in a binder, flakes among them, a clear coat over all.
-A base is as thick as light goes. Its albedo follows from the absorption over the scattering of its pigments,
-R_inf = 1 + K/S - sqrt((K/S)^2 + 2 K/S) (Kubelka & Munk 1931), and K/S from absorption edges and bands; what
-an instrument sees of it through the clear coat near normal, without the mirror reflection, is
-`materials.coated_reflectance`. Families differ in where they absorb and what they are mixed with; a number
-chooses one paint of a family, always the same. "fleet-<number>" is a car of a real fleet, with its age and
-dust. What weather has worn ("worn_asphalt") is a population, see `weathering`.
+*Car paints* are computed from a few parameters: pigments in a binder, with or without flakes, under a clear
+coat. The base is opaque. Its albedo follows from absorption over scattering of its pigments, R_inf = 1 + K/S
+- sqrt((K/S)^2 + 2 K/S) (Kubelka & Munk 1931), and K/S from absorption edges and bands; its reflectance
+through the clear coat, near normal and without the mirror reflection, is `materials.coated_reflectance`.
+Families differ in absorption and mixture; a number always gives the same paint of a family. "fleet-<number>"
+is a car of a real fleet, with age and dust. Weathered surfaces ("worn_asphalt") are populations, see
+`weathering`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS, Bump, Edge, Paint, Plain
+from hyperpaint.base.facts import one_of
+from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS, Bump, Edge, Paint, PlainSurface
 
 from .appearance import flakes_of_flop
 from .base_coats import FAMILIES, HUES, Pigments, aluminium, mix
@@ -33,7 +34,7 @@ from .fleet import DIRT, FleetPaint, fleet_paint
 from .materials import Coat, Flakes, Material, coated_reflectance
 from .weathering import WEATHERED, Weathered, leaf_transmittance
 
-#: Finishes of a paint, which differ in their change with the angle of view.
+#: Finishes of a paint, which differ in the change of reflectance with the angle of view.
 FINISHES = ("solid", "metallic", "pearl")
 
 _ADJECTIVES = (
@@ -52,8 +53,8 @@ _ADJECTIVES = (
 )
 _NAME = re.compile(r"pigment:([a-z_]{1,20}):([0-9]{1,9})(:flakes)?")
 _FLEET = re.compile(r"fleet-([0-9]{1,9})(:flakes)?")
-_TURNED = ":turned"  # behind the name of the spectrum of flakes
-_DULLED = 0.03  # by which a coat grows rougher in a year, relatively
+_TURNED_SUFFIX = ":turned"  # after the name of the spectrum of flakes
+_ROUGHENING = 0.03  # relative increase of the roughness of a coat in a year
 
 
 @dataclass(frozen=True)
@@ -63,13 +64,13 @@ class PaintSpec:
     Attributes
     ----------
     name
-        Of its spectrum: a name of the catalogue, or "pigment:<family>:<number>".
+        Name of its spectrum: a name of the catalogue, or "pigment:<family>:<number>".
     finish
         One of `FINISHES`.
     colour
-        In a word.
+        Colour in words.
     trade_name
-        Invented.
+        Invented trade name.
     coat
         The clear coat.
     flakes
@@ -86,13 +87,13 @@ class PaintSpec:
     def reflectance(self, wavelength: Floats) -> Floats:
         """Return the near-normal reflectance, specular component excluded, at ``wavelength`` [nm].
 
-        That of the pigment alone: in a metallic or pearl paint it counts with the part of the light that
-        meets no flakes, and flakes add a lobe of their own, most of it near the mirror direction.
+        Reflectance of the pigment only: in a metallic or pearl paint it applies to the light that does not
+        meet flakes; flakes add another lobe, mostly near the mirror direction.
         """
         return spectrum_of(self.name)(wavelength)
 
     def material(self, name: str = "") -> Material:
-        # Surface of this paint, called ``name`` (by default, as its spectrum).
+        # material with this paint; its name is by default that of the spectrum
         return Material(name or self.name, self.name, "paint", self.coat, self.flakes)
 
 
@@ -161,8 +162,8 @@ def paint_spec(name: str) -> PaintSpec:
 
 
 def is_paint(name: str) -> bool:
-    named = name in _CATALOGUE or parse_name(name) is not None or _FLEET.fullmatch(name) is not None
-    return named and not name.endswith(":flakes")
+    is_known = name in _CATALOGUE or parse_name(name) is not None or _FLEET.fullmatch(name) is not None
+    return is_known and not name.endswith(":flakes")
 
 
 def fleet_names(first: int, count: int) -> tuple[str, ...]:
@@ -177,15 +178,15 @@ def fleet_names(first: int, count: int) -> tuple[str, ...]:
 
 
 def _fleet_spec(number: int) -> PaintSpec:
-    # Older coats are duller.
+    # paint of a car of the fleet; coats of older cars are rougher
     car, name = fleet_paint(number), f"fleet-{number}"
     flakes = (
-        _flopping(_flakes_of(name, car.finish, car.flake_share), car.flop, car.pigments)
+        _with_flop(_create_flakes(name, car.finish, car.flake_share), car.flop, car.pigments)
         if car.flake_share
         else None
     )
     coat = Coat()
-    coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _DULLED * car.age))
+    coat = replace(coat, index=car.index, roughness=coat.roughness * (1.0 + _ROUGHENING * car.age))
     adjective = _ADJECTIVES[number % len(_ADJECTIVES)]
     return PaintSpec(name, car.finish, car.colour, f"{adjective} {car.colour.title()}", coat, flakes)
 
@@ -198,7 +199,7 @@ def _fleet_base(car: FleetPaint) -> Weathered:
 
 
 def generate_paint(family: str, number: int) -> PaintSpec:
-    """Return one paint of a family: the same number always gives the same paint.
+    """Return a paint of a family; the same number always gives the same paint.
 
     Parameters
     ----------
@@ -226,7 +227,7 @@ def pigments_of(family: str, number: int) -> Pigments:
 
 
 def parse_name(name: str) -> tuple[str, int, bool] | None:
-    # Family, number and whether it names flakes, for the name of a generated spectrum.
+    # family, number, and whether the name is that of flakes, of a generated spectrum; None for other names
     match = _NAME.fullmatch(name)
     if match is None or match[1] not in FAMILIES:
         return None
@@ -235,12 +236,7 @@ def parse_name(name: str) -> tuple[str, int, bool] | None:
 
 @functools.lru_cache(maxsize=4096)
 def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
-    if family not in FAMILIES:
-        raise SchemaError(
-            f"there is no paint family {family!r}",
-            expected=f"one of {', '.join(FAMILIES)}",
-            code="choice-unknown",
-        )
+    one_of(family, FAMILIES, "family")
     if not 0 <= number < 10**9:
         raise SchemaError(
             f"the number of a paint is {number!r}", expected="0 to 999999999", code="value-out-of-range"
@@ -254,21 +250,23 @@ def _generate(family: str, number: int) -> tuple[PaintSpec, Pigments]:
     name = f"pigment:{family}:{number}"
     if family in ("metallic", "pearl"):
         finish = family
-        low, high = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
+        min_share, max_share = (0.3, 0.7) if family == "metallic" else (0.15, 0.4)
         flop = float(rng.uniform(4.0, 15.0))
-        flakes = _flopping(_flakes_of(name, finish, float(rng.uniform(low, high))), flop, pigments)
+        flakes = _with_flop(
+            _create_flakes(name, finish, float(rng.uniform(min_share, max_share))), flop, pigments
+        )
     return PaintSpec(
         name, finish, colour, f"{adjective} {colour.title()}", Coat(roughness=roughness), flakes
     ), pigments
 
 
-def _flakes_of(name: str, finish: str, share: float) -> Flakes:
+def _create_flakes(name: str, finish: str, share: float) -> Flakes:
     spectrum = f"{name}:flakes"
-    return Flakes(share, spectrum=spectrum, turned=spectrum + _TURNED if finish == "pearl" else "")
+    return Flakes(share, spectrum=spectrum, turned=spectrum + _TURNED_SUFFIX if finish == "pearl" else "")
 
 
-def _flopping(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
-    # The lobe that gives a paint its flop index, or the nearest possible one.
+def _with_flop(flakes: Flakes, flop: float, pigments: Pigments) -> Flakes:
+    # flakes with the lobe that gives a paint this flop index, or the nearest possible one
     grid = np.linspace(380.0, 780.0, 41)
     paint = Material("paint", "body", "paint", Coat(), flakes)
     body = coated_reflectance(pigments.albedo(grid), Coat().index)
@@ -283,34 +281,36 @@ def _without_mirror(paint: Paint) -> Spectrum:
     return lambda wavelength: paint(wavelength) - paint.interface
 
 
-_MORE_PAINTS = {
+_FURTHER_PAINTS = {
     "beige": Paint(0.09, [Edge(500.0, -45.0, 0.45), Edge(405.0, -6.0, 2.0)]),
     "brown": Paint(0.30, [Edge(570.0, -50.0, 3.0)]),
 }
 
-_LEAF = Plain(0.045, 0.01, [Bump(552.0, 28.0, 0.08), Edge(716.0, 12.0, 0.42), Bump(968.0, 22.0, -0.03)])
-_RED_LENS = Plain(0.03, 0.0, [Edge(606.0, 7.0, 0.35)])
-_REFLECTOR = Plain(0.30, 0.05)  # behind a clear lens
+_LEAF = PlainSurface(
+    0.045, 0.01, [Bump(552.0, 28.0, 0.08), Edge(716.0, 12.0, 0.42), Bump(968.0, 22.0, -0.03)]
+)
+_RED_LENS = PlainSurface(0.03, 0.0, [Edge(606.0, 7.0, 0.35)])
+_REFLECTOR = PlainSurface(0.30, 0.05)  # reflector behind a clear lens
 
-#: The named spectra; generated paints are reached by `spectrum_of` alone.
+#: Named spectra; `spectrum_of` also returns generated paints.
 SPECTRA: dict[str, Spectrum] = {
     **MATERIALS,
-    **{name: _without_mirror(paint) for name, paint in {**CAR_PAINTS, **_MORE_PAINTS}.items()},
-    "glass": Plain(0.012),
+    **{name: _without_mirror(paint) for name, paint in {**CAR_PAINTS, **_FURTHER_PAINTS}.items()},
+    "glass": PlainSurface(0.012),
     "aluminium": aluminium,
     "leaf": _LEAF,
     "leaf_through": lambda wavelength: leaf_transmittance(_LEAF(wavelength).clip(0.0, 1.0)),
-    "brick": Plain(0.13, 0.10, [Edge(585.0, 22.0, 0.16), Bump(870.0, 60.0, -0.015)]),
+    "brick": PlainSurface(0.13, 0.10, [Edge(585.0, 22.0, 0.16), Bump(870.0, 60.0, -0.015)]),
     "lamp_red": _RED_LENS,
     "tail_lamp": _RED_LENS,
     "lamp_clear": _REFLECTOR,
     "lamp": _REFLECTOR,
-    "rim": Plain(0.42, 0.03, [Bump(825.0, 65.0, -0.015)]),
-    "plate": Plain(0.55, 0.02, [Edge(415.0, 8.0, 0.15)]),
-    "trim": Plain(0.045, 0.005),
-    "bark": Plain(0.11, 0.22, [Edge(600.0, 60.0, 0.04)]),
-    "steel": Plain(0.36, 0.06),
-    "patch": Plain(0.055, 0.05),
+    "rim": PlainSurface(0.42, 0.03, [Bump(825.0, 65.0, -0.015)]),
+    "plate": PlainSurface(0.55, 0.02, [Edge(415.0, 8.0, 0.15)]),
+    "trim": PlainSurface(0.045, 0.005),
+    "bark": PlainSurface(0.11, 0.22, [Edge(600.0, 60.0, 0.04)]),
+    "steel": PlainSurface(0.36, 0.06),
+    "patch": PlainSurface(0.055, 0.05),
     **WEATHERED,
 }
 
@@ -321,14 +321,13 @@ def spectrum_of(name: str) -> Spectrum:
     Parameters
     ----------
     name
-        A key of `SPECTRA`; or of a generated paint, "pigment:<family>:<number>" or "fleet-<number>", with
-        ":flakes" behind it for those of its flakes, ":flakes:turned" where light and view are at right
-        angles (`Flakes`).
+        A key of `SPECTRA`; or a generated paint, "pigment:<family>:<number>" or "fleet-<number>", with the
+        suffix ":flakes" for its flakes, and ":flakes:turned" for light and view at right angles (`Flakes`).
 
     Returns
     -------
     callable
-        Takes wavelengths of any shape [nm], gives the reflectance factor, same shape, float64, 0 to 1.
+        Function from wavelengths of any shape [nm] to reflectance factors, same shape, float64, 0 to 1.
 
     Raises
     ------
@@ -345,35 +344,35 @@ def spectrum_of(name: str) -> Spectrum:
     Traceback (most recent call last):
     hyperpaint.base.errors.SchemaError: ... 'panel_21'; did you mean 'panel_20'? [spectrum-unknown]
     """
-    turned = name.endswith(":flakes" + _TURNED)
-    name = name.removesuffix(_TURNED) if turned else name
+    is_turned = name.endswith(":flakes" + _TURNED_SUFFIX)
+    name = name.removesuffix(_TURNED_SUFFIX) if is_turned else name
     generated = parse_name(name)
     if generated is not None:
         family, number, flakes = generated
         pigments = pigments_of(family, number)
         if flakes:
-            return _limited(functools.partial(pigments.flakes, turned=turned))
-        # near normal, under the usual clear coat, mirror reflection excluded
+            return _limited(functools.partial(pigments.flakes, turned=is_turned))
+        # near normal, under the default clear coat, without the mirror reflection
         return _limited(lambda wavelength: coated_reflectance(pigments.albedo(wavelength), Coat().index))
     fleet = _FLEET.fullmatch(name)
     if fleet is not None:
         car = fleet_paint(int(fleet[1]))
-        metal = functools.partial(car.pigments.flakes, turned=turned)
+        metal = functools.partial(car.pigments.flakes, turned=is_turned)
         return _limited(metal) if fleet[2] else _fleet_base(car)
     if name in WEATHERED:
         return WEATHERED[name]
     if name in SPECTRA:
         return _limited(SPECTRA[name])
-    close = difflib.get_close_matches(name, SPECTRA, 1)
+    matches = difflib.get_close_matches(name, SPECTRA, 1)
     raise SchemaError(
         f"there is no spectrum {name!r}",
-        mend=f"did you mean {close[0]!r}?" if close else f"there are {', '.join(SPECTRA)}",
+        mend=f"did you mean {matches[0]!r}?" if matches else f"there are {', '.join(SPECTRA)}",
         code="spectrum-unknown",
     )
 
 
 def _limited(spectrum: Spectrum) -> Spectrum:
-    # Straight lines leave 0 to 1 far from their points.
+    # limit a spectrum to 0 to 1, which straight lines exceed far from 550 nm
     def limited(wavelength: Floats) -> Floats:
         return np.clip(spectrum(np.asarray(wavelength, dtype=np.float64)), 0.0, 1.0)
 

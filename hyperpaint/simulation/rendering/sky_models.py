@@ -40,9 +40,51 @@ import numpy as np
 
 from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError, needs_extra
+from hyperpaint.base.facts import Fact, check_fields, check_values, declared, fact
 from hyperpaint.light.sky_functions import clear_sky_shares
 from hyperpaint.simulation.atmosphere import Sky
-from hyperpaint.simulation.setting_checks import check_number
+
+#: Facts of numbers that describe a sky; ``key`` is the spelling in ``[[atmospheres]]`` of a ``scene.toml``.
+SKY = {
+    entry.name: entry
+    for entry in (
+        Fact(
+            name="direct_fraction", kind="number", least=0.0, most=1.0,
+            doc="share of direct light in the irradiance; for irradiance that a spectrometer measured",
+        ),
+        Fact(
+            name="sun_zenith", key="sun_zenith_deg", kind="number", unit="degree", scale=1.0, least=0.0,
+            most=89.0, doc="angle between the sun and the vertical",
+        ),
+        Fact(
+            name="sun_azimuth", key="sun_azimuth_deg", kind="number", unit="degree", scale=1.0, least=-360.0,
+            most=360.0, doc="direction of the sun, clockwise from north",
+        ),
+        Fact(
+            name="aerosol", kind="number", least=0.0, most=10.0,
+            doc="aerosol optical depth of a clear sky at 500 nm",
+        ),
+        Fact(
+            name="water", kind="number", least=0.0, most=100.0,
+            doc="precipitable water vapour of a clear sky, divided by the value of a usual summer day",
+        ),
+        Fact(
+            name="oktas", kind="number", scale=1.0, least=0.0, most=8.0,
+            doc="cloud cover in eighths of the sky",
+        ),
+        Fact(
+            name="overcast_share", kind="number", least=0.0, most=1.0,
+            doc="share of skylight whose radiance goes with the cosine of the zenith angle",
+        ),
+    )
+}  # fmt: skip
+
+
+def check_sky(**values: float) -> None:
+    """Raise unless the facts of a sky accept these values; `SchemaError` lists all faults."""
+    problems = Problems("the light of the sky cannot be computed", SchemaError)
+    check_values(SKY, values, problems)
+    problems.raise_if_any()
 
 
 def check_wavelengths(wavelength: Floats) -> None:
@@ -103,9 +145,10 @@ def built_in_sky(
     Raises
     ------
     SchemaError
-        The sun is not above the horizon, or the wavelengths are no grid.
+        A number is outside its range in `SKY`, or the wavelengths are no grid.
     """
     check_wavelengths(wavelength)
+    check_sky(sun_zenith=sun_zenith, aerosol=aerosol, water=water)
     direct, diffuse = Sky(
         sun_zenith=sun_zenith,
         aerosol=aerosol,
@@ -125,20 +168,11 @@ def relative_air_mass(sun_zenith: float) -> float:
     sun_zenith
         Apparent zenith angle, 0 to 90 [degree].
 
-    Raises
-    ------
-    SchemaError
-        The sun is not above the horizon.
-
     Examples
     --------
     >>> round(relative_air_mass(85.0), 2), round(float(1.0 / np.cos(np.radians(85.0))), 2)
     (10.31, 11.47)
     """
-    if not 0.0 <= sun_zenith <= 90.0:
-        raise SchemaError(
-            f"sun_zenith is {sun_zenith!r}", expected="0 to 90 degrees", code="value-out-of-range"
-        )
     return float(1.0 / (np.cos(np.radians(sun_zenith)) + 0.50572 * (96.07995 - sun_zenith) ** -1.6364))
 
 
@@ -149,6 +183,7 @@ def spectrl2_sky(wavelength: Floats, sun_zenith: float, **air: float) -> tuple[F
     and errors are those of `Atmosphere.spectrl2`.
     """
     check_wavelengths(wavelength)
+    check_sky(sun_zenith=sun_zenith, aerosol=air["aerosol_turbidity_500nm"])
     mass = relative_air_mass(sun_zenith)
     with needs_extra("pvlib", "sim", "the SPECTRL2 atmosphere"):
         from pvlib.spectrum import spectrl2
@@ -200,19 +235,15 @@ def cloud_factor(oktas: float) -> float:
     oktas
         Cloud amount, 0 to 8.
 
-    Raises
-    ------
-    SchemaError
-        There are no such oktas.
-
     Examples
     --------
     >>> cloud_factor(8)
     0.25
     """
-    if not 0.0 <= oktas <= 8.0:
-        raise SchemaError(f"oktas={oktas!r}", expected="0 (clear) to 8 (overcast)", code="value-out-of-range")
     return float(1.0 - 0.75 * (oktas / 8.0) ** 3.4)
+
+
+_COLOUR = Fact(name="colour", kind="number", least=0.0, most=1.0, doc="strength of the blue tint")
 
 
 def cloud_transmittance(wavelength: Floats, oktas: float, *, colour: float = 0.24) -> Floats:
@@ -243,8 +274,7 @@ def cloud_transmittance(wavelength: Floats, oktas: float, *, colour: float = 0.2
     array([0.306, 0.25 , 0.216, 0.208])
     """
     problems = Problems("clouds cannot be made", SchemaError)
-    check_number(problems, "oktas", oktas, 0.0, 8.0)
-    check_number(problems, "colour", colour, 0.0, 1.0)
+    check_values(SKY | {"colour": _COLOUR}, {"oktas": oktas, "colour": colour}, problems)
     problems.raise_if_any()
     factor = cloud_factor(oktas)
     tint = colour * (1.0 - factor)
@@ -257,22 +287,10 @@ _MOLECULES = 1.162e-5  # m-1, scattering of air at 550 nm, 1013 hPa and 15 degC 
 _MOLECULES_EXPONENT = -4.08
 
 
+@declared
 @dataclass(frozen=True)
 class Haze:
     """Air near the ground.
-
-    Attributes
-    ----------
-    visibility
-        Distance at which 2 % of a contrast are left at 550 nm [m]; up to 336 km, that of pure air.
-    angstrom
-        Exponent of the wavelength in the haze's extinction, positive.
-    asymmetry
-        Mean cosine of its scattering angle, from above -1 to below 1.
-    scattering_albedo
-        Share of its extinction that is scattering.
-    ground
-        Reflectance of the surroundings at all wavelengths.
 
     Raises
     ------
@@ -286,24 +304,26 @@ class Haze:
     array([2.32, 1.7 , 0.92])
     """
 
-    visibility: float = 23_000.0
-    angstrom: float = 1.3
-    asymmetry: float = 0.65
-    scattering_albedo: float = 0.95
-    ground: float = 0.15
+    visibility: float = fact(
+        23_000.0,
+        "distance at which 2 % of a contrast are left at 550 nm, at most that of pure air",
+        unit="m",
+        least=0.0,
+        above=True,
+        most=_CONTRAST / _MOLECULES,
+    )
+    angstrom: float = fact(
+        1.3, "exponent of the wavelength in the extinction of the haze", least=0.0, most=4.0
+    )
+    asymmetry: float = fact(
+        0.65, "mean cosine of the scattering angle", least=-1.0, above=True, most=1.0, below=True
+    )
+    scattering_albedo: float = fact(0.95, "share of the extinction that is scattering", least=0.0, most=1.0)
+    ground: float = fact(0.15, "reflectance of the surroundings at all wavelengths", least=0.0, most=1.0)
 
     def __post_init__(self) -> None:
         problems = Problems("haze cannot be made", SchemaError)
-        check_number(problems, "visibility", self.visibility, 0.0, _CONTRAST / _MOLECULES, above=True)
-        check_number(problems, "angstrom", self.angstrom, 0.0, 4.0)
-        if not -1.0 < self.asymmetry < 1.0:
-            problems.add(
-                f"asymmetry={self.asymmetry!r}",
-                expected="a number between -1 and 1",
-                code="value-out-of-range",
-            )
-        for name in ("scattering_albedo", "ground"):
-            check_number(problems, name, getattr(self, name), 0.0, 1.0)
+        check_fields(self, problems)
         problems.raise_if_any()
 
     def _coefficients(self, wavelength: Floats) -> tuple[Floats, Floats]:

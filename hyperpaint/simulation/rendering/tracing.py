@@ -41,7 +41,7 @@ from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 from .four_curves import Atmosphere, preset_atmosphere
 from .platform_geometry import Platform
 from .scene import Scene
-from .scene_record import SUN_RADIUS_DEG, LabelTables, SceneRecord, TraceSettings, sun_vectors
+from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
 
 Sun = tuple[float, float] | Atmosphere | str
 
@@ -114,13 +114,13 @@ def trace(
     platform: Platform,
     suns: Sequence[Sun] | Sun = ("noon",),
     *,
-    samples: int = 64,
-    depth: int = 4,
-    seed: int = 0,
+    samples: int = TraceSettings.samples,
+    depth: int = TraceSettings.depth,
+    seed: int = TraceSettings.seed,
     slots: int | None = None,
     overcast: bool = False,
     clear: bool = True,
-    sun_radius: float = SUN_RADIUS_DEG,
+    sun_radius: float = TraceSettings.sun_radius,
     chunk_lines: int = CHUNK_LINES,
 ) -> xr.Dataset:
     r"""Trace the paths of light through a scene, without their spectra.

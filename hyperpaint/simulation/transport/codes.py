@@ -1,4 +1,4 @@
-"""Codes of paths (see `path_codes`): put together, added up by pixel, and written."""
+"""Codes of paths (see `path_codes`): extended by factors, summed by pixel, and written."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ _MULTIPLIER = np.uint64(0x9E3779B1)
 
 # Weights of a pixel's paths by code: an open-addressing table whose length is a power of two.
 class PathTable(NamedTuple):
-    codes: Array  # by place; -1 where empty
-    sums: Array  # weights by place
-    used: Array  # places in use
-    in_use: Array  # (1,) their number
+    codes: Array  # code of every place; -1 for empty places
+    sums: Array  # sum of weights of every place
+    used: Array  # numbers of the occupied places
+    in_use: Array  # (1,) count of the occupied places
 
 
 @borrowing_kernel
 def with_factor(code: Any, factor: Any, digit_bits: int) -> Any:
-    # A code with one more factor, its digits still in descending order.
+    # insert a factor into a code, with digits in descending order
     digit = np.int64(factor) + 1
-    full = (np.int64(1) << digit_bits) - 1
+    max_digit = (np.int64(1) << digit_bits) - 1
     place = FIRST_DIGIT
-    while (code >> place) & full > digit:
+    while (code >> place) & max_digit > digit:
         place += digit_bits
-    low = code & ((np.int64(1) << place) - 1)
-    return low | (digit << place) | ((code >> place) << (place + digit_bits))
+    lower_digits = code & ((np.int64(1) << place) - 1)
+    return lower_digits | (digit << place) | ((code >> place) << (place + digit_bits))
 
 
 @borrowing_kernel
@@ -41,21 +41,21 @@ def add_path(table: PathTable, code: int, weight: float) -> None:
     codes, sums, in_use = table.codes, table.sums, table.in_use
     mask = codes.size - 1
     folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
-    at = np.int64(folded >> np.uint64(16)) & mask
-    while codes[at] != code:
-        if codes[at] < 0:
-            codes[at] = code
-            sums[at] = 0.0
-            table.used[in_use[0]] = at
+    place = np.int64(folded >> np.uint64(16)) & mask
+    while codes[place] != code:
+        if codes[place] < 0:
+            codes[place] = code
+            sums[place] = 0.0
+            table.used[in_use[0]] = place
             in_use[0] += 1
             break
-        at = (at + 1) & mask
-    sums[at] += weight
+        place = (place + 1) & mask
+    sums[place] += weight
 
 
 @borrowing_kernel
 def _precedes(table: PathTable, a: int, b: int, by_weight: bool) -> Any:
-    # Heavier first, or smaller code first.
+    # order by descending weight, or by ascending code
     if by_weight and table.sums[a] != table.sums[b]:
         return table.sums[a] > table.sums[b]
     return table.codes[a] < table.codes[b]
@@ -80,52 +80,52 @@ def _sort(table: PathTable, count: int, by_weight: bool) -> None:
 
 @borrowing_kernel
 def _thin(table: PathTable, count: int, slots: int, draw: float) -> int:
-    # Keep ``slots`` of the codes without bias or change of their total; the result is the number kept. The
-    # heaviest stay as they are. Of the others, systematic sampling takes each with a probability proportional
-    # to its weight, and gives all that are taken the same weight.
+    # Reduce the codes of a pixel to ``slots`` without bias or change of the total weight; return their
+    # number. The heaviest codes are kept unchanged. Of other codes, systematic sampling selects with
+    # probabilities proportional to weights, and gives all selected codes the same weight.
     sums, places = table.sums, table.used
     _sort(table, count, True)
-    rest = 0.0
+    light_sum = 0.0
     for i in range(count - 1, -1, -1):
-        rest += sums[places[i]]
-    exact = 0
-    # a code heavier than an even share of the rest is always kept, with its weight
-    while exact < slots and sums[places[exact]] * (slots - exact) > rest:
-        rest -= sums[places[exact]]
-        exact += 1
-    if exact == slots:
-        exact = slots - 1
-    rest = 0.0
-    for i in range(exact, count):
-        rest += sums[places[i]]
-    step = rest / (slots - exact)
-    taken, passed = exact, 0.0
-    for i in range(exact, count):
+        light_sum += sums[places[i]]
+    kept_count = 0
+    # a code heavier than the mean weight of the remaining slots is kept unchanged
+    while kept_count < slots and sums[places[kept_count]] * (slots - kept_count) > light_sum:
+        light_sum -= sums[places[kept_count]]
+        kept_count += 1
+    if kept_count == slots:
+        kept_count = slots - 1
+    light_sum = 0.0
+    for i in range(kept_count, count):
+        light_sum += sums[places[i]]
+    step = light_sum / (slots - kept_count)
+    selected, passed = kept_count, 0.0
+    for i in range(kept_count, count):
         passed += sums[places[i]]
-        if taken < slots and passed > (taken - exact + draw) * step:
-            places[taken], places[i] = places[i], places[taken]
-            taken += 1
-    for i in range(exact, taken):
+        if selected < slots and passed > (selected - kept_count + draw) * step:
+            places[selected], places[i] = places[i], places[selected]
+            selected += 1
+    for i in range(kept_count, selected):
         sums[places[i]] = step
-    return taken
+    return selected
 
 
 @borrowing_kernel
 def write_paths(
     table: PathTable, scale: float, draw: float, weight: Array, code: Array, line: int, column: int
 ) -> None:
-    """Write the table of a pixel, by ascending code.
+    """Write the table of a pixel in ascending order of codes.
 
     Parameters
     ----------
     table
-        Of the pixel.
+        Table of the pixel.
     scale
-        What weights are multiplied by.
+        Multiplier of the weights.
     draw
         A random number inside (0, 1), for pixels with more codes than slots: see `_thin`.
     weight, code : (line, slot, column), float32 and int64
-        Written.
+        Output.
     line, column
         The pixel.
     """

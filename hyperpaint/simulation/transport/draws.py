@@ -1,8 +1,8 @@
-"""Random numbers keyed by place: (seed, line, column, sample, draw), independent of the order of calls.
+"""Random numbers keyed by (seed, line, column, sample, draw), independent of the order of calls.
 
-A stream that is drawn from in turn would give other numbers for other blocks of lines. Counters give numbers
-that do not depend on one another (`uniforms`); the first reflections of a pixel's paths share out the
-directions evenly instead (`even_pair`), which leaves less noise.
+Numbers of a sequential stream would depend on the blocks of lines. Counters give independent numbers
+(`uniforms`); for the first reflections of a pixel's paths, numbers of an even sequence give less noise
+(`even_pair`).
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from hyperpaint.base.jit import borrowing_kernel
 
 _MASK = np.uint64(0xFFFFFFFF)
-_HALF = np.uint64(32)
+_WORD_BITS = np.uint64(32)
 _MULTIPLIER_0, _MULTIPLIER_1 = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL_0, _WEYL_1 = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _STEP = 2.0**-32
-_PIXEL = 65536  # draw of the key of a pixel
+_PIXEL = 65536  # number of the draw for the key of a pixel
 
 _0, _1, _2, _4, _8, _16 = (np.uint64(count) for count in (0, 1, 2, 4, 8, 16))
 _15 = np.uint64(15)
@@ -35,20 +35,20 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
     Parameters
     ----------
     c0, c1, c2, c3
-        The counter, words of 32 bits held in uint64.
+        The counter, words of 32 bits in uint64.
     k0, k1
-        The key, likewise.
+        The key, words of 32 bits in uint64.
 
     Notes
     -----
     J. K. Salmon, M. A. Moraes, R. O. Dror, D. E. Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC11
-    (2011). Products of two 32-bit words fit 64 bits: nothing overflows, compiled or not.
+    (2011). Products of two 32-bit words fit 64 bits, so that nothing overflows, compiled or not.
     """
     for _ in range(10):
         product_0 = _MULTIPLIER_0 * c0
         product_1 = _MULTIPLIER_1 * c2
-        c0 = (product_1 >> _HALF) ^ c1 ^ k0
-        c2 = (product_0 >> _HALF) ^ c3 ^ k1
+        c0 = (product_1 >> _WORD_BITS) ^ c1 ^ k0
+        c2 = (product_0 >> _WORD_BITS) ^ c3 ^ k1
         c1 = product_1 & _MASK
         c3 = product_0 & _MASK
         k0 = (k0 + _WEYL_0) & _MASK
@@ -58,19 +58,19 @@ def philox(c0: Any, c1: Any, c2: Any, c3: Any, k0: Any, k1: Any) -> tuple[Any, A
 
 @borrowing_kernel
 def uniforms(seed: Any, line: Any, column: Any, sample: Any, draw: Any) -> tuple[float, float, float, float]:
-    """Return four numbers inside (0, 1) for one draw of one sample of one pixel.
+    """Return four numbers inside (0, 1) for a draw of a sample of a pixel.
 
     Parameters
     ----------
     seed
         Non-negative integer.
     line, column, sample, draw
-        Non-negative integers below 2^32: the absolute scan line, the column, the sample of the pixel, and
-        what the numbers are for.
+        Non-negative integers below 2^32: scan line of the flight line, column, sample of the pixel, and
+        number of the draw.
     """
     key = np.uint64(seed)
     a, b, c, d = philox(
-        np.uint64(line), np.uint64(column), np.uint64(sample), np.uint64(draw), key & _MASK, key >> _HALF
+        np.uint64(line), np.uint64(column), np.uint64(sample), np.uint64(draw), key & _MASK, key >> _WORD_BITS
     )
     return (
         (np.float64(a) + 0.5) * _STEP,
@@ -82,45 +82,46 @@ def uniforms(seed: Any, line: Any, column: Any, sample: Any, draw: Any) -> tuple
 
 @borrowing_kernel
 def pixel_key(seed: Any, line: Any, column: Any) -> Any:
-    # A word of 32 bits, in uint64, that belongs to a pixel.
+    # key of a pixel: a random word of 32 bits, in uint64
     key = np.uint64(seed)
     word, _, _, _ = philox(
-        np.uint64(line), np.uint64(column), _0, np.uint64(_PIXEL), key & _MASK, key >> _HALF
+        np.uint64(line), np.uint64(column), _0, np.uint64(_PIXEL), key & _MASK, key >> _WORD_BITS
     )
     return word
 
 
 @borrowing_kernel
 def even_pair(key: Any, sample: Any, draw: Any, mask: Any) -> tuple[float, float]:
-    """Return two numbers inside (0, 1): a point of a sequence that covers the square evenly.
+    """Return two numbers inside (0, 1): a point of a sequence that fills the square evenly.
 
     Parameters
     ----------
     key
-        Of the pixel.
+        Key of the pixel.
     sample
         Number of the point.
     draw
-        What the numbers are for: other draws share out the points in another order.
+        Number of the draw, which changes the order of the points.
     mask
-        A power of two less 1, not below the last sample.
+        A power of two minus 1, at least the number of the last sample.
 
     Notes
     -----
-    The first two dimensions of Sobol's sequence, each scrambled as by A. B. Owen, "Randomly permuted
-    (t,m,s)-nets and (t,s)-sequences" (1995), in an order scrambled likewise: B. Burley, "Practical hash-based
-    Owen scrambling", JCGT 9 (2020). Any single point is uniform: means over pixels have no bias.
+    The first two dimensions of Sobol's sequence, scrambled as by A. B. Owen, "Randomly permuted (t,m,s)-nets
+    and (t,s)-sequences" (1995), in an order scrambled in the same way: B. Burley, "Practical hash-based Owen
+    scrambling", JCGT 9 (2020). A single point is distributed uniformly, so that means over pixels have no
+    bias.
     """
-    seed = _mixed((np.uint64(key) ^ (np.uint64(draw) * _WEYL_0)) & _MASK)
-    place = _reversed(_scrambled(_reversed(np.uint64(sample)), seed)) & np.uint64(mask)
-    first = _scrambled(place, _mixed(seed ^ _1))  # the radical inverse is the place itself, reversed
-    second = _scrambled(_sobol_reversed(place), _mixed(seed ^ _2))
-    return (np.float64(_reversed(first)) + 0.5) * _STEP, (np.float64(_reversed(second)) + 0.5) * _STEP
+    seed = _hashed((np.uint64(key) ^ (np.uint64(draw) * _WEYL_0)) & _MASK)
+    number = _reversed(_scrambled(_reversed(np.uint64(sample)), seed)) & np.uint64(mask)
+    x = _scrambled(number, _hashed(seed ^ _1))  # the radical inverse is the reversed number
+    y = _scrambled(_sobol_reversed(number), _hashed(seed ^ _2))
+    return (np.float64(_reversed(x)) + 0.5) * _STEP, (np.float64(_reversed(y)) + 0.5) * _STEP
 
 
 @borrowing_kernel
-def _mixed(x: Any) -> Any:
-    # A hash by C. Wellons, "Prospecting for hash functions".
+def _hashed(x: Any) -> Any:
+    # hash by C. Wellons, "Prospecting for hash functions"
     x ^= x >> _16
     x = (x * _MIX_0) & _MASK
     x ^= x >> _15
@@ -139,7 +140,7 @@ def _reversed(x: Any) -> Any:
 
 @borrowing_kernel
 def _scrambled(x: Any, seed: Any) -> Any:
-    # Bits flipped by lower bits (Laine and Karras 2011, Vegdahl's constants).
+    # flip bits depending on lower bits (Laine and Karras 2011, constants of Vegdahl)
     x = (x + seed) & _MASK
     x ^= (x * _OWEN_0) & _MASK
     x ^= (x * _OWEN_1) & _MASK
@@ -149,10 +150,11 @@ def _scrambled(x: Any, seed: Any) -> Any:
 
 @borrowing_kernel
 def _sobol_reversed(place: Any) -> Any:
-    """Return a number of the second dimension of Sobol's sequence, its 32 bits in opposite order.
+    """Return the second dimension of Sobol's sequence with its 32 bits reversed.
 
-    Its direction numbers are (1 + s)^k, s a shift by a bit: with the bits of the place as coefficients of a
-    polynomial, it is that of x + 1, halved into a(x) + x^16 b(x), where (x + 1)^16 = x^16 + 1, and so on.
+    Its direction numbers are (1 + s)^k with the shift s by a bit. With the bits of the argument as
+    coefficients of a polynomial p(x), the result is p(x + 1): halves are combined by p = a(x) + x^16 b(x) and
+    (x + 1)^16 = x^16 + 1, and so on for quarters.
     """
     place ^= place >> _16
     place ^= (place >> _8) & _BYTES

@@ -1,7 +1,7 @@
 """Triangles in a hierarchy of boxes, and their intersection with rays.
 
-A node holds the boxes of its two children. Triangles are stored in the order of the leaves, so that a leaf
-is a run of them.
+A node holds the boxes of its two children. Triangles are stored in the order of the leaves, so that the
+triangles of a leaf are contiguous.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from .vectors import Vector
 
 _BINS = 16
 _MAX_LEAF_TRIANGLES = 4
-_TRAVERSAL = 1.5  # cost of a node, in tests of a triangle
-_MAX_LEVELS_BY_COST = 56  # below it a run is halved by count: at most 31 levels more
-_WHOLE, _SWEPT, _CENTRES = 3 * _BINS, 3 * _BINS + 1, 3 * _BINS + 2  # boxes behind those of the bins
+_NODE_COST = 1.5  # cost of visiting a node relative to a test of a triangle
+_MAX_LEVELS_BY_COST = 56  # below this level runs are halved by count, which adds at most 31 levels
+# boxes after those of the bins: of all triangles, of the bins swept so far, of the centres of triangles
+_TOTAL, _SWEPT, _CENTRES = 3 * _BINS, 3 * _BINS + 1, 3 * _BINS + 2
 
 
-class _Room(NamedTuple):
-    boxes: Array  # (3 bins + 3, 6): of the bins of the three axes, and three more
-    counts: Array  # (3 bins,) triangles in the bins
-    costs: Array  # (bins,) of all bins from one on
-    waiting: Array  # (256, 4) runs not split yet: start, stop, level, child
+class _Workspace(NamedTuple):
+    boxes: Array  # (3 bins + 3, 6): boxes of the bins of the three axes, and three further boxes
+    counts: Array  # (3 bins,) number of triangles in a bin
+    costs: Array  # (bins,) cost of this bin and all higher bins
+    waiting: Array  # (256, 4) runs to be split: start, stop, level, child
 
 
 def build_nodes(triangles: Array) -> tuple[Array, Array, Array]:
@@ -40,7 +41,7 @@ def build_nodes(triangles: Array) -> tuple[Array, Array, Array]:
     boxes = np.empty((count, 6))
     boxes[:, :3] = triangles.min(axis=1)
     boxes[:, 3:] = triangles.max(axis=1)
-    # more than the roundings of a test, so that no ray passes between a triangle and its box
+    # widen boxes by more than the rounding error of a test, so that rays do not miss them
     margin = 1e-12 * (1.0 + float(np.abs(boxes).max(initial=0.0)))
     boxes[:, :3] -= margin
     boxes[:, 3:] += margin
@@ -49,99 +50,99 @@ def build_nodes(triangles: Array) -> tuple[Array, Array, Array]:
     nodes[:2] = [np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf]
     links = np.empty(2 * max(count, 1), np.int64)
     links[:2] = -1  # leaves without triangles
-    room = _Room(
+    room = _Workspace(
         np.empty((3 * _BINS + 3, 6)),
         np.empty(3 * _BINS, np.int64),
         np.empty(_BINS),
         np.empty((256, 4), np.int64),
     )
-    used = 2 * _split_runs(boxes, order, nodes, links, room)
-    # lowest and highest side by side, as rays take them
-    return nodes[:used, [0, 3, 1, 4, 2, 5]].ravel(), links[:used].copy(), order
+    entry_count = 2 * _split_runs(boxes, order, nodes, links, room)
+    # minimum and maximum of an axis are neighbours, as in `Geometry`
+    return nodes[:entry_count, [0, 3, 1, 4, 2, 5]].ravel(), links[:entry_count].copy(), order
 
 
 @borrowing_kernel
-def _clear(boxes: Array, at: int) -> None:
+def _clear(boxes: Array, index: int) -> None:
     for k in range(3):
-        boxes[at, k] = np.inf
-        boxes[at, k + 3] = -np.inf
+        boxes[index, k] = np.inf
+        boxes[index, k + 3] = -np.inf
 
 
 @borrowing_kernel
-def _widen(boxes: Array, at: int, others: Array, other: int) -> None:
+def _widen(boxes: Array, index: int, other_boxes: Array, other_index: int) -> None:
     for k in range(3):
-        boxes[at, k] = min(boxes[at, k], others[other, k])
-        boxes[at, k + 3] = max(boxes[at, k + 3], others[other, k + 3])
+        boxes[index, k] = min(boxes[index, k], other_boxes[other_index, k])
+        boxes[index, k + 3] = max(boxes[index, k + 3], other_boxes[other_index, k + 3])
 
 
 @borrowing_kernel
-def _measure(boxes: Array, at: int, floor: float) -> Any:
-    # Surface area heuristic: half the area of the box; flat boxes get a little more.
-    dx = boxes[at, 3] - boxes[at, 0]
-    dy = boxes[at, 4] - boxes[at, 1]
-    dz = boxes[at, 5] - boxes[at, 2]
+def _half_area(boxes: Array, index: int, floor: float) -> Any:
+    # half the area of a box for the surface area heuristic; ``floor`` adds to flat boxes
+    dx = boxes[index, 3] - boxes[index, 0]
+    dy = boxes[index, 4] - boxes[index, 1]
+    dz = boxes[index, 5] - boxes[index, 2]
     return dx * dy + dy * dz + dz * dx + floor * (dx + dy + dz)
 
 
 @borrowing_kernel
-def _bin(boxes: Array, at: int, axis: int, low: float, per_length: float) -> int:
-    place = int((0.5 * (boxes[at, axis] + boxes[at, axis + 3]) - low) * per_length)
+def _bin(boxes: Array, index: int, axis: int, axis_start: float, per_length: float) -> int:
+    place = int((0.5 * (boxes[index, axis] + boxes[index, axis + 3]) - axis_start) * per_length)
     return min(max(place, 0), _BINS - 1)
 
 
 @borrowing_kernel
-def _bins_per_length(room: _Room, axis: int) -> float:
-    # 0 if all centres coincide.
+def _bins_per_length(room: _Workspace, axis: int) -> float:
+    # bins per metre along an axis; 0 if all centres coincide
     extent = room.boxes[_CENTRES, axis + 3] - room.boxes[_CENTRES, axis]
     return _BINS / extent if extent > 1e-200 else 0.0
 
 
 @borrowing_kernel
-def _fill_bins(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> None:
-    for at in range(3 * _BINS):
-        _clear(room.boxes, at)
-        room.counts[at] = 0
+def _fill_bins(boxes: Array, order: Array, start: int, stop: int, room: _Workspace) -> None:
+    for bin_number in range(3 * _BINS):
+        _clear(room.boxes, bin_number)
+        room.counts[bin_number] = 0
     for axis in range(3):
-        low, per_length = room.boxes[_CENTRES, axis], _bins_per_length(room, axis)
+        axis_start, per_length = room.boxes[_CENTRES, axis], _bins_per_length(room, axis)
         for i in range(start, stop):
-            at = axis * _BINS + _bin(boxes, order[i], axis, low, per_length)
-            room.counts[at] += 1
-            _widen(room.boxes, at, boxes, order[i])
+            bin_number = axis * _BINS + _bin(boxes, order[i], axis, axis_start, per_length)
+            room.counts[bin_number] += 1
+            _widen(room.boxes, bin_number, boxes, order[i])
 
 
 @borrowing_kernel
-def _best_split(count: int, room: _Room) -> tuple[float, int, int]:
-    # Lowest cost, its axis, and the first bin on its high side; infinite if there is no split.
+def _best_split(count: int, room: _Workspace) -> tuple[float, int, int]:
+    # lowest cost, with its axis and the first bin on its upper side; infinite cost if no split is possible
     cost, best_axis, best_bin = np.inf, 0, 0
     floor = 0.0
     for axis in range(3):
         floor = max(floor, 1e-6 * (room.boxes[_CENTRES, axis + 3] - room.boxes[_CENTRES, axis]))
     for axis in range(3):
-        first = axis * _BINS
+        first_bin = axis * _BINS
         _clear(room.boxes, _SWEPT)
         total = 0
-        for at in range(_BINS - 1, 0, -1):
-            total += room.counts[first + at]
-            _widen(room.boxes, _SWEPT, room.boxes, first + at)
-            room.costs[at] = total * _measure(room.boxes, _SWEPT, floor) if total > 0 else np.inf
+        for bin_number in range(_BINS - 1, 0, -1):
+            total += room.counts[first_bin + bin_number]
+            _widen(room.boxes, _SWEPT, room.boxes, first_bin + bin_number)
+            room.costs[bin_number] = total * _half_area(room.boxes, _SWEPT, floor) if total > 0 else np.inf
         _clear(room.boxes, _SWEPT)
         total = 0
-        for at in range(1, _BINS):
-            total += room.counts[first + at - 1]
-            _widen(room.boxes, _SWEPT, room.boxes, first + at - 1)
+        for bin_number in range(1, _BINS):
+            total += room.counts[first_bin + bin_number - 1]
+            _widen(room.boxes, _SWEPT, room.boxes, first_bin + bin_number - 1)
             if 0 < total < count:
-                split_cost = total * _measure(room.boxes, _SWEPT, floor) + room.costs[at]
+                split_cost = total * _half_area(room.boxes, _SWEPT, floor) + room.costs[bin_number]
                 if split_cost < cost:
-                    cost, best_axis, best_bin = split_cost, axis, at
+                    cost, best_axis, best_bin = split_cost, axis, bin_number
     return cost, best_axis, best_bin
 
 
 @borrowing_kernel
-def _enclose(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> None:
-    _clear(room.boxes, _WHOLE)
+def _enclose(boxes: Array, order: Array, start: int, stop: int, room: _Workspace) -> None:
+    _clear(room.boxes, _TOTAL)
     _clear(room.boxes, _CENTRES)
     for i in range(start, stop):
-        _widen(room.boxes, _WHOLE, boxes, order[i])
+        _widen(room.boxes, _TOTAL, boxes, order[i])
         for k in range(3):
             centre = 0.5 * (boxes[order[i], k] + boxes[order[i], k + 3])
             room.boxes[_CENTRES, k] = min(room.boxes[_CENTRES, k], centre)
@@ -150,13 +151,13 @@ def _enclose(boxes: Array, order: Array, start: int, stop: int, room: _Room) -> 
 
 @borrowing_kernel
 def _partition(
-    boxes: Array, order: Array, start: int, stop: int, axis: int, first_high: int, room: _Room
+    boxes: Array, order: Array, start: int, stop: int, axis: int, first_high: int, room: _Workspace
 ) -> int:
-    # Triangles of low bins move to the front; the result is where the others begin.
-    low, per_length = room.boxes[_CENTRES, axis], _bins_per_length(room, axis)
+    # move triangles of lower bins to the front; return the start of the other triangles
+    axis_start, per_length = room.boxes[_CENTRES, axis], _bins_per_length(room, axis)
     last = stop - 1
     while start <= last:
-        if _bin(boxes, order[start], axis, low, per_length) < first_high:
+        if _bin(boxes, order[start], axis, axis_start, per_length) < first_high:
             start += 1
         else:
             order[start], order[last] = order[last], order[start]
@@ -165,16 +166,16 @@ def _partition(
 
 
 @borrowing_kernel
-def _push(room: _Room, size: int, start: int, stop: int, level: int, child: int) -> int:
+def _push(room: _Workspace, size: int, start: int, stop: int, level: int, child: int) -> int:
     room.waiting[size, 0], room.waiting[size, 1] = start, stop
     room.waiting[size, 2], room.waiting[size, 3] = level, child
     return size + 1
 
 
 @borrowing_kernel
-def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _Room) -> int:
-    # Also sorts ``order`` by leaf; the result is the number of nodes.
-    used = 1
+def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _Workspace) -> int:
+    # split runs into nodes and sort ``order`` by leaf; return the number of nodes
+    node_count = 1
     size = _push(room, 0, 0, order.size, 0, 0) if order.size > 0 else 0
     while size > 0:
         size -= 1
@@ -183,48 +184,48 @@ def _split_runs(boxes: Array, order: Array, nodes: Array, links: Array, room: _R
         count = stop - start
         _enclose(boxes, order, start, stop, room)
         for k in range(6):
-            nodes[child, k] = room.boxes[_WHOLE, k]
+            nodes[child, k] = room.boxes[_TOTAL, k]
         cost, axis, first_high = np.inf, 0, 0
         if count > 1 and level < _MAX_LEVELS_BY_COST:
             _fill_bins(boxes, order, start, stop, room)
             cost, axis, first_high = _best_split(count, room)
-        own = _measure(room.boxes, _WHOLE, 0.0)
-        if count <= _MAX_LEAF_TRIANGLES and count * own <= cost + _TRAVERSAL * own:
+        area = _half_area(room.boxes, _TOTAL, 0.0)
+        if count <= _MAX_LEAF_TRIANGLES and count * area <= cost + _NODE_COST * area:
             links[child] = -(16 * start + count) - 1
             continue
-        cut = (start + stop) // 2
+        middle = (start + stop) // 2
         if cost < np.inf:
-            cut = _partition(boxes, order, start, stop, axis, first_high, room)
-        links[child] = used
-        size = _push(room, size, start, cut, level + 1, 2 * used)
-        size = _push(room, size, cut, stop, level + 1, 2 * used + 1)
-        used += 1
-    return used
+            middle = _partition(boxes, order, start, stop, axis, first_high, room)
+        links[child] = node_count
+        size = _push(room, size, start, middle, level + 1, 2 * node_count)
+        size = _push(room, size, middle, stop, level + 1, 2 * node_count + 1)
+        node_count += 1
+    return node_count
 
 
-#: Length of the stack of a traversal; `building` keeps every branch shorter.
+#: Length of the stack of a traversal; branches of `build_nodes` are shorter.
 STACK = 96
 
-#: Coordinates beyond this [m] are refused: products of lengths must not overflow.
+#: Maximum coordinate [m], so that products of lengths do not overflow.
 _MAX_COORDINATE_M = 1e9
 
 _0, _1, _2, _3 = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(3)
 _4, _5, _6, _9, _12 = np.uint64(4), np.uint64(5), np.uint64(6), np.uint64(9), np.uint64(12)
-_FAR = 1e300
-_ROUND_UP = 1.0 + 8e-16  # more than six roundings: T. Ize, "Robust BVH ray traversal", JCGT 2 (2013)
+_MISS = 1e300  # distance for a ray that misses a box
+_ROUND_UP = 1.0 + 8e-16  # more than six rounding errors: T. Ize, "Robust BVH ray traversal", JCGT 2 (2013)
 
 
 class Geometry(NamedTuple):
-    """Triangles, sorted for rays; lengths [m]. Made by `build_geometry`.
+    """Triangles sorted for ray tracing, from `build_geometry`; lengths [m].
 
     Attributes
     ----------
     nodes : (node * 12,) float64
-        Of either child: lowest and highest x, y and z.
+        Boxes of both children: minimum and maximum of x, y and z.
     links : (node * 2,) int64
-        Number of a child's node; of a leaf -(16 first + count) - 1.
+        Node of a child; for a leaf -(16 first + count) - 1, with its first triangle and their number.
     triangles : (face * 9,) float64
-        Three corners.
+        Corners of the triangles.
     face_normal : (face * 3,) float64
         Unit normals.
     corner_normals : (face * 9,) float64
@@ -232,7 +233,7 @@ class Geometry(NamedTuple):
     face_material, face_instance : (face,) int32
         Labels.
     face_number : (face,) int64
-        Place of a face in what was given.
+        Number of the face in the input.
     """
 
     nodes: Array
@@ -259,10 +260,10 @@ def build_geometry(
     vertices
         Shape (vertex, 3) [m].
     faces
-        Corners of every triangle, shape (face, 3), integers. Triangles without area are left out.
+        Corners of every triangle, shape (face, 3), integers. Triangles without area are omitted.
     normals
-        Normals at the vertices for smooth shading, shape (vertex, 3), or empty. A triangle one of whose
-        corners has a zero normal is flat.
+        Normals at the vertices for smooth shading, shape (vertex, 3), or empty. A triangle with a zero normal
+        at a corner is flat.
     face_material, face_instance
         Labels, shape (face,), integers.
 
@@ -293,68 +294,68 @@ def build_geometry(
         raise ValueError(f"vertices must be finite and within {_MAX_COORDINATE_M:g} m")
 
     triangles = points[corners]
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    area = np.sqrt((across**2).sum(axis=1))
-    with_area = np.flatnonzero(area > 0)
-    nodes, links, order = build_nodes(np.ascontiguousarray(triangles[with_area]))
-    order = with_area[order]
-    at_corners = np.zeros((len(order), 3, 3))
+    cross_products = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = np.sqrt((cross_products**2).sum(axis=1))
+    has_area = np.flatnonzero(area > 0)
+    nodes, links, order = build_nodes(np.ascontiguousarray(triangles[has_area]))
+    order = has_area[order]
+    corner_normals = np.zeros((len(order), 3, 3))
     if len(shading):
-        at_corners = shading[corners[order]]
-        length = np.sqrt((at_corners**2).sum(axis=2, keepdims=True))
-        smooth = (length > 0).all(axis=1, keepdims=True)
-        at_corners = np.where(smooth, at_corners / np.where(length > 0, length, 1.0), 0.0)
+        corner_normals = shading[corners[order]]
+        length = np.sqrt((corner_normals**2).sum(axis=2, keepdims=True))
+        is_smooth = (length > 0).all(axis=1, keepdims=True)
+        corner_normals = np.where(is_smooth, corner_normals / np.where(length > 0, length, 1.0), 0.0)
     return Geometry(
         nodes,
         links,
         np.ascontiguousarray(triangles[order]).ravel(),
-        np.ascontiguousarray(across[order] / area[order, None]).ravel(),
-        np.ascontiguousarray(at_corners).ravel(),
+        np.ascontiguousarray(cross_products[order] / area[order, None]).ravel(),
+        np.ascontiguousarray(corner_normals).ravel(),
         material[order],
         instance[order],
         order,
     )
 
 
-# As the tests of boxes and triangles need it.
+# A ray, prepared for the tests of boxes and triangles.
 class _Ray(NamedTuple):
-    sides: tuple[Any, Any, Any]  # of a box that it enters by, for each axis: 0 the lowest, 1 the highest
+    sides: tuple[Any, Any, Any]  # side of a box at which the ray enters, by axis: 0 minimum, 1 maximum
     origin: Vector
-    inverse: Vector  # of the direction
-    axes: tuple[Any, Any, Any]  # of its own frame: the last is the one it runs along most
-    begin: Vector  # the origin in that frame
-    shear: Vector  # what turns the direction into the last axis
+    inverse: Vector  # inverse of the direction
+    axes: tuple[Any, Any, Any]  # axes of the ray's frame: the last is its dominant axis
+    begin: Vector  # origin in the ray's frame
+    shear: Vector  # shear that maps the direction to the last axis
 
 
 @borrowing_kernel
-def _enter(nodes: Array, at: Any, ray: _Ray, limit: float) -> float:
-    # Distance at which a ray enters a box, from 0 on; `_FAR` for a miss before ``limit``.
+def _enter(nodes: Array, offset: Any, ray: _Ray, limit: float) -> float:
+    # distance at which a ray enters a box, at least 0; `_MISS` if it does not enter before ``limit``
     (nx, ny, nz), (ox, oy, oz), (ix, iy, iz) = ray.sides, ray.origin, ray.inverse
-    near = (nodes[at + nx] - ox) * ix
-    far = (nodes[at + (nx ^ _1)] - ox) * ix
-    low = (nodes[at + _2 + ny] - oy) * iy
-    high = (nodes[at + _2 + (ny ^ _1)] - oy) * iy
+    near = (nodes[offset + nx] - ox) * ix
+    far = (nodes[offset + (nx ^ _1)] - ox) * ix
+    low = (nodes[offset + _2 + ny] - oy) * iy
+    high = (nodes[offset + _2 + (ny ^ _1)] - oy) * iy
     near = low if low > near else near
     far = high if high < far else far
-    low = (nodes[at + _4 + nz] - oz) * iz
-    high = (nodes[at + _4 + (nz ^ _1)] - oz) * iz
+    low = (nodes[offset + _4 + nz] - oz) * iz
+    high = (nodes[offset + _4 + (nz ^ _1)] - oz) * iz
     near = low if low > near else near
     far = high if high < far else far
     near = near if near > 0.0 else 0.0
     far = far * _ROUND_UP
     far = far if far < limit else limit
-    return near if near <= far else _FAR
+    return near if near <= far else _MISS
 
 
 @borrowing_kernel
 def _inverse(x: float) -> float:
-    # Large but finite near zero.
+    # inverse of a number, large but finite near 0
     return 1.0 / x if abs(x) > 1e-150 else 1e150
 
 
 @borrowing_kernel
 def _axes(dx: float, dy: float, dz: float) -> tuple[Any, Any, Any]:
-    # Axes of a ray's own frame: the last is the dominant one.
+    # axes of a ray's frame: the last is the dominant axis
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
         return _1, _2, _0
@@ -371,23 +372,23 @@ def _component(axis: Any, x: float, y: float, z: float) -> float:
 
 
 @borrowing_kernel
-def _meet(triangles: Array, face: Any, ray: _Ray) -> tuple[float, float, float, float]:
-    # Distance to a triangle and the hit's weights of the corners; -1 for a miss.
-    # S. Woop, C. Benthin, I. Wald, "Watertight ray/triangle intersection", JCGT 2 (2013). The function of an
-    # edge has exactly opposite values for the two triangles that share it; zero belongs to both.
+def _intersect(triangles: Array, face: Any, ray: _Ray) -> tuple[float, float, float, float]:
+    # distance to a triangle, and the barycentric weights of the hit; distance -1 for a miss
+    # S. Woop, C. Benthin, I. Wald, "Watertight ray/triangle intersection", JCGT 2 (2013). Edge
+    # functions have exactly opposite values in the two triangles that share an edge; 0 is a hit of both.
     (kx, ky, kz), (ox, oy, oz), (sx, sy, sz) = ray.axes, ray.begin, ray.shear
-    at = face * _9
-    az = triangles[at + kz] - oz
-    ax = triangles[at + kx] - ox - sx * az
-    ay = triangles[at + ky] - oy - sy * az
-    at += _3
-    bz = triangles[at + kz] - oz
-    bx = triangles[at + kx] - ox - sx * bz
-    by = triangles[at + ky] - oy - sy * bz
-    at += _3
-    cz = triangles[at + kz] - oz
-    cx = triangles[at + kx] - ox - sx * cz
-    cy = triangles[at + ky] - oy - sy * cz
+    offset = face * _9
+    az = triangles[offset + kz] - oz
+    ax = triangles[offset + kx] - ox - sx * az
+    ay = triangles[offset + ky] - oy - sy * az
+    offset += _3
+    bz = triangles[offset + kz] - oz
+    bx = triangles[offset + kx] - ox - sx * bz
+    by = triangles[offset + ky] - oy - sy * bz
+    offset += _3
+    cz = triangles[offset + kz] - oz
+    cx = triangles[offset + kx] - ox - sx * cz
+    cy = triangles[offset + ky] - oy - sy * cz
     u = cx * by - cy * bx
     v = ax * cy - ay * cx
     w = bx * ay - by * ax
@@ -401,7 +402,7 @@ def _meet(triangles: Array, face: Any, ray: _Ray) -> tuple[float, float, float, 
 
 
 @borrowing_kernel
-def _ray_of(origin: Vector, direction: Vector) -> _Ray:
+def _prepared_ray(origin: Vector, direction: Vector) -> _Ray:
     ox, oy, oz = origin
     dx, dy, dz = direction
     ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
@@ -417,85 +418,85 @@ def _ray_of(origin: Vector, direction: Vector) -> _Ray:
 def closest(
     geometry: Geometry, stack: Array, entries: Array, origin: Vector, direction: Vector, limit: float
 ) -> tuple[float, int, Vector]:
-    """Return the first triangle that a ray hits.
+    """Return the nearest triangle hit by a ray.
 
     Parameters
     ----------
     geometry
         Triangles.
     stack, entries
-        Room for `STACK` nodes: int64 and float64.
+        Memory for `STACK` nodes: int64 and float64.
     origin, direction
-        Where the ray begins [m], and its direction; of any length.
+        Origin of the ray [m], and its direction of any length.
     limit
-        Largest distance, in units of that length.
+        Maximum distance, in units of this length.
 
     Returns
     -------
     distance, face, weights
-        The face is -1 where nothing is met; else the hit is the sum of its corners with these weights.
+        Face -1 for a miss; otherwise the hit is the sum of the face's corners with these weights.
     """
     nodes, links, triangles = geometry.nodes, geometry.links, geometry.triangles
-    ray = _ray_of(origin, direction)
-    best, nearest, weights = limit, -1, (0.0, 0.0, 0.0)
+    ray = _prepared_ray(origin, direction)
+    distance, nearest_face, weights = limit, -1, (0.0, 0.0, 0.0)
     size = 0
     link = 0
     while True:
         if link >= 0:
-            at = np.uint64(link) * _12
-            first = _enter(nodes, at, ray, best)
-            second = _enter(nodes, at + _6, ray, best)
+            offset = np.uint64(link) * _12
+            first_distance = _enter(nodes, offset, ray, distance)
+            second_distance = _enter(nodes, offset + _6, ray, distance)
             child = np.uint64(link) * _2
-            if first < _FAR or second < _FAR:
+            if first_distance < _MISS or second_distance < _MISS:
                 link, other = links[child], links[child + _1]
-                if second < first:
-                    first, second = second, first
+                if second_distance < first_distance:
+                    first_distance, second_distance = second_distance, first_distance
                     link, other = other, link
-                if second < _FAR:
+                if second_distance < _MISS:
                     stack[size] = other
-                    entries[size] = second
+                    entries[size] = second_distance
                     size += 1
                 continue
         else:
             packed = -(link + 1)
             for face in range(packed >> 4, (packed >> 4) + (packed & 15)):
-                t, a, b, c = _meet(triangles, np.uint64(face), ray)
-                if 0.0 < t < best:
-                    best, nearest, weights = t, face, (a, b, c)
-        while size > 0 and entries[size - 1] >= best:
+                t, a, b, c = _intersect(triangles, np.uint64(face), ray)
+                if 0.0 < t < distance:
+                    distance, nearest_face, weights = t, face, (a, b, c)
+        while size > 0 and entries[size - 1] >= distance:
             size -= 1
         if size == 0:
-            return best, nearest, weights
+            return distance, nearest_face, weights
         size -= 1
         link = stack[size]
 
 
 @borrowing_kernel
 def occluded(geometry: Geometry, stack: Array, origin: Vector, direction: Vector, limit: float) -> bool:
-    # Whether a ray hits any triangle; parameters as for `closest`.
+    # whether a ray hits any triangle; parameters as for `closest`
     nodes, links, triangles = geometry.nodes, geometry.links, geometry.triangles
-    ray = _ray_of(origin, direction)
+    ray = _prepared_ray(origin, direction)
     size = 0
     link = 0
     while True:
         if link >= 0:
-            at = np.uint64(link) * _12
-            first = _enter(nodes, at, ray, limit)
-            second = _enter(nodes, at + _6, ray, limit)
+            offset = np.uint64(link) * _12
+            first_distance = _enter(nodes, offset, ray, limit)
+            second_distance = _enter(nodes, offset + _6, ray, limit)
             child = np.uint64(link) * _2
-            if first < _FAR:
-                if second < _FAR:
+            if first_distance < _MISS:
+                if second_distance < _MISS:
                     stack[size] = links[child + _1]
                     size += 1
                 link = links[child]
                 continue
-            if second < _FAR:
+            if second_distance < _MISS:
                 link = links[child + _1]
                 continue
         else:
             packed = -(link + 1)
             for face in range(packed >> 4, (packed >> 4) + (packed & 15)):
-                t, _, _, _ = _meet(triangles, np.uint64(face), ray)
+                t, _, _, _ = _intersect(triangles, np.uint64(face), ray)
                 if 0.0 < t < limit:
                     return True
         if size == 0:

@@ -1,4 +1,4 @@
-"""Recorded paths times products of spectra: radiance at the surface, and behind the air before the camera."""
+"""Recorded paths times products of spectra: radiance at the surface, and after the air before the camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hyperpaint.base.jit import borrowing_kernel, kernel
 
 from .texturing import Texture
 
-_TILE = 16  # columns whose spectra are made side by side, before they are written band by band
+_TILE = 16  # columns whose spectra are summed together, before they are written band by band
 _MULTIPLIER = np.uint64(0x9E3779B1)
 
 
@@ -22,13 +22,13 @@ def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt
     Parameters
     ----------
     code
-        Codes of any shape, int64; negative where there is none.
+        Codes of any shape, int64; negative for empty slots.
 
     Returns
     -------
     distinct, index
-        Distinct codes in ascending order, and the place of every code among them, int32, same shape; -1
-        where there is none.
+        Distinct codes in ascending order, and the index of every code among them, int32, same shape; -1 for
+        empty slots.
 
     Examples
     --------
@@ -36,46 +36,46 @@ def index_paths(code: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt
     >>> distinct.tolist(), index.tolist()
     ([2, 34], [[1, 0, -1], [0, 0, -1]])
     """
-    flat = np.ascontiguousarray(code, np.int64).ravel()
-    index = np.empty(flat.size, np.int32)
+    codes = np.ascontiguousarray(code, np.int64).ravel()
+    index = np.empty(codes.size, np.int32)
     size = 1024
     while True:
         table, places = np.full(size, -1), np.empty(size, np.int32)
         distinct = np.empty(size // 2, np.int64)
-        number = _number(flat, table, places, distinct, index)
+        number = _number(codes, table, places, distinct, index)
         if number >= 0:
             break
         size *= 4
     distinct = distinct[:number]
     order = np.argsort(distinct)
-    rank = np.full(number + 1, -1, np.int32)  # the last serves -1
+    rank = np.full(number + 1, -1, np.int32)  # the last entry is for index -1
     rank[order] = np.arange(number, dtype=np.int32)
     return distinct[order], rank[index].reshape(np.shape(code))
 
 
 @borrowing_kernel
-def _number(flat: Array, table: Array, places: Array, distinct: Array, index: Array) -> int:
-    # Numbers of codes in order of appearance; the result is their count, -1 for too small a table.
+def _number(codes: Array, table: Array, places: Array, distinct: Array, index: Array) -> int:
+    # number the codes in order of appearance; return the count, or -1 if the table is too small
     mask = table.size - 1
     number = 0
-    for i in range(flat.size):
-        code = flat[i]
+    for i in range(codes.size):
+        code = codes[i]
         if code < 0:
             index[i] = -1
             continue
         folded = np.uint64((code ^ (code >> 29)) & 0xFFFFFFFF) * _MULTIPLIER
-        at = np.int64(folded >> np.uint64(16)) & mask
-        while table[at] != code:
-            if table[at] < 0:
+        place = np.int64(folded >> np.uint64(16)) & mask
+        while table[place] != code:
+            if table[place] < 0:
                 if number == distinct.size:
                     return -1
-                table[at] = code
-                places[at] = number
+                table[place] = code
+                places[place] = number
                 distinct[number] = code
                 number += 1
                 break
-            at = (at + 1) & mask
-        index[i] = places[at]
+            place = (place + 1) & mask
+        index[i] = places[place]
     return number
 
 
@@ -85,7 +85,7 @@ def mix(
     table: npt.NDArray[Any],
     out: npt.NDArray[np.float32],
 ) -> None:
-    """Write the sum over slots of weight times spectrum.
+    """Write the sum of weight x spectrum over slots.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def mix(
     table
         Spectra, shape (path, band), float32 or float64; sums are float32.
     out
-        Written: shape (line, band, column), float32.
+        Output, shape (line, band, column), float32.
 
     Raises
     ------
@@ -114,20 +114,20 @@ def mix_shifted(
     out: npt.NDArray[np.float32],
     texture: Texture | None = None,
 ) -> None:
-    """Write the sum over slots of weight times spectrum, the spectra those of each column.
+    """Write the sum of weight x spectrum over slots, with different spectra in every column.
 
     Parameters
     ----------
     weight, index, out
         As for `mix`.
     table
-        Spectra for some shifts of the wavelengths, shape (node, path, band).
+        Spectra at nodes of the wavelength shift, shape (node, path, band).
     node
-        First of the nodes between which a column lies, shape (column,), integers.
+        Number of the first node used by a column, shape (column,), integers.
     node_weight
-        Weights of the nodes from there on, shape (column, 4 or fewer).
+        Weights of the nodes from the first, shape (column, 4 or fewer).
     texture
-        Members that pixels show in place of the mean; None for none.
+        Members shown by pixels instead of the mean; None for the means.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def mix_shifted(
         For shapes that do not fit, and rows or nodes outside the table.
     """
     spectra = np.ascontiguousarray(table, np.float32)
-    # refuse shapes with which the loops would leave their arrays
+    # refuse shapes with which the loops would exceed their arrays
     lines, _, columns = weight.shape
     shape = spectra.shape[1:]
     if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
@@ -146,22 +146,22 @@ def mix_shifted(
         raise ValueError(f"out must be contiguous float32, not {out.dtype}")
     if index.size and int(index.max()) >= shape[0]:
         raise ValueError(f"index {index.max()} is outside a table of {shape[0]} spectra")
-    first = np.ascontiguousarray(node, np.int64)
+    first_node = np.ascontiguousarray(node, np.int64)
     share = np.ascontiguousarray(node_weight, np.float32)
-    if first.shape != (columns,) or share.ndim != 2 or len(share) != columns:
-        raise ValueError(f"nodes {first.shape} and weights {share.shape} for {columns} columns")
-    if columns and not (first.min() >= 0 and first.max() + share.shape[1] <= len(spectra)):
+    if first_node.shape != (columns,) or share.ndim != 2 or len(share) != columns:
+        raise ValueError(f"nodes {first_node.shape} and weights {share.shape} for {columns} columns")
+    if columns and not (first_node.min() >= 0 and first_node.max() + share.shape[1] <= len(spectra)):
         raise ValueError(
-            f"columns need nodes up to {first.max() + share.shape[1] - 1}, the table has {len(spectra)}"
+            f"columns need nodes up to {first_node.max() + share.shape[1] - 1}, the table has {len(spectra)}"
         )
     weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
     if texture is None:
-        row, nothing = np.full((out.shape[0], columns), -1, np.int32), np.zeros(0, np.int64)
-        texture = Texture(row, nothing, np.zeros((0, out.shape[1]), np.float32), nothing[:, None])
+        row, empty = np.full((out.shape[0], columns), -1, np.int32), np.zeros(0, np.int64)
+        texture = Texture(row, empty, np.zeros((0, out.shape[1]), np.float32), empty[:, None])
     elif texture.row.shape != (out.shape[0], columns) or texture.ratio.shape[1] != out.shape[1]:
         raise ValueError(f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}")
     sums = np.empty((2, _TILE, out.shape[1]), np.float32)
-    _mix_shifted(weights, rows, spectra, first, share, texture, sums, out)
+    _mix_shifted(weights, rows, spectra, first_node, share, texture, sums, out)
 
 
 @borrowing_kernel
@@ -178,23 +178,23 @@ def _add_row(sums: Array, at: int, table: Array, node: int, row: int, weight: An
 
 
 @borrowing_kernel
-def _write_tile(sums: Array, first: int, last: int, line: int, out: Array) -> None:
+def _write_tile(sums: Array, start: int, stop: int, line: int, out: Array) -> None:
     for band in range(out.shape[1]):
-        for column in range(first, last):
-            out[line, band, column] = sums[column - first, band]
+        for column in range(start, stop):
+            out[line, band, column] = sums[column - start, band]
 
 
 @borrowing_kernel
-def _is_changed(factors: Array, path: int, factor: int) -> bool:
-    has = False
+def _has_factor(factors: Array, path: int, factor: int) -> bool:
+    found = False
     for digit in range(factors.shape[1]):
-        has = has or factors[path, digit] == factor
-    return has
+        found = found or factors[path, digit] == factor
+    return found
 
 
 @borrowing_kernel
 def _apply(sums: Array, changed: Array, column: int, ratio: Array, row: int) -> None:
-    # Add the population term of the pixel to the constant term.
+    # add the paths with the changed factor, multiplied by the member's ratio
     for band in range(sums.shape[1]):
         sums[column, band] += changed[column, band] * ratio[row, band]
 
@@ -210,64 +210,64 @@ def _mix_shifted(
     sums: Array,
     out: Array,
 ) -> None:
-    # ``sums`` (2, column, band) holds the constant and the population term.
+    # ``sums`` (2, column, band): sum of paths without, and with, the factor that the pixel's member changes
     columns = out.shape[2]
     for line in range(out.shape[0]):
-        for first in range(0, columns, _TILE):
-            last = min(first + _TILE, columns)
+        for start in range(0, columns, _TILE):
+            stop = min(start + _TILE, columns)
             _clear(sums[0])
-            for column in range(first, last):
+            for column in range(start, stop):
                 member = texture.row[line, column]
                 if member >= 0:
-                    _clear(sums[1, column - first : column - first + 1])
+                    _clear(sums[1, column - start : column - start + 1])
                 for slot in range(weight.shape[1]):
                     row = index[line, slot, column]
                     if row >= 0:
-                        part = (
+                        term = (
                             1
-                            if member >= 0 and _is_changed(texture.paths, row, texture.factor[member])
+                            if member >= 0 and _has_factor(texture.paths, row, texture.factor[member])
                             else 0
                         )
                         for k in range(node_weight.shape[1]):
                             share = weight[line, slot, column] * node_weight[column, k]
-                            _add_row(sums[part], column - first, table, node[column] + k, row, share)
+                            _add_row(sums[term], column - start, table, node[column] + k, row, share)
                 if member >= 0:
-                    _apply(sums[0], sums[1], column - first, texture.ratio, member)
-            _write_tile(sums[0], first, last, line, out)
+                    _apply(sums[0], sums[1], column - start, texture.ratio, member)
+            _write_tile(sums[0], start, stop, line, out)
 
 
 @kernel
 def integrate_bands(
-    factors: Array, chosen: Array, source: Array, weights: Array, first_band: Array, out: Array
+    factors: Array, path_factors: Array, source: Array, weights: Array, first_band: Array, out: Array
 ) -> None:
     """Integrate the products of paths over bands.
 
-    Each path is done by itself and in the order of the wavelengths, so that its result does not depend on
-    the paths it comes with.
+    Every path is summed separately and in the order of wavelengths, so that its result does not depend on
+    other paths.
 
     Parameters
     ----------
     factors : (factor, grid), float64
         Spectra.
-    chosen : (path, digit), int64
-        Factors of every path; -1 for none.
+    path_factors : (path, digit), int64
+        Factors of every path; -1 for no factor.
     source : (path,), int64
         Row of ``weights``; -1 for a source without light.
     weights : (source, node, grid, width), float64
         Integral of response x source x the basis function of a grid point, for the bands from ``first_band``.
     first_band : (grid,), int64
-        First of the ``width`` bands that a grid point counts for.
+        First of the ``width`` bands to which a grid point contributes.
     out : (node, path, band), float32
-        Written.
+        Output.
     """
     grid, width = weights.shape[2], weights.shape[3]
     nodes, bands = out.shape[0], out.shape[2]
     product = np.empty(grid, np.float64)
     total = np.empty(bands, np.float64)
-    for path in range(chosen.shape[0]):
+    for path in range(path_factors.shape[0]):
         product[:] = 1.0
-        for digit in range(chosen.shape[1]):
-            factor = chosen[path, digit]
+        for digit in range(path_factors.shape[1]):
+            factor = path_factors[path, digit]
             if factor >= 0:
                 for point in range(grid):
                     product[point] *= factors[factor, point]
@@ -276,14 +276,14 @@ def integrate_bands(
             if source[path] >= 0:
                 row = weights[source[path], node]
                 for point in range(grid):
-                    first, value = first_band[point], product[point]
+                    band_start, value = first_band[point], product[point]
                     for band in range(width):
-                        total[first + band] += row[point, band] * value
+                        total[band_start + band] += row[point, band] * value
             for band in range(bands):
                 out[node, path, band] = total[band]
 
 
-_THIN = 0.15  # optical depth up to which a short series is exact to float32
+_THIN_DEPTH = 0.15  # optical depth up to which a short series is exact to float32
 
 
 def through_air(surface: Array, extinction: Array, path_radiance: Array, distance: Array, out: Array) -> None:
@@ -296,34 +296,34 @@ def through_air(surface: Array, extinction: Array, path_radiance: Array, distanc
     extinction, path_radiance : (band, column or 1), float32
         k [m-1], Lp [W m-2 sr-1 nm-1 m-1].
     distance : (line, column), float32
-        d [m]; not finite where there is no air.
+        d [m]; not finite without air.
     out : (line, band, column), float32
-        Written.
+        Output.
     """
     columns = surface.shape[2]
-    take = np.ascontiguousarray(np.broadcast_to(extinction, (surface.shape[1], columns)), np.float32)
-    add = np.ascontiguousarray(np.broadcast_to(path_radiance, take.shape), np.float32)
+    extinctions = np.ascontiguousarray(np.broadcast_to(extinction, (surface.shape[1], columns)), np.float32)
+    added = np.ascontiguousarray(np.broadcast_to(path_radiance, extinctions.shape), np.float32)
     metres = np.ascontiguousarray(np.where(np.isfinite(distance), distance, 0.0), np.float32)
-    deepest = take.max(axis=0, initial=0.0)
+    max_extinction = extinctions.max(axis=0, initial=0.0)
     for line in range(len(surface)):
-        # of this line alone: what else is in the block changes no bit
-        if (deepest * metres[line]).max(initial=0.0) < _THIN:
-            _thin_air(surface[line], take, add, metres[line], out[line])
+        # decide by line, so that bits do not depend on other lines of the block
+        if (max_extinction * metres[line]).max(initial=0.0) < _THIN_DEPTH:
+            _thin_air(surface[line], extinctions, added, metres[line], out[line])
         else:
-            np.multiply(surface[line], np.exp(take * -metres[line]), out=out[line])
-            out[line] += add * metres[line]
+            np.multiply(surface[line], np.exp(extinctions * -metres[line]), out=out[line])
+            out[line] += added * metres[line]
 
 
 @kernel
-def _thin_air(surface: Array, take: Array, add: Array, metres: Array, out: Array) -> None:
-    one = np.float32(1.0)
+def _thin_air(surface: Array, extinctions: Array, added: Array, metres: Array, out: Array) -> None:
+    unity = np.float32(1.0)
     for band in range(surface.shape[0]):
         for column in range(surface.shape[1]):
-            depth = take[band, column] * metres[column]
-            # exp(-depth): what is left out is below depth^6 / 720
-            left = one - depth * np.float32(1 / 5)
-            left = one - depth * np.float32(1 / 4) * left
-            left = one - depth * np.float32(1 / 3) * left
-            left = one - depth * np.float32(1 / 2) * left
-            left = one - depth * left
-            out[band, column] = surface[band, column] * left + add[band, column] * metres[column]
+            depth = extinctions[band, column] * metres[column]
+            # series of exp(-depth) with an error below depth^6 / 720
+            transmittance = unity - depth * np.float32(1 / 5)
+            transmittance = unity - depth * np.float32(1 / 4) * transmittance
+            transmittance = unity - depth * np.float32(1 / 3) * transmittance
+            transmittance = unity - depth * np.float32(1 / 2) * transmittance
+            transmittance = unity - depth * transmittance
+            out[band, column] = surface[band, column] * transmittance + added[band, column] * metres[column]

@@ -1,12 +1,13 @@
-"""The code of a path: the source of its light, and the spectra it was multiplied by.
+"""The code of a path: the source of its light, and the spectra by which it was multiplied.
 
-One int64 says it all, so that a stored table of weights needs no key:
+The code is one int64, so that a stored table of weights needs no key:
 
-* bits 0 to 4: the source: 0 the uniform sky, 1 the overcast sky, 2 to 7 the suns, 8 and up the functions of
-  every sun's clear sky (`hyperpaint.light.sky_functions`): molecular 8, aureole 9, of the next sun 10, 11;
-* bit 5: the light left the first surface through its coat, as a mirror image;
-* bit 6: the path met more than one surface;
-* from bit 7 on ``depth`` digits of ``digit_bits`` bits, the lowest first: the number of a factor plus 1, or 0
+* bits 0 to 4: the source: 0 the uniform sky, 1 the overcast sky, 2 to 7 the suns, from 8 the functions of
+  the clear sky of every sun (`hyperpaint.light.sky_functions`): molecular 8, aureole 9, of the second sun
+  10, 11;
+* bit 5: mirror reflection by the coat of the first surface;
+* bit 6: reflection by more than one surface;
+* from bit 7, ``depth`` digits of ``digit_bits`` bits, the lowest first: the number of a factor plus 1, or 0
   for none, in descending order, so that equal products have equal codes.
 
 A negative code is an empty slot.
@@ -25,54 +26,54 @@ from hyperpaint.base.errors import SchemaError
 #: Numbers of the sources.
 SKY, OVERCAST_SKY, FIRST_SUN, FIRST_CLEAR_SKY = 0, 1, 2, 8
 
-#: Suns that one trace holds.
+#: Maximum number of suns of a trace.
 MAX_SUNS = FIRST_CLEAR_SKY - FIRST_SUN
 
-#: Functions of the clear sky of a sun, beside the uniform one.
+#: Number of functions of the clear sky of a sun, besides the uniform sky.
 CLEAR_SKY_FUNCTIONS = 2
 
-#: Bits of the source; a trace says so in its attributes, since there were 3 once.
+#: Bits of the source, stored in the attributes of a trace, because older traces have 3.
 SOURCE_BITS = 5
 
-#: Numbers that a source may have.
+#: Number of possible sources.
 SOURCES = 1 << SOURCE_BITS
 
 #: Bits of the flags.
 MIRROR, INDIRECT = 1 << SOURCE_BITS, 2 << SOURCE_BITS
 
-#: Lowest bit of the first digit, and bits of a code that is not negative.
+#: Lowest bit of the first digit, and number of bits of a non-negative code.
 FIRST_DIGIT, USABLE_BITS = SOURCE_BITS + 2, 63
 
 
 def source_of(codes: Ints) -> Ints:
-    # Number of the source of every code.
+    # number of the source of every code
     return codes & (SOURCES - 1)
 
 
 def is_direct(codes: Ints) -> Bools:
-    # Which paths begin at a sun; light of the sky is diffuse.
+    # whether paths start at a sun; light of the sky is diffuse
     source = source_of(codes)
     return np.asarray((source >= FIRST_SUN) & (source < FIRST_CLEAR_SKY))
 
 
 def is_mirrored(codes: Ints) -> Bools:
-    # Which paths left the first surface through its coat.
+    # whether paths were mirrored by the coat of the first surface
     return np.asarray((codes & MIRROR) != 0)
 
 
 def is_indirect(codes: Ints) -> Bools:
-    # Which paths met more than one surface.
+    # whether paths met more than one surface
     return np.asarray((codes & INDIRECT) != 0)
 
 
 @dataclass(frozen=True)
 class PathCodes:
-    """Digit layout of the path codes of one trace.
+    """Digit layout of the path codes of a trace.
 
     Attributes
     ----------
     depth
-        Most factors of a path.
+        Maximum number of factors of a path.
     digit_bits
         Bits of a digit.
 
@@ -102,10 +103,10 @@ class PathCodes:
             raise SchemaError(f"depth={depth}", expected="at least 1 scattering", code="value-out-of-range")
         bits = max(factors, 1).bit_length()
         if FIRST_DIGIT + depth * bits > USABLE_BITS:
-            most = (USABLE_BITS - FIRST_DIGIT) // bits
+            max_depth = (USABLE_BITS - FIRST_DIGIT) // bits
             raise SchemaError(
                 f"{factors} spectra and depth={depth} do not fit into the code of a path",
-                mend=f"take depth={most} or less, or fewer materials (those with flakes count twice)",
+                mend=f"take depth={max_depth} or less, or fewer materials (twice counted with flakes)",
                 code="path-code-too-long",
             )
         return cls(depth, bits)
@@ -119,7 +120,7 @@ class PathCodes:
         return code
 
     def factors(self, codes: Ints) -> Ints:
-        # Factors of every code, shape (code, depth); -1 for none.
+        # factors of every code, shape (code, depth); -1 for no factor
         shifts = FIRST_DIGIT + self.digit_bits * np.arange(self.depth)
         digits = (np.asarray(codes, np.int64)[:, None] >> shifts) & ((1 << self.digit_bits) - 1)
         return np.asarray(digits - 1)

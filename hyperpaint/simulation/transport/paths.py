@@ -4,9 +4,9 @@ The radiance of a pixel is the sum over its paths of
 
     L = w (E / pi) rho_1 rho_2 ...
 
-with the irradiance E of the source, the reflectances of what scattered the light, and a weight w that does
-not depend on wavelength. A path's code says which source and which reflectances; equal codes of a pixel are
-added up.
+with the irradiance E of the source, the reflectances rho of the scattering surfaces, and a weight w that does
+not depend on wavelength. The code of a path contains source and reflectances; weights of equal codes in a
+pixel are summed.
 """
 
 from __future__ import annotations
@@ -50,58 +50,59 @@ from .vectors import Vector, dot, frame_of, from_frame, in_frame, unit
 
 @borrowing_kernel
 def record_sky(table: PathTable, sources: Sources, code: int, beta: float, direction: Vector) -> None:
-    """Add an escaped path once for every sky: its weight times the sky's value in that direction.
+    """Add an escaped path for every sky: its weight times the relative radiance of the sky in its direction.
 
     Parameters
     ----------
     table
-        Of the pixel.
+        Table of the pixel.
     sources
-        Their skies are recorded; ``shapes`` is an array, empty for no clear sky.
+        Sources whose skies are recorded; ``shapes`` is an array, empty without clear skies.
     code, beta
         Code of the path without a source, and its weight.
     direction
-        Where it leaves to, a unit vector; upwards, there is no sky below the horizon.
+        Unit vector of the escaping path, upwards, because there is no sky below the horizon.
     """
     add_path(table, code | SKY, beta)
-    up = direction[2]
+    cos_zenith = direction[2]
     if sources.overcast:
-        add_path(table, code | OVERCAST_SKY, 1.5 * up * beta)
+        add_path(table, code | OVERCAST_SKY, 1.5 * cos_zenith * beta)
     if sources.shapes.size == 0:
         return
-    u = math.log(up + HORIZON_SHIFT)
+    u = math.log(cos_zenith + HORIZON_SHIFT)
     for sun in range(sources.suns.shape[0]):
         towards = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
         t = math.acos(min(1.0, max(-1.0, dot(direction, towards))))
         for function in range(CLEAR_SKY_FUNCTIONS):
-            value = beta * _value(sources.shapes, sun, function, u, t)
+            value = beta * _relative_radiance(sources.shapes, sun, function, u, t)
             add_path(table, code | FIRST_CLEAR_SKY + CLEAR_SKY_FUNCTIONS * sun + function, value)
 
 
 @borrowing_kernel
-def _value(shapes: Array, sun: int, function: int, u: float, t: float) -> float:
-    # A sky function over a uniform sky, see `hyperpaint.light.sky_functions.relative_radiance`.
+def _relative_radiance(shapes: Array, sun: int, function: int, u: float, t: float) -> float:
+    # radiance of a sky function relative to a uniform sky, see
+    # `hyperpaint.light.sky_functions.relative_radiance`
     c = shapes[sun, function]
     power = u * (c[0] + u * (c[1] + u * c[2])) + t * (c[3] + t * (c[4] + t * c[5])) + c[6] * u * t + c[7]
     return math.exp(power)
 
 
-# what random numbers are for: pairs that cover a pixel's samples evenly, and from the third surface on others
+# numbers of draws: even pairs for the first two surfaces, independent numbers from the third surface
 _PIXEL, _TIME, _BODY, _COAT, _SECOND, _SUN = 0, 1, 2, 3, 4, 6
 _SCATTER, _SHADOW, _SLOT = 16, 1024, 65537
-_BEHIND = 64  # added to the number of a scattering: draws for the sun behind a plate
-_LOBES = 6  # codes that a sun adds at a surface
+_BEHIND = 64  # offset of the number of a scattering for the sun behind a plate
+_LOBES = 6  # maximum number of codes that a sun adds at a surface
 
 
-class _Room(NamedTuple):
+class _Workspace(NamedTuple):
     stack: Array  # (STACK,) nodes of a traversal
-    entries: Array  # (STACK,) and where the ray enters them
+    entries: Array  # (STACK,) distances at which the ray enters these nodes
     table: PathTable
     labels: Array  # (sample,) distinct pairs of labels
-    votes: Array  # (sample,) samples that meet them
-    first: Array  # (5,) of the first hits: number, sum of distance, x, y, z
-    seen: Array  # (sun,) number that see a sun
-    cosines: Array  # (sun,) sum of cosines
+    votes: Array  # (sample,) number of samples by pair of labels
+    first_hits: Array  # (5,) sums over the first hits: count, distance, x, y, z
+    lit_hits: Array  # (sun,) number of first hits lit by a sun
+    cosines: Array  # (sun,) sum of cosines over the first hits
 
 
 class _Scene(NamedTuple):
@@ -111,23 +112,23 @@ class _Scene(NamedTuple):
 
 
 # Key of the random numbers of a path.
-class _Place(NamedTuple):
+class _PathKey(NamedTuple):
     seed: int
     line: int
     column: int
     sample: int
-    key: int  # of the pixel
-    mask: int  # a power of two less 1, not below the last sample
+    key: int  # key of the pixel
+    mask: int  # a power of two minus 1, at least the number of the last sample
 
 
 # A path of light, followed backwards.
 class _Path(NamedTuple):
     origin: Vector
     direction: Vector
-    beta: float  # its weight so far
+    beta: float  # weight so far
     code: int
-    spent: int  # factors in the code
-    least_alpha: float  # how rough a mirror is at least for a sun
+    spent: int  # number of factors in the code
+    least_alpha: float  # minimum roughness of a mirror for light of a sun
 
 
 # Codes of a path after each lobe of a surface, without a source.
@@ -135,9 +136,9 @@ class _Codes(NamedTuple):
     base: int
     coat: int
     flakes: int
-    recycled: int  # by flakes, then by the base; -1 where the code has no room for both
-    twice: int  # by flakes, then by flakes
-    turned: int  # flakes at right angles to the light; as ``flakes`` where angles do not matter
+    recycled: int  # scattering by flakes, then by the base; -1 if the code has no space for both
+    twice: int  # scattering by flakes, then by flakes
+    turned: int  # flakes with light and view at right angles; equal to ``flakes`` if angles do not matter
 
 
 def trace_lines(
@@ -148,58 +149,60 @@ def trace_lines(
     settings: Settings,
     block: Block,
 ) -> None:
-    """Trace whole lines and record their paths.
+    """Trace lines and record their paths.
 
     Parameters
     ----------
     geometry, surfaces, sources
         The scene and its light.
     rays
-        Lines of this block only.
+        Rays of the lines of this block.
     settings
-        How they are traced.
+        Settings of the trace.
     block
-        Written.
+        Output.
 
     Raises
     ------
     ValueError
-        For codes that do not fit 63 bits, more than six suns, and numbers that make no sense.
+        Codes exceed 63 bits, there are more than six suns, or numbers are invalid.
 
     Notes
     -----
-    At every hit a shadow ray goes to every sun; the sky is met by escaping. At the first hit both the coat
-    and what lies under it are followed; later one lobe, the coat's with a probability that grows with its
-    reflectance, else the flakes' with their share, else the diffuse base; weights are divided by the
+    At every hit a shadow ray goes to every sun; escaping paths meet the sky. At the first hit both the coat
+    and the layers under it are followed; later a single lobe: the coat with a probability that grows with its
+    reflectance, else the flakes with their share, else the diffuse base. Weights are divided by the
     probability.
 
     The coat is a GGX surface with exact Fresnel reflectance and height-correlated shadowing; orange peel
-    tilts it, and nothing else. Of light from a direction of cosine c it reflects E(c), the rest T = 1 - E
-    enters. Light passes it twice on the way to and from the base, which adds To Ti / <T> to the weight, <T>
-    the mean of T over diffuse light: with the factor rho (1 - Fi) / (1 - rho Fi), n^2 (1 - Fi) = <T>, that is
-    the reflectance of a diffuse base of albedo rho under a dielectric. Flakes are GGX mirrors under it, met
-    by refracted light:
+    tilts only the coat. It reflects the share E(c) of light from a direction of cosine c; the rest T = 1 - E
+    enters. Light passes the coat twice on the way to and from the base, which multiplies the weight by To Ti
+    / <T>, with the mean <T> of T over diffuse light: with the factor rho (1 - Fi) / (1 - rho Fi) and n^2 (1 -
+    Fi) = <T>, this is the reflectance of a diffuse base of albedo rho under a dielectric. Flakes are GGX
+    mirrors under the coat, lit by refracted light:
 
         f = share To Ti / n^2  D G2 / (4 cos_o' cos_i')
 
-    with angles inside the coat (dashed). What they send beyond the critical angle, or to other flakes, is the
-    part K(c) of what enters; it comes back to the paint, meets flakes with their share or else the base, and
-    leaves as To Ko Ti Ki / <T K>, multiplied by both factors: two scatterings of the ``depth``. The base
-    keeps 1 - share. With all factors 1 nothing is lost.
+    with angles inside the coat (primed). The part K(c) of the entering light that flakes reflect beyond the
+    critical angle, or to other flakes, returns to the paint, meets flakes with their share or else the base,
+    and leaves as To Ko Ti Ki / <T K>, multiplied by both factors: two scatterings of the ``depth``. The base
+    gets the share 1 - share. With all factors 1 no light is lost.
 
-    The sky, uniform, overcast (L = 1.5 cos(zenith angle) E / pi) or a function of a clear one, is above the
-    horizon: light from below it ends at the ground beyond the scene. A ray of the camera that meets nothing
-    is no part of a pixel, which is the mean of the others; without any, weights are NaN.
+    The sky, uniform, overcast (L = 1.5 cos(zenith angle) E / pi) or a function of a clear sky, is above the
+    horizon; paths below the horizon end at the ground beyond the scene. Camera rays without a hit are
+    excluded from the mean of a pixel; if no ray has a hit, weights are NaN.
 
-    A thin plate (``through_factor``) has a Lambert lobe on either side, the one behind with a spectrum of its
-    own. Suns are met on both sides; both are followed from the first surface, one by an even chance later.
+    A thin plate (``through_factor``) has a Lambert lobe on either side, with another spectrum for the side
+    behind. Suns light both sides; both sides are followed from the first surface, and later one of them at
+    random.
     """
     settings = Settings(*map(int, settings))
     check(geometry, surfaces, sources, rays, settings, block)
     suns = np.ascontiguousarray(sources.suns, np.float64).reshape(-1, 3)
     numbers, *factors = surfaces
     surfaces = Surfaces(
-        np.ascontiguousarray(numbers, np.float64), *(np.ascontiguousarray(part, np.int32) for part in factors)
+        np.ascontiguousarray(numbers, np.float64),
+        *(np.ascontiguousarray(array, np.int32) for array in factors),
     )
     sources = Sources(
         suns,
@@ -207,28 +210,30 @@ def trace_lines(
         bool(sources.overcast),
         np.ascontiguousarray(sources.shapes, np.float64),
     )
-    rays = Rays(*(np.ascontiguousarray(part, np.float64) for part in rays))
-    _trace(_Scene(geometry, surfaces, sources), rays, settings, _room(settings, len(suns)), block)
+    rays = Rays(*(np.ascontiguousarray(array, np.float64) for array in rays))
+    _trace(_Scene(geometry, surfaces, sources), rays, settings, _create_workspace(settings, len(suns)), block)
 
 
-def _room(settings: Settings, suns: int) -> _Room:
-    of_skies = 2 * (2 + CLEAR_SKY_FUNCTIONS * suns)  # either branch may end in the sky
-    most = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + of_skies)
-    size = 1 << max(4, (2 * most - 1).bit_length())
-    return _Room(
+def _create_workspace(settings: Settings, suns: int) -> _Workspace:
+    sky_codes = 2 * (2 + CLEAR_SKY_FUNCTIONS * suns)  # both branches may end in the sky
+    max_codes = settings.samples * ((2 * settings.depth - 1) * suns * _LOBES + sky_codes)
+    size = 1 << max(4, (2 * max_codes - 1).bit_length())
+    return _Workspace(
         stack=np.empty(STACK, np.int64),
         entries=np.empty(STACK),
-        table=PathTable(np.full(size, -1), np.zeros(size), np.empty(most, np.int64), np.zeros(1, np.int64)),
+        table=PathTable(
+            np.full(size, -1), np.zeros(size), np.empty(max_codes, np.int64), np.zeros(1, np.int64)
+        ),
         labels=np.empty(settings.samples, np.int64),
         votes=np.empty(settings.samples, np.int64),
-        first=np.zeros(5),
-        seen=np.zeros(suns),
+        first_hits=np.zeros(5),
+        lit_hits=np.zeros(suns),
         cosines=np.zeros(suns),
     )
 
 
 @borrowing_kernel
-def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Block) -> None:
+def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Workspace, block: Block) -> None:
     mask = 1
     while mask < settings.samples:
         mask *= 2
@@ -239,30 +244,30 @@ def _trace(scene: _Scene, rays: Rays, settings: Settings, room: _Room, block: Bl
             key = pixel_key(settings.seed, number, column)
             distinct = 0
             for sample in range(settings.samples):
-                place = _Place(settings.seed, number, column, sample, key, mask - 1)
-                label = _trace_sample(scene, rays, line, place, settings, room)
+                path_key = _PathKey(settings.seed, number, column, sample, key, mask - 1)
+                label = _trace_sample(scene, rays, line, path_key, settings, room)
                 distinct = _vote(label, distinct, room)
             _write_pixel(block, line, column, distinct, settings, room)
             draw, _, _, _ = uniforms(settings.seed, number, column, 0, _SLOT)
-            scale = 1.0 / max(room.first[0], 1.0)
+            scale = 1.0 / max(room.first_hits[0], 1.0)
             write_paths(room.table, scale, draw, block.weight, block.code, line, column)
-            if room.first[0] == 0.0:  # no sample hits a surface
+            if room.first_hits[0] == 0.0:  # no sample hits a surface
                 block.weight[line, 0, column], block.code[line, 0, column] = np.nan, SKY
 
 
 @borrowing_kernel
-def _clear_pixel(room: _Room) -> None:
+def _clear_pixel(room: _Workspace) -> None:
     for i in range(room.table.in_use[0]):
         room.table.codes[room.table.used[i]] = -1
     room.table.in_use[0] = 0
-    room.first[:] = 0.0
-    room.seen[:] = 0.0
+    room.first_hits[:] = 0.0
+    room.lit_hits[:] = 0.0
     room.cosines[:] = 0.0
 
 
 @borrowing_kernel
-def _vote(label: int, distinct: int, room: _Room) -> int:
-    # Number of distinct label pairs, with the first hit of this sample.
+def _vote(label: int, distinct: int, room: _Workspace) -> int:
+    # count the labels of a sample; return the number of distinct labels
     for i in range(distinct):
         if room.labels[i] == label:
             room.votes[i] += 1
@@ -274,23 +279,23 @@ def _vote(label: int, distinct: int, room: _Room) -> int:
 
 @borrowing_kernel
 def _write_pixel(
-    block: Block, line: int, column: int, distinct: int, settings: Settings, room: _Room
+    block: Block, line: int, column: int, distinct: int, settings: Settings, room: _Workspace
 ) -> None:
     best = 0
     for i in range(1, distinct):
-        more = room.votes[i] > room.votes[best]
-        if more or (room.votes[i] == room.votes[best] and room.labels[i] < room.labels[best]):
+        has_more = room.votes[i] > room.votes[best]
+        if has_more or (room.votes[i] == room.votes[best] and room.labels[i] < room.labels[best]):
             best = i
     label = room.labels[best]
     block.material[line, column] = label >> 32 if label >= 0 else -1
     block.instance[line, column] = label & 0xFFFFFFFF if label >= 0 else -1
     block.purity[line, column] = room.votes[best] / settings.samples
-    share = 1.0 / room.first[0] if room.first[0] > 0 else np.nan
-    block.distance[line, column] = room.first[1] * share
+    share = 1.0 / room.first_hits[0] if room.first_hits[0] > 0 else np.nan
+    block.distance[line, column] = room.first_hits[1] * share
     for k in range(3):
-        block.position[line, k, column] = room.first[2 + k] * share
-    for sun in range(room.seen.size):
-        block.sun_visibility[line, sun, column] = room.seen[sun] * share
+        block.position[line, k, column] = room.first_hits[2 + k] * share
+    for sun in range(room.lit_hits.size):
+        block.sun_visibility[line, sun, column] = room.lit_hits[sun] * share
         block.incidence[line, sun, column] = room.cosines[sun] * share
 
 
@@ -316,27 +321,29 @@ def _camera_axes(rays: Rays, line: int, end: int, forward: float, right: float) 
 
 
 @borrowing_kernel
-def _towards_sun(sources: Sources, sun: int, place: _Place, bounce: int) -> Vector:
-    middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
+def _towards_sun(sources: Sources, sun: int, path_key: _PathKey, bounce: int) -> Vector:
+    centre = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
     radius = sources.sun_radius[sun]
     if radius <= 0.0:
-        return middle
+        return centre
     if bounce == 0:
-        u, v = even_pair(place.key, place.sample, _SUN, place.mask)
+        u, v = even_pair(path_key.key, path_key.sample, _SUN, path_key.mask)
     else:
-        u, v, _, _ = uniforms(place.seed, place.line, place.column, place.sample, _SHADOW + bounce)
+        u, v, _, _ = uniforms(
+            path_key.seed, path_key.line, path_key.column, path_key.sample, _SHADOW + bounce
+        )
     fall = u * 2.0 * math.sin(0.5 * radius) ** 2  # 1 - cosine, without cancellation
-    across = math.sqrt(fall * (2.0 - fall))
+    sine = math.sqrt(fall * (2.0 - fall))
     angle = 2.0 * math.pi * v
-    return from_frame(frame_of(middle), (across * math.cos(angle), across * math.sin(angle), 1.0 - fall))
+    return from_frame(frame_of(centre), (sine * math.cos(angle), sine * math.sin(angle), 1.0 - fall))
 
 
 @borrowing_kernel
-def _record_first(sources: Sources, room: _Room, distance: float, point: Vector, normal: Vector) -> None:
-    room.first[0] += 1.0
-    room.first[1] += distance
+def _record_first(sources: Sources, room: _Workspace, distance: float, point: Vector, normal: Vector) -> None:
+    room.first_hits[0] += 1.0
+    room.first_hits[1] += distance
     for k in range(3):
-        room.first[2 + k] += point[k]
+        room.first_hits[2 + k] += point[k]
     for sun in range(sources.suns.shape[0]):
         cosine = dot(normal, (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2]))
         room.cosines[sun] += max(cosine, 0.0)
@@ -344,13 +351,13 @@ def _record_first(sources: Sources, room: _Room, distance: float, point: Vector,
 
 @borrowing_kernel
 def _trace_sample(
-    scene: _Scene, rays: Rays, line: int, place: _Place, settings: Settings, room: _Room
+    scene: _Scene, rays: Rays, line: int, path_key: _PathKey, settings: Settings, room: _Workspace
 ) -> int:
-    # The result holds the labels of the first hit.
+    # trace a sample of a pixel; return the labels of its first hit, -1 for the sky
     geometry, surfaces, sources = scene
-    u, v = even_pair(place.key, place.sample, _PIXEL, place.mask)
-    w, _ = even_pair(place.key, place.sample, _TIME, place.mask)
-    origin, direction = _camera_ray(rays, line, place.column, u, v, w)
+    u, v = even_pair(path_key.key, path_key.sample, _PIXEL, path_key.mask)
+    w, _ = even_pair(path_key.key, path_key.sample, _TIME, path_key.mask)
+    origin, direction = _camera_ray(rays, line, path_key.column, u, v, w)
     distance, face, weights = closest(geometry, room.stack, room.entries, origin, direction, np.inf)
     if face < 0:
         return -1
@@ -360,32 +367,33 @@ def _trace_sample(
     lobes = lobes_at(surfaces, material, in_frame(hit.frame, back), in_frame(hit.coat_frame, back), MIN_ALPHA)
     _record_first(sources, room, distance, point, hit.frame[2])
     codes = _codes_after(surfaces, material, 0, MIRROR, 0, settings)
-    _record_suns(scene, room, hit, lobes, codes, 1.0, place, 0)
+    _record_suns(scene, room, hit, lobes, codes, 1.0, path_key, 0)
     if lobes.refraction > 1.0:
-        u, v = even_pair(place.key, place.sample, _COAT, place.mask)
+        u, v = even_pair(path_key.key, path_key.sample, _COAT, path_key.mask)
         kind, local, weight = scatter_coat(lobes, u, v)
         towards = from_frame(hit.coat_frame, local)
         if kind != ENDED and leaves(hit, towards):
             path = _Path(hit.point, towards, weight, codes.coat, 0, BLURRED_ALPHA)
-            _follow(scene, room, path, place, settings, 1)
-    if surfaces.through_factor[material] >= 0:  # a plate has no coat: its draws serve the side behind
+            _follow(scene, room, path, path_key, settings, 1)
+    # a plate has no coat, so that the draws of the coat are used for the side behind
+    if surfaces.through_factor[material] >= 0:
         rear, through = behind(hit, point), _codes_behind(surfaces, material, 0, settings)
-        _record_suns(scene, room, rear, lobes, through, 1.0, place, _BEHIND)
-        u, v = even_pair(place.key, place.sample, _COAT, place.mask)
+        _record_suns(scene, room, rear, lobes, through, 1.0, path_key, _BEHIND)
+        u, v = even_pair(path_key.key, path_key.sample, _COAT, path_key.mask)
         kind, local, weight = scatter_body(surfaces.numbers, lobes, u, v)
         towards = from_frame(rear.frame, local)
         if kind != ENDED and leaves(rear, towards):
             path = _Path(rear.point, towards, weight, through.base, 1, WIDENED_ALPHA)
-            _follow(scene, room, path, place, settings, 1)
-    u, v = even_pair(place.key, place.sample, _BODY, place.mask)
+            _follow(scene, room, path, path_key, settings, 1)
+    u, v = even_pair(path_key.key, path_key.sample, _BODY, path_key.mask)
     kind, local, weight = scatter_body(surfaces.numbers, lobes, u, v)
-    code, spent = _code_of(codes, kind, 0, lobes, local, place, 0)
+    code, spent = _code_after_lobe(codes, kind, 0, lobes, local, path_key, 0)
     towards = from_frame(hit.frame, local)
     if kind != ENDED and code >= 0 and leaves(hit, towards):
         _follow(
-            scene, room, _Path(hit.point, towards, weight, code, spent, WIDENED_ALPHA), place, settings, 0
+            scene, room, _Path(hit.point, towards, weight, code, spent, WIDENED_ALPHA), path_key, settings, 0
         )
-    # two labels as one number, which sorts by material first
+    # pack the two labels into a number that sorts by material first
     label: int = np.int64(material) << 32 | np.int64(geometry.face_instance[face])  # type: ignore[assignment]
     return label
 
@@ -394,7 +402,7 @@ def _trace_sample(
 def _codes_after(
     surfaces: Surfaces, material: int, code: int, mirrored: int, spent: int, settings: Settings
 ) -> _Codes:
-    # ``mirrored`` is the code after the coat.
+    # codes after every lobe of a surface; ``mirrored`` is the code after the coat
     bits, base, flakes = settings.digit_bits, surfaces.base_factor[material], surfaces.flake_factor[material]
     by_flakes = turned = with_factor(code, flakes, bits)
     recycled = twice = -1
@@ -407,20 +415,22 @@ def _codes_after(
 
 @borrowing_kernel
 def _codes_behind(surfaces: Surfaces, material: int, code: int, settings: Settings) -> _Codes:
-    # A plate has one lobe.
+    # codes behind a plate, which has a single lobe
     through = with_factor(code, surfaces.through_factor[material], settings.digit_bits)
     return _Codes(through, through, through, -1, -1, through)
 
 
 @borrowing_kernel
-def _code_of(
-    codes: _Codes, kind: int, spent: int, lobes: Lobes, local: Vector, place: _Place, turn: int
+def _code_after_lobe(
+    codes: _Codes, kind: int, spent: int, lobes: Lobes, local: Vector, path_key: _PathKey, turn: int
 ) -> tuple[int, int]:
-    # Turned flakes are followed by chance; the second number is the count of factors.
+    # code after a lobe, and its number of factors; of the two spectra of flakes one is chosen at random
     if kind == COAT:
         return codes.coat, spent
     if kind == FLAKES and codes.turned != codes.flakes:
-        _, _, _, draw = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+        _, _, _, draw = uniforms(
+            path_key.seed, path_key.line, path_key.column, path_key.sample, _SCATTER + turn
+        )
         return codes.turned if draw < turned_part(lobes, local) else codes.flakes, spent + 1
     if kind == FLAKES:
         return codes.flakes, spent + 1
@@ -430,44 +440,51 @@ def _code_of(
 
 
 @borrowing_kernel
-def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Settings, branch: int) -> None:
-    # ``branch`` is 1 for a path that left by the coat: its random numbers are others.
+def _follow(
+    scene: _Scene, room: _Workspace, path: _Path, path_key: _PathKey, settings: Settings, branch: int
+) -> None:
+    # follow a path to its end; ``branch`` is 1 for paths that left by the coat, which use other random
+    # numbers
     geometry, surfaces, sources = scene
-    origin, direction, beta, code, spent, least = path
+    origin, direction, beta, code, spent, least_alpha = path
     for bounce in range(1, settings.depth):
         _, face, weights = closest(geometry, room.stack, room.entries, origin, direction, np.inf)
         if face < 0:
-            if direction[2] > 0.0:  # what goes down ends at the ground beyond the scene
+            if direction[2] > 0.0:  # downward paths end at the ground beyond the scene
                 record_sky(room.table, sources, code, beta, direction)
             return
-        if spent >= settings.depth:  # no room for another factor
+        if spent >= settings.depth:  # the code has no space for another factor
             return
         hit, point = hit_at(geometry, face, weights, direction, 0.0)
         material = geometry.face_material[face]
         view = in_frame(hit.frame, (-direction[0], -direction[1], -direction[2]))
-        lobes = lobes_at(surfaces, material, view, view, least)
+        lobes = lobes_at(surfaces, material, view, view, least_alpha)
         code |= INDIRECT
         codes = _codes_after(surfaces, material, code, code, spent, settings)
         turn = 2 * bounce + branch
-        _record_suns(scene, room, hit, lobes, codes, beta, place, turn)
+        _record_suns(scene, room, hit, lobes, codes, beta, path_key, turn)
         if bounce == 1:
-            u, v = even_pair(place.key, place.sample, _SECOND + branch, place.mask)
+            u, v = even_pair(path_key.key, path_key.sample, _SECOND + branch, path_key.mask)
         else:
-            u, v, _, _ = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+            u, v, _, _ = uniforms(
+                path_key.seed, path_key.line, path_key.column, path_key.sample, _SCATTER + turn
+            )
         if surfaces.through_factor[material] >= 0:
             rear, through = behind(hit, point), _codes_behind(surfaces, material, code, settings)
-            _record_suns(scene, room, rear, lobes, through, beta, place, turn + _BEHIND)
-            beta *= 2.0  # one of both sides is followed
-            _, _, side, _ = uniforms(place.seed, place.line, place.column, place.sample, _SCATTER + turn)
+            _record_suns(scene, room, rear, lobes, through, beta, path_key, turn + _BEHIND)
+            beta *= 2.0  # only one of the two sides is followed
+            _, _, side, _ = uniforms(
+                path_key.seed, path_key.line, path_key.column, path_key.sample, _SCATTER + turn
+            )
             if side > 0.5:
                 hit, codes = rear, through
         kind, local, weight = scatter(surfaces.numbers, lobes, u, v)
-        code, spent = _code_of(codes, kind, spent, lobes, local, place, turn)
+        code, spent = _code_after_lobe(codes, kind, spent, lobes, local, path_key, turn)
         origin, direction = hit.point, from_frame(hit.frame, local)
         if kind == ENDED or code < 0 or not leaves(hit, direction):
             return
         beta *= weight
-        least = max(least, BLURRED_ALPHA if kind == COAT else WIDENED_ALPHA)
+        least_alpha = max(least_alpha, BLURRED_ALPHA if kind == COAT else WIDENED_ALPHA)
     if direction[2] > 0.0 and not occluded(geometry, room.stack, origin, direction, np.inf):
         record_sky(room.table, sources, code, beta, direction)
 
@@ -475,34 +492,35 @@ def _follow(scene: _Scene, room: _Room, path: _Path, place: _Place, settings: Se
 @borrowing_kernel
 def _record_suns(
     scene: _Scene,
-    room: _Room,
+    room: _Workspace,
     hit: Hit,
     lobes: Lobes,
     codes: _Codes,
     beta: float,
-    place: _Place,
+    path_key: _PathKey,
     bounce: int,
 ) -> None:
-    # A shadow ray goes to some point of a disc; angles are those of its middle, lobes means over the disc.
+    # add the light of every sun: shadow rays go to random points of its disc, angles are those of its centre,
+    # lobes are means over the disc
     sources = scene.sources
     for sun in range(sources.suns.shape[0]):
-        middle = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
-        if dot(hit.frame[2], middle) < FACING or not leaves(hit, middle):
+        centre = (sources.suns[sun, 0], sources.suns[sun, 1], sources.suns[sun, 2])
+        if dot(hit.frame[2], centre) < FACING or not leaves(hit, centre):
             continue
-        towards = _towards_sun(sources, sun, place, bounce)
+        towards = _towards_sun(sources, sun, path_key, bounce)
         if occluded(scene.geometry, room.stack, hit.point, towards, np.inf):
             continue
-        light, mirrored = in_frame(hit.frame, middle), in_frame(hit.coat_frame, middle)
+        light, mirrored = in_frame(hit.frame, centre), in_frame(hit.coat_frame, centre)
         base, coat, flakes, recycled = sun_weights(
             scene.surfaces.numbers, lobes, light, mirrored, sources.sun_radius[sun]
         )
         add_path(room.table, codes.base | FIRST_SUN + sun, beta * base)
         add_path(room.table, codes.coat | FIRST_SUN + sun, beta * coat)
-        part = turned_part(lobes, light) if codes.turned != codes.flakes else 0.0
-        add_path(room.table, codes.flakes | FIRST_SUN + sun, beta * flakes * (1.0 - part))
-        add_path(room.table, codes.turned | FIRST_SUN + sun, beta * flakes * part)
+        turned_share = turned_part(lobes, light) if codes.turned != codes.flakes else 0.0
+        add_path(room.table, codes.flakes | FIRST_SUN + sun, beta * flakes * (1.0 - turned_share))
+        add_path(room.table, codes.turned | FIRST_SUN + sun, beta * flakes * turned_share)
         if codes.recycled >= 0:
             add_path(room.table, codes.recycled | FIRST_SUN + sun, beta * recycled * (1.0 - lobes.share))
             add_path(room.table, codes.twice | FIRST_SUN + sun, beta * recycled * lobes.share)
         if bounce == 0:
-            room.seen[sun] += 1.0
+            room.lit_hits[sun] += 1.0

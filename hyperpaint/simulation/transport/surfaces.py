@@ -1,14 +1,15 @@
 """Reflection by surfaces: Fresnel's equations, the GGX microfacet lobe, the diffuse lobe, their sum.
 
-Directions are given in the frame of the surface, z along its normal, and point away from it. Four lobes add
-up: the clear coat, metal flakes under it, light of the flakes that the coat throws back at the paint, and the
-diffuse base. Without a coat its index is 1, and every expression becomes that of a bare surface.
+Directions are in the frame of the surface, z along its normal, and point away from it. Four lobes are summed:
+the clear coat, metal flakes under it, recycled light (from flakes, reflected back to the paint by the coat),
+and the diffuse base. A surface without a coat has the index 1, for which all expressions become those of a
+bare surface.
 
-No light is lost: what one reflection by a rough coat or by flakes does not account for (light that meets a
-second facet, or leaves the flakes beyond the critical angle) is measured when a scene is prepared, as a table
-over the cosine, and given to the lobes below: coat, then flakes, then base. C. Kulla, A. Conty, "Revisiting
-physically based shading at Imageworks", SIGGRAPH course (2017); C. Kelemen, L. Szirmay-Kalos, "A microfacet
-based coupled specular-matte BRDF model", Eurographics (2001).
+No light is lost: light that a single reflection by a rough coat or by flakes does not include (because it
+meets a second facet, or leaves the flakes beyond the critical angle) is computed when a scene is prepared, as
+a table over the cosine, and added to the next lobe: coat, then flakes, then base. C. Kulla, A. Conty,
+"Revisiting physically based shading at Imageworks", SIGGRAPH course (2017); C. Kelemen, L. Szirmay-Kalos, "A
+microfacet based coupled specular-matte BRDF model", Eurographics (2001).
 """
 
 from __future__ import annotations
@@ -23,40 +24,41 @@ from hyperpaint.base.jit import borrowing_kernel
 
 from .vectors import Vector, dot, unit
 
-#: A smoother coat is taken to be as rough as this: its image of a point sun would never be met.
+#: Minimum roughness of a coat: sampling would never meet the image of a point sun in a smoother coat.
 MIN_ALPHA = 5e-4
 
-#: Nodes of the tables of lost light, evenly over the square root of the cosine: losses are at grazing angles.
+#: Nodes of the tables of lost light, even in the square root of the cosine, because losses are at grazing
+#: angles.
 _NODES = 32
-_DRAWS = 24  # directions each way in the sum that makes a node
+_DRAWS = 24  # directions per dimension in the sum for a node
 
 
-# columns of what is known of a material
+# columns of `Surfaces.numbers`
 _INDEX, _ALPHA, WAVINESS, _SHARE, _FLAKE_ALPHA, _ENTERING, _RETURNED = range(7)
-_SINGLE = 7  # first node of what one reflection gives of a smooth coat's reflectance
-_LOST = _SINGLE + _NODES  # first node of the part of the light that flakes alone would not let out again
+_SINGLE = 7  # first node of the single reflection of a coat, relative to a smooth coat
+_LOST = _SINGLE + _NODES  # first node of the share of light that does not leave flakes directly
 
 
 class Surfaces(NamedTuple):
-    """Properties of all materials in a few arrays, which every kernel call passes on; see `surfaces_of`.
+    """Properties of all materials in a few arrays; see `surfaces_of`.
 
     Attributes
     ----------
     numbers : (material, column) float64
-        Refractive index of the clear coat (0 without one), its GGX alpha, the root mean square slope of its
-        orange peel [rad]; part of the light that enters the paint and meets flakes, GGX alpha of the flakes;
-        part of diffuse light that passes the coat, and the part of it that flakes alone would not let out
-        again; tables over the cosine of what one reflection gives of a smooth coat's reflectance, and of the
-        part of the light that enters and that flakes alone would not let out again.
+        Refractive index of the clear coat (0 without a coat), its GGX alpha, the root mean square slope of
+        its orange peel [rad]; share of the light entering the paint that meets flakes, GGX alpha of the
+        flakes; share of diffuse light that passes the coat, and the part of it that does not leave flakes
+        directly; tables over the cosine: single reflection of the coat relative to a smooth coat, and share
+        of the entering light that does not leave flakes directly.
     base_factor : (material,) int32
         Number of the spectrum of the diffuse base.
     flake_factor : (material,) int32
-        Number of the spectrum of the flakes; -1 without them.
+        Number of the spectrum of the flakes; -1 without flakes.
     through_factor : (material,) int32
-        Number of the spectrum that a thin plate, such as a leaf, passes diffusely; -1 of what is opaque.
+        Number of the spectrum of diffuse transmittance of a thin plate, such as a leaf; -1 for opaque
+        surfaces.
     turned_factor : (material,) int32
-        Number of the spectrum of flakes where light and view are at right angles; -1 where angles do not
-        matter.
+        Number of the spectrum of flakes with light and view at right angles; -1 if angles do not matter.
     """
 
     numbers: Array
@@ -83,12 +85,11 @@ def surfaces_of(
     Parameters
     ----------
     coat_index, coat_alpha, waviness
-        Of the coats, shape (material,): index 0 without one, GGX alpha, slope [rad].
+        Properties of the coats, shape (material,): index (0 without a coat), GGX alpha, slope [rad].
     flake_share, flake_alpha
-        Of the flakes.
+        Properties of the flakes.
     base_factor, flake_factor, through_factor, turned_factor
-        Numbers of the spectra; -1 without flakes, of what passes no light, of flakes of one spectrum; None
-        where nothing does.
+        Numbers of the spectra, see `Surfaces`; None for -1 everywhere.
 
     Examples
     --------
@@ -104,15 +105,15 @@ def surfaces_of(
     tables: dict[tuple[float, ...], Array] = {}
     for number, row in enumerate(numbers):
         if not (1.0 < row[_INDEX] < np.inf and 0.0 <= row[_ALPHA] <= 1.0):
-            continue  # bare, or refused later
+            continue  # bare surfaces, and invalid ones that are refused later
         key = row[_INDEX], row[_ALPHA], row[_FLAKE_ALPHA] if flake_factor[number] >= 0 else 0.0
         if key not in tables:
             tables[key] = row[_ENTERING:].copy()
             _fill_tables(*key, tables[key])
         row[_ENTERING:] = tables[key]
-    none = np.full_like(flake_factor, -1)
+    no_factor = np.full_like(flake_factor, -1)
     through_factor, turned_factor = (
-        none if part is None else part for part in (through_factor, turned_factor)
+        no_factor if part is None else part for part in (through_factor, turned_factor)
     )
     factors = (base_factor, flake_factor, through_factor, turned_factor)
     return Surfaces(numbers, *(np.ascontiguousarray(part, np.int32) for part in factors))
@@ -120,7 +121,7 @@ def surfaces_of(
 
 @borrowing_kernel
 def fresnel(cosine: float, index: float) -> float:
-    # Reflectance of a smooth dielectric for unpolarised light from outside.
+    # reflectance of a smooth dielectric for unpolarised light from outside
     g2 = index * index - 1.0 + cosine * cosine
     g = math.sqrt(g2)
     a = (g - cosine) / (g + cosine)
@@ -130,19 +131,19 @@ def fresnel(cosine: float, index: float) -> float:
 
 @borrowing_kernel
 def refracted_cosine(cosine: float, index: float) -> float:
-    # Cosine inside a medium for a cosine outside (Snell's law).
+    # cosine inside a medium from the cosine outside (Snell's law)
     return math.sqrt(1.0 - (1.0 - cosine * cosine) / (index * index))
 
 
 @borrowing_kernel
 def facet_density(cosine: float, alpha: float) -> float:
-    """Return the GGX density D of facets whose normals stand at a cosine to the surface normal [sr-1].
+    """Return the GGX density D of facets [sr-1], by the cosine of their normals to the surface normal.
 
     B. Walter, S. R. Marschner, H. Li, K. E. Torrance, "Microfacet models for refraction through rough
     surfaces", EGSR (2007), equation 33.
     """
     square = alpha * alpha
-    # 1 + (a^2 - 1) cos^2, without the cancellation near the normal
+    # 1 + (a^2 - 1) cos^2, written without cancellation near the normal
     root = (1.0 - cosine * cosine) + square * cosine * cosine
     return square / (math.pi * root * root)
 
@@ -160,12 +161,13 @@ def facet_lambda(cosine: float, alpha: float) -> float:
 
 @borrowing_kernel
 def sample_facet(view: Vector, alpha: float, u: float, v: float) -> Vector:
-    """Return the normal of a GGX facet that is visible from a direction.
+    """Return the normal of a random GGX facet that is visible from a direction.
 
-    E. Heitz, "Sampling the GGX distribution of visible normals", JCGT 7 (2018). A reflection about it has
-    the weight F G2 / G1.
+    E. Heitz, "Sampling the GGX distribution of visible normals", JCGT 7 (2018). Reflection
+    by this facet has the weight F G2 / G1.
     """
-    x, y, z = unit((alpha * view[0], alpha * view[1], view[2]))  # stretched: the facets of a sphere
+    # stretched, so that the facets are those of a sphere
+    x, y, z = unit((alpha * view[0], alpha * view[1], view[2]))
     plane = math.sqrt(x * x + y * y)
     ax, ay = (-y / plane, x / plane) if plane > 0.0 else (1.0, 0.0)
     bx, by, bz = -z * ay, z * ax, x * ay - y * ax
@@ -180,67 +182,69 @@ def sample_facet(view: Vector, alpha: float, u: float, v: float) -> Vector:
 
 @borrowing_kernel
 def sample_cosine(u: float, v: float) -> Vector:
-    # A direction with density cos / pi (Lambert's lobe).
+    # a direction with the density cos / pi (Lambert's lobe)
     radius = math.sqrt(u)
     angle = 2.0 * math.pi * v
     return radius * math.cos(angle), radius * math.sin(angle), math.sqrt(1.0 - u)
 
 
-#: After a diffuse reflection a sun sees coats and flakes at least as rough as this. Light that goes from a
-#: diffuse surface by way of a sharp mirror to the sun is met so rarely that it would show as single bright
-#: pixels (fireflies). Paths themselves, which end at the sky, follow the lobes as they are: widened, the
-#: coats of a car park would lose half a per cent of its light past their horizons.
+#: Minimum roughness of coats and flakes for light of a sun after a diffuse reflection. Paths from a diffuse
+#: surface by a sharp mirror to the sun are so rare that they would give single bright pixels (fireflies).
+#: Paths to the sky use the lobes without this minimum: wider lobes would lose half a per cent of the light of
+#: a car park below the horizon.
 WIDENED_ALPHA = 0.3
 
-#: After a mirror reflection, likewise: the glint of one coat in another.
+#: Minimum roughness after a mirror reflection, for the glint of a coat in another coat.
 BLURRED_ALPHA = 0.05
 
-#: What a path has followed; light that flakes recycle meets the base next, or flakes once more.
+#: Lobe that a path followed; recycled light meets the base (RECYCLED) or flakes again (TWICE).
 BASE, COAT, FLAKES, RECYCLED, TWICE, ENDED = 0, 1, 2, 3, 4, 5
 
-#: A base under a coat is followed with four times its fair chance against the coat: paints reflect that much.
+#: Weight of the base against the coat in the choice of a lobe, because paints reflect only part of the light.
 _BASE_PREFERENCE = 0.25
 
-_GRAZING = 1e-9  # cosines below this carry no light
+_GRAZING = 1e-9  # minimum cosine of directions with light
 
 
-# A surface, seen from one direction.
+# The lobes of a surface for a direction of view.
 class Lobes(NamedTuple):
     material: int
-    refraction: float  # index of the coat; 1 for none
+    refraction: float  # index of the coat; 1 without a coat
     coat_alpha: float
     flake_alpha: float
-    least_alpha: float  # that a sun sees
-    share: float  # of the flakes
-    outgoing: Vector  # where the path came from
-    mirrored: Vector  # the same in the frame of the coat, which orange peel tilts
-    passed: float  # transmission of the coat towards there
-    base: float  # weight of the base, without the transmission of what comes in
-    lost: float  # part of the flakes' light towards there that the coat throws back
+    least_alpha: float  # minimum roughness for light of a sun
+    share: float  # share of flakes
+    outgoing: Vector  # direction of view
+    mirrored: Vector  # direction of view in the frame of the coat, which orange peel tilts
+    passed: float  # transmittance of the coat in the direction of view
+    base: float  # weight of the base, without the transmittance of incoming light
+    lost: float  # share of the flakes' light in the direction of view that the coat reflects back
 
 
 @borrowing_kernel
-def _at_node(numbers: Array, material: int, first: int, cosine: float) -> Any:
+def _table_value(numbers: Array, material: int, first_node: int, cosine: float) -> Any:
     place = math.sqrt(min(cosine, 1.0)) * (_NODES - 1)
     node = min(int(place), _NODES - 2)
-    part = place - node
-    return (1.0 - part) * numbers[material, first + node] + part * numbers[material, first + node + 1]
+    fraction = place - node
+    return (1.0 - fraction) * numbers[material, first_node + node] + fraction * numbers[
+        material, first_node + node + 1
+    ]
 
 
 @borrowing_kernel
-def _between(row: Array, first: int, cosine: float) -> Any:
+def _row_value(row: Array, first_node: int, cosine: float) -> Any:
     place = math.sqrt(cosine) * (_NODES - 1)
     node = min(int(place), _NODES - 2)
-    part = place - node
-    return (1.0 - part) * row[first + node] + part * row[first + node + 1]
+    fraction = place - node
+    return (1.0 - fraction) * row[first_node + node] + fraction * row[first_node + node + 1]
 
 
 @borrowing_kernel
 def _transmitted(numbers: Array, material: int, cosine: float, index: float) -> Any:
-    # Part of the light from a direction that enters a coat (or leaves it in that direction).
+    # share of the light from a direction that enters a coat (or leaves it in this direction)
     if index <= 1.0:
         return 1.0
-    return 1.0 - fresnel(cosine, index) * _at_node(numbers, material, _SINGLE, cosine)
+    return 1.0 - fresnel(cosine, index) * _table_value(numbers, material, _SINGLE, cosine)
 
 
 @borrowing_kernel
@@ -250,11 +254,11 @@ def lobes_at(surfaces: Surfaces, material: int, view: Vector, mirrored: Vector, 
     Parameters
     ----------
     surfaces, material
-        Which one.
+        Number of the material in the surfaces.
     view, mirrored
-        Where it is seen from, in the frame of the surface and in that of its coat.
+        Direction of view, in the frame of the surface and in that of its coat.
     least_alpha
-        How rough its mirrors are at least for a sun.
+        Minimum roughness of mirrors for light of a sun.
     """
     numbers = surfaces.numbers
     index = max(numbers[material, _INDEX], 1.0)
@@ -272,28 +276,30 @@ def lobes_at(surfaces: Surfaces, material: int, view: Vector, mirrored: Vector, 
         (mirrored[0], mirrored[1], max(mirrored[2], _GRAZING)),
         passed,
         passed / numbers[material, _ENTERING],
-        _at_node(numbers, material, _LOST, view[2]) if share > 0.0 else 0.0,
+        _table_value(numbers, material, _LOST, view[2]) if share > 0.0 else 0.0,
     )
 
 
 @borrowing_kernel
 def _mirror(view: Vector, light: Vector, alpha: float, radius: float) -> tuple[float, float]:
-    """Return pi f cos_i of a GGX mirror that reflects everything, and the cosine at its facets.
+    """Return pi f cos_i of a GGX mirror of reflectance 1, and the cosine at its facets.
 
-    It is the mean over a disc of light of an angular radius [rad] around a direction. In the plane of slopes,
-    in units of alpha, GGX is the stereographic image of an even sphere, 1 / (pi (1 + m^2)^2), and a disc
-    that of a cap: the part of the facets that mirror some of the disc is the cap's area over the sphere's.
+    The result is the mean over a disc of light of an angular radius [rad] around a direction. In the plane of
+    slopes in units of alpha, GGX is the stereographic image of a uniform sphere, 1 / (pi (1 + m^2)^2), and a
+    disc is the image of a cap: the share of facets that mirror the disc is the area of the cap over that of
+    the sphere.
     """
     half = unit((view[0] + light[0], view[1] + light[1], view[2] + light[2]))
     cosine = dot(view, half)
     shadow = 1.0 / (1.0 + facet_lambda(view[2], alpha) + facet_lambda(light[2], alpha))
     if radius > 0.0:
-        # normals turn half as far as light in the plane of incidence, 1 / (2 cos) as far across it
+        # normals rotate by half the angle of light in the plane of incidence, by 1 / (2 cos) of it across the
+        # plane
         reach = 0.5 * radius / (alpha * math.sqrt(max(cosine, 1e-6)))
         slope = math.sqrt(max(0.0, 1.0 - half[2] * half[2])) / (alpha * half[2])
-        cap = math.atan2(2.0 * reach, 1.0 + slope * slope - reach * reach)  # its angle, rim to rim
-        part = math.sin(0.5 * cap) / (reach * alpha * half[2] * half[2])
-        density = part * part / math.pi
+        cap = math.atan2(2.0 * reach, 1.0 + slope * slope - reach * reach)  # full angle of the cap
+        ratio = math.sin(0.5 * cap) / (reach * alpha * half[2] * half[2])
+        density = ratio * ratio / math.pi
     else:
         density = facet_density(half[2], alpha)
     return math.pi * density * shadow / (4.0 * view[2]), cosine
@@ -306,7 +312,7 @@ def _refracted(direction: Vector, index: float) -> Vector:
 
 @borrowing_kernel
 def turned_part(lobes: Lobes, light: Vector) -> float:
-    r"""Return the part of the turned flakes' spectrum in light from a direction to the view, 0 to 1.
+    r"""Return the share of the flakes' turned spectrum for light from a direction, 0 to 1.
 
     A film of optical thickness d on a flake has the phase :math:`2 \pi d \cos\theta_f / \lambda`, with
     :math:`1 - \cos\theta_f \approx \sin^2\theta_f / 2` in proportion to :math:`\sin^2\theta` of light that
@@ -314,8 +320,8 @@ def turned_part(lobes: Lobes, light: Vector) -> float:
     :math:`2 \sin^2\theta = 1 - \cos 2\theta`. Spectra are mixed in this proportion, so that no light is
     lost, and light and view may change places.
     """
-    inside = dot(_refracted(lobes.outgoing, lobes.refraction), _refracted(light, lobes.refraction))
-    return min(1.0, max(0.0, 1.0 - inside))
+    cosine = dot(_refracted(lobes.outgoing, lobes.refraction), _refracted(light, lobes.refraction))
+    return min(1.0, max(0.0, 1.0 - cosine))
 
 
 @borrowing_kernel
@@ -327,11 +333,11 @@ def sun_weights(
     Parameters
     ----------
     numbers, lobes
-        Of all materials, and lobes of one in the viewing direction.
+        Properties of all materials, and the lobes of a surface in the direction of view.
     light, mirrored
-        Towards the sun, in the frame of the surface and in that of its coat.
+        Directions to the sun, in the frame of the surface and in that of its coat.
     radius
-        Of the sun's disc [rad]; 0 for a point.
+        Angular radius of the sun [rad]; 0 for a point.
     """
     cosine = light[2]
     entered, coat, flakes, recycled = 1.0, 0.0, 0.0, 0.0
@@ -342,11 +348,11 @@ def sun_weights(
             coat, facet = _mirror(lobes.mirrored, mirrored, alpha, radius)
             coat *= fresnel(facet, lobes.refraction)
     if lobes.share > 0.0:
-        inside = _refracted(light, lobes.refraction)
+        inner_light = _refracted(light, lobes.refraction)
         alpha = max(lobes.flake_alpha, lobes.least_alpha)
-        lobe, _ = _mirror(_refracted(lobes.outgoing, lobes.refraction), inside, alpha, 0.0)
+        lobe, _ = _mirror(_refracted(lobes.outgoing, lobes.refraction), inner_light, alpha, 0.0)
         flakes = lobes.share * lobes.passed * entered * lobe
-        flakes *= cosine / (inside[2] * lobes.refraction * lobes.refraction)
+        flakes *= cosine / (inner_light[2] * lobes.refraction * lobes.refraction)
         recycled = lobes.share * lobes.passed * lobes.lost * cosine
         recycled *= _returned(numbers, lobes.material, cosine, entered)
     return (1.0 - lobes.share) * lobes.base * entered * cosine, coat, flakes, recycled
@@ -354,17 +360,17 @@ def sun_weights(
 
 @borrowing_kernel
 def _returned(numbers: Array, material: int, cosine: float, entered: float) -> float:
-    # Directional dependence of recycled light: 1 on average over diffuse light.
-    whole = numbers[material, _RETURNED]
-    return entered * _at_node(numbers, material, _LOST, cosine) / whole if whole > 0.0 else 0.0
+    # directional dependence of recycled light, with the mean 1 over diffuse light
+    mean = numbers[material, _RETURNED]
+    return entered * _table_value(numbers, material, _LOST, cosine) / mean if mean > 0.0 else 0.0
 
 
 @borrowing_kernel
 def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
     """Return the lobe that a path follows, its new direction, and the factor of its weight.
 
-    Directions along the coat are in its own frame. Stretches of ``u`` belong to the lobes, and its place in
-    one is as even as the whole: points that cover a square evenly do so for the directions of each lobe.
+    Directions of the coat are in the frame of the coat. Intervals of ``u`` belong to lobes and are scaled to
+    0 to 1, so that points which fill a square evenly also fill the directions of every lobe evenly.
     """
     chance = 0.0
     if lobes.refraction > 1.0:
@@ -378,14 +384,14 @@ def scatter(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vect
 
 @borrowing_kernel
 def scatter_coat(lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    # Same for the coat alone.
+    # as `scatter`, for the coat only
     direction, weight = _scatter_by_facets(lobes.mirrored, lobes.coat_alpha, lobes.refraction, u, v)
     return COAT if weight > 0.0 else ENDED, direction, weight
 
 
 @borrowing_kernel
 def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int, Vector, float]:
-    # Same for the layers under the coat: base, flakes or recycled light.
+    # as `scatter`, for the layers under the coat: base, flakes or recycled light
     direct = lobes.share * (1.0 - lobes.lost)
     twice = direct + lobes.share * (lobes.share - direct)
     if u < direct:
@@ -406,7 +412,7 @@ def scatter_body(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[int,
 
 @borrowing_kernel
 def _scatter_by_facets(view: Vector, alpha: float, index: Any, u: float, v: float) -> tuple[Vector, float]:
-    # A direction from a GGX surface, and F G2 / G1; an index of 0 reflects everything.
+    # a direction from a GGX surface, and F G2 / G1; an index of 0 has F = 1
     half = sample_facet(view, alpha, u, v)
     cosine = dot(view, half)
     direction = (
@@ -425,7 +431,7 @@ def _scatter_by_facets(view: Vector, alpha: float, index: Any, u: float, v: floa
 
 @borrowing_kernel
 def _scatter_by_flakes(numbers: Array, lobes: Lobes, u: float, v: float) -> tuple[Vector, float]:
-    # G2 / G1 times the transmission on the way out; 0 where the light does not leave the coat.
+    # a direction, and G2 / G1 times the transmittance on leaving; 0 if the light does not leave the coat
     direction, weight = _leave_flakes(lobes.outgoing, lobes.refraction, lobes.flake_alpha, u, v)
     if weight > 0.0:
         weight *= _transmitted(numbers, lobes.material, direction[2], lobes.refraction)
@@ -434,7 +440,7 @@ def _scatter_by_flakes(numbers: Array, lobes: Lobes, u: float, v: float) -> tupl
 
 @borrowing_kernel
 def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) -> tuple[Vector, float]:
-    # A direction outside, and G2 / G1; 0 beyond the critical angle.
+    # a direction outside the coat, and G2 / G1; 0 beyond the critical angle
     inside, weight = _scatter_by_facets(_refracted(view, index), alpha, 0.0, u, v)
     square = 1.0 - index * index * (1.0 - inside[2] * inside[2])
     if weight == 0.0 or square < _GRAZING:
@@ -444,9 +450,9 @@ def _leave_flakes(view: Vector, index: float, alpha: float, u: float, v: float) 
 
 @borrowing_kernel
 def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> None:
-    # Energy of single reflections by a coat, and by flakes under it (alpha 0: none). Sums over the facets
-    # that are visible, as paths meet them; then the means over diffuse light. ``row`` are the columns of a
-    # material from the transmission of diffuse light on.
+    # Energy of single reflections by a coat, and by flakes under it (alpha 0: no flakes): sums over visible
+    # facets, sampled as by paths, then means over diffuse light. ``row``: columns of a material from
+    # `_ENTERING`.
     single, lost = _SINGLE - _ENTERING, _LOST - _ENTERING
     alpha, count = max(alpha, MIN_ALPHA), _DRAWS * _DRAWS
     for node in range(_NODES):
@@ -464,15 +470,15 @@ def _fill_tables(index: float, alpha: float, flake_alpha: float, row: Array) -> 
         total = 0.0
         for i in range(count):
             u, v = (i // _DRAWS + 0.5) / _DRAWS, (i % _DRAWS + 0.5) / _DRAWS
-            out, weight = _leave_flakes(view, index, max(flake_alpha, MIN_ALPHA), u, v)
+            direction, weight = _leave_flakes(view, index, max(flake_alpha, MIN_ALPHA), u, v)
             if weight > 0.0:
-                total += weight * (1.0 - fresnel(out[2], index) * _between(row, single, out[2]))
+                total += weight * (1.0 - fresnel(direction[2], index) * _row_value(row, single, direction[2]))
         row[lost + node] = max(0.0, 1.0 - total / count)
     entering, returned, steps = 0.0, 0.0, 16 * _NODES
     for i in range(steps):
         root = (i + 0.5) / steps
         cosine = root * root
-        passed = 1.0 - fresnel(cosine, index) * _between(row, single, cosine)
+        passed = 1.0 - fresnel(cosine, index) * _row_value(row, single, cosine)
         entering += 4.0 * root * cosine / steps * passed  # 2 cos d(cos)
-        returned += 4.0 * root * cosine / steps * passed * _between(row, lost, cosine)
+        returned += 4.0 * root * cosine / steps * passed * _row_value(row, lost, cosine)
     row[0], row[_RETURNED - _ENTERING] = entering, returned

@@ -1,12 +1,12 @@
-"""Members of populations shown by pixels: smooth random fields over the places of a scene.
+"""Members of populations shown by pixels: smooth random fields over the positions of a scene.
 
-A field is value noise on cubes of a lattice, smoothly between their corners, of variance one everywhere:
+A field is value noise on a cubic lattice, interpolated smoothly between corners, with variance 1 everywhere:
 
     g(x) = SUM_i w_i z_i / sqrt(SUM_i w_i^2)
 
-with normal numbers z that belong to a corner, to a thing of the scene and to an octave, so that no value
-depends on what is asked for beside it. Octaves of several lengths add up; the rank of a pixel's member in its
-population is the normal distribution's function of their sum.
+with normal numbers z keyed by corner, instance and octave, so that values do not depend on other pixels.
+Octaves of several lengths are summed; the rank of a pixel's member in its population is the normal
+distribution function of the sum.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ class Grain(NamedTuple):
     Attributes
     ----------
     first, members : (material,) int64
-        First row of its members, and their number; 0 without a population.
+        First row and number of the members; 0 without a population.
     length : (material, octave) float64
-        Distance over which an octave varies [m].
+        Length of the variation of an octave [m].
     share : (material, octave) float64
-        Part of the variance [1].
+        Share of the variance [1].
     is_averaged : (material,) bool
-        Whether pixels larger than an octave's length see it averaged; what was measured of pixels is not.
+        Whether octaves shorter than a pixel are averaged; False for members measured on pixels.
     """
 
     first: Array
@@ -50,18 +50,18 @@ class Grain(NamedTuple):
 
 
 class Texture(NamedTuple):
-    """Ratios that turn the mean spectra of pixels into those of members.
+    """Ratios from the mean spectra of pixels to the spectra of members.
 
     Attributes
     ----------
     row : (line, column) int32
-        Row of the member; -1 where there is none.
+        Row of the member; -1 for no member.
     factor : (row,) int64
-        Factor of a path that it changes.
+        Factor of a path that the member changes.
     ratio : (row, band) float32
-        What that factor is multiplied by [1].
+        Multiplier of this factor [1].
     paths : (path, digit) int64
-        Factors of every path that is mixed; -1 for none.
+        Factors of every path; -1 for no factor.
     """
 
     row: Array
@@ -71,18 +71,18 @@ class Texture(NamedTuple):
 
 
 def member_rows(material: Array, instance: Array, place: Array, grain: Grain, seed: int) -> Array:
-    """Return the member row of every pixel, (line, column) int32; -1 for none.
+    """Return the member row of every pixel, (line, column) int32; -1 for no member.
 
     Parameters
     ----------
     material, instance : (line, column) int32
-        What a pixel shows; -1 for the sky.
+        Labels of a pixel; -1 for the sky.
     place : (3, line, column) float64
-        Where it is [m].
+        Position of a pixel [m].
     grain
-        Of every material.
+        Spatial variation of every material.
     seed
-        Another seed gives another field.
+        Seed of the field.
 
     Examples
     --------
@@ -100,12 +100,12 @@ def member_rows(material: Array, instance: Array, place: Array, grain: Grain, se
 
 
 def _pixel_sizes(place: Array) -> Array:
-    # Median distance of neighbours [m], from each scan line alone.
+    # median distance of neighbouring pixels [m], by scan line
     if place.shape[2] < 2:
         return np.zeros(place.shape[1])
-    apart = np.hypot(*np.diff(place[:2], axis=2))
+    distances = np.hypot(*np.diff(place[:2], axis=2))
     sizes = np.zeros(place.shape[1])
-    for line, row in enumerate(apart):
+    for line, row in enumerate(distances):
         finite = row[np.isfinite(row)]
         if finite.size:
             sizes[line] = np.median(finite)
@@ -118,31 +118,31 @@ def _write_rows(
 ) -> None:
     for line in range(rows.shape[0]):
         for column in range(rows.shape[1]):
-            made_of = material[line, column]
-            if made_of < 0 or grain.members[made_of] == 0:
+            surface = material[line, column]
+            if surface < 0 or grain.members[surface] == 0:
                 continue
             x, y, z = place[0, line, column], place[1, line, column], place[2, line, column]
             if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
                 continue
             total = 0.0
             for octave in range(grain.length.shape[1]):
-                length, share = grain.length[made_of, octave], grain.share[made_of, octave]
-                if grain.is_averaged[made_of]:
+                length, share = grain.length[surface, octave], grain.share[surface, octave]
+                if grain.is_averaged[surface]:
                     share /= 1.0 + (pixel[line] / length) ** 2
                 if share > 0.0:
-                    # turned from octave to octave: no grid of a lattice shows
+                    # rotate the lattice between octaves, so that its grid is not visible
                     u, v = _COS[octave % 4] / length, _SIN[octave % 4] / length
                     a, b = u * x - v * y, v * x + u * y
                     total += math.sqrt(share) * _noise(a, b, z / length, instance[line, column], octave, seed)
             rank = 0.5 * (1.0 + math.erf(total * math.sqrt(0.5)))
-            count = grain.members[made_of]
-            rows[line, column] = grain.first[made_of] + min(int(rank * count), count - 1)
+            count = grain.members[surface]
+            rows[line, column] = grain.first[surface] + min(int(rank * count), count - 1)
 
 
 @borrowing_kernel
 def _noise(x: float, y: float, z: float, instance: int, octave: int, seed: int) -> float:
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
-    u, v, w = _smooth(x - i), _smooth(y - j), _smooth(z - k)
+    u, v, w = _smooth_step(x - i), _smooth_step(y - j), _smooth_step(z - k)
     total, square = 0.0, 0.0
     for corner in range(8):
         a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
@@ -154,13 +154,13 @@ def _noise(x: float, y: float, z: float, instance: int, octave: int, seed: int) 
 
 
 @borrowing_kernel
-def _smooth(t: float) -> float:
+def _smooth_step(t: float) -> float:
     return t * t * (3.0 - 2.0 * t)
 
 
 @borrowing_kernel
 def _normal(i: int, j: int, k: int, instance: int, octave: int, seed: int) -> float:
-    # Box & Muller 1958.
+    # a normal number by Box & Muller (1958)
     a, b, _, _ = philox(
         np.uint64(int(i) & _MASK),
         np.uint64(int(j) & _MASK),

@@ -231,7 +231,7 @@ def test_every_problem_of_the_file_is_listed(folder: Path) -> None:
 
 def test_duplicate_ids_are_refused_whatever_their_case(folder: Path) -> None:
     path = change(folder, (r'^id = "raw_30"', 'id = "RAW_0"'))
-    assert "'raw_0' is given to 2 lines" in problems_of(path)
+    assert "2 lines have the id 'raw_0'" in problems_of(path)
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "..", ".hidden", "zarr.json", "c", "a b", "x" * 200])
@@ -290,7 +290,7 @@ def test_problems_of_all_files_come_in_one_message(folder: Path) -> None:
     assert "exposure_time_ms = -1, expected a number above 0" in text
     assert "the file is 3 bytes longer than its header says" in text
     assert "6 bands x 5 columns, the calibration 5 bands x 5 columns" in text
-    assert "repeats or runs backwards in line 3" in text
+    assert "repeats or decreases in line 3" in text
 
 
 def test_one_problem_shared_by_the_lines_is_said_once(folder: Path) -> None:

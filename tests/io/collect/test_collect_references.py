@@ -46,7 +46,7 @@ def test_instruments_name_groups(collect: Path) -> None:
     for name, told in {
         "../svc": "instrument = '../svc', expected letters",
         "": "instrument = '', expected a text",
-        "ASD": "'asd' has a table already",
+        "ASD": "'asd' has another table",
     }.items():
         collect.write_text(text.replace('instrument = "svc"', f'instrument = "{name}"'))
         with pytest.raises(CollectError, match=re.escape(told)):

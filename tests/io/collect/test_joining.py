@@ -109,12 +109,12 @@ DAY = 'id = "day"\n'
 @pytest.mark.parametrize(
     ("tables", "problem"),
     [
-        ([DAY + 'cube = "flight/raw_[01]*.hdr"', DAY + 'cube = "flight/raw_[34]*.hdr"'], "'day' is given"),
-        ([DAY + 'cube = "flight/raw_[01]*.hdr"', DAY + 'cube = "flight/raw_48.hdr"'], "'day' is given"),
-        ([DAY + 'cube = "flight"', 'id = "Day"\ncube = "flight/raw_[01]*.hdr"'], "'day' is given"),
+        ([DAY + 'cube = "flight/raw_[01]*.hdr"', DAY + 'cube = "flight/raw_[34]*.hdr"'], "the id 'day'"),
+        ([DAY + 'cube = "flight/raw_[01]*.hdr"', DAY + 'cube = "flight/raw_48.hdr"'], "the id 'day'"),
+        ([DAY + 'cube = "flight"', 'id = "Day"\ncube = "flight/raw_[01]*.hdr"'], "the id 'day'"),
         (['id = "a/b"\ncube = "flight/raw_*.hdr"'], "id = 'a/b', expected letters"),
         (['id = "c"\ncube = "flight"'], "id = 'c', expected letters"),
-        (['cube = "flight/raw_*.hdr"', 'cube = "flight/raw_1*.hdr"'], "'raw_12' is given"),
+        (['cube = "flight/raw_*.hdr"', 'cube = "flight/raw_1*.hdr"'], "the id 'raw_12'"),
     ],
 )  # fmt: skip
 def test_no_line_takes_the_place_of_another(

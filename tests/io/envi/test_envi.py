@@ -85,8 +85,8 @@ def test_any_index_equals_numpy(
 ) -> None:
     from hyperpaint.io.envi import envi_array
 
-    monkeypatch.setattr(envi_array, "_GAP", gap)
-    monkeypatch.setattr(envi_array, "_BOX", 100)
+    monkeypatch.setattr(envi_array, "_MAX_GAP_BYTES", gap)
+    monkeypatch.setattr(envi_array, "_MAX_BOX_BYTES", 100)
     cube = toy("u2")
     header = write_cube(tmp_path_factory.mktemp("any") / "toy", cube, interleave=interleave, order=">")
     line = open_envi(header)["values"]

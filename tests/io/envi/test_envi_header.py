@@ -132,8 +132,8 @@ def test_missing_byte_order_is_inferred_with_a_warning() -> None:
         (None, "400,500,99", [400, 500, 99], "nanometres"),
         (None, "0.6,0.4,0.5", [600, 400, 500], "micrometres"),
         ("Index", "1,2,3", None, "'Index'"),
-        ("nm", "0.4,0.5,0.6", [0.4, 0.5, 0.6], "is the unit right"),
-        ("um", "400,500,600", [4e5, 5e5, 6e5], "is the unit right"),
+        ("nm", "0.4,0.5,0.6", [0.4, 0.5, 0.6], "check the unit"),
+        ("um", "400,500,600", [4e5, 5e5, 6e5], "check the unit"),
     ],
 )
 def test_wavelength_units(
@@ -147,7 +147,7 @@ def test_wavelength_units(
         np.testing.assert_allclose(header.wavelength, expected, rtol=1e-14)
     assert (noted is None) == (not header.notes)
     assert noted is None or noted in header.notes[0]
-    assert bool(header.warnings) == (noted == "is the unit right")
+    assert bool(header.warnings) == (noted == "check the unit")
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,7 @@ def test_several_files__make_one_library_where_wavelengths_are_equal(text: Path)
     library = hp.open_library(str(text / "PVC_*.txt"))
     assert library["signature"].values.tolist() == ["PVC_Red", "PVC_White"]
     assert library["file"].values.tolist() == ["PVC_Red.txt", "PVC_White.txt"]
-    assert "the same rows count once" in library.attrs["notes"]  # two of 1024, where detectors join
+    assert "one of the equal rows is kept" in library.attrs["notes"]  # two of 1024, where detectors join
     with pytest.raises(FormatError, match=r"R90.txt.*grid-mismatch"):
         hp.open_library([text / "PVC_Red.txt", text / "PVC_White.txt", text / "R90.txt"])
 

@@ -91,7 +91,7 @@ def test_a_record_runs_on_over_the_end_of_the_week(tmp_path: Path) -> None:
         ({"week": 2158.0}, "week 2158.0"),
         ({"date": "2021-02-30"}, "date '2021-02-30'"),
         ({"leap_seconds": 1.5}, "leap_seconds 1.5"),
-        ({"time_scale": "tai"}, "time_scale 'tai'"),
+        ({"time_scale": "tai"}, "time_scale='tai'"),
         ({"clock_offset_s": float("nan")}, "clock_offset_s nan"),
     ],
 )
@@ -448,7 +448,7 @@ def test_files_of_no_known_kind_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match="format-unknown"):
         hp.open_navigation(path)
     assert hp.open_navigation(path, format="sbet", week=0, leap_seconds=0).sizes["navigation_time"] == 2
-    with pytest.raises(SchemaError, match="format 'kml'"):
+    with pytest.raises(SchemaError, match="format='kml'"):
         hp.open_navigation(path, format="kml")  # type: ignore[arg-type]
     with pytest.raises(FormatError, match="file-unreadable"):
         hp.open_navigation(tmp_path / "nothing.sbet", week=1)

@@ -27,7 +27,7 @@ def gga(clock: str, place: str = "4330.0000,N,07736.0000,W", height: str = "150.
 
 
 def test_a_real_log(shared_data: Path) -> None:
-    with pytest.warns(PaintWarning, match="positions alone"):
+    with pytest.warns(PaintWarning, match="attitude-missing"):
         flight = hp.open_navigation(shared_data / "gps_imu" / "asd_nmea_042122gps.log", date="2022-04-21")
     assert flight.sizes["navigation_time"] == 185
     row = flight.sel(navigation_time="2022-04-21T10:49:07")

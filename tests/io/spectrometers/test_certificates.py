@@ -55,9 +55,9 @@ def test_percent_and_micrometres_are_converted(tmp_path: Path, heading: str) -> 
     [
         (f"# all values in %\n{NM},R", "units-ambiguous"),
         (f"# {NM}, uncertainty [%]\n{NM},R", "units-ambiguous"),
-        (f"{NM},R [nm]", "names 'nm'"),
-        (f"{NM},R [W m-2 nm-1]", "names 'W m-2 nm-1'"),
-        ("Wavenumber [cm-1],R", "names 'cm-1'"),
+        (f"{NM},R [nm]", "contains 'nm'"),
+        (f"{NM},R [W m-2 nm-1]", "contains 'W m-2 nm-1'"),
+        ("Wavenumber [cm-1],R", "contains 'cm-1'"),
         (f"{NM},R [%]\n{NM},R [1]", "'%'.*units-conflict"),
     ],
 )

@@ -31,7 +31,7 @@ def test_judds_table() -> None:
 @given(st.floats(1e-6, 1.0), st.floats(0.0, 0.9), st.floats(0.0, 0.9))
 def test_both_are_undone_and_bounded(layer: float, k1: float, k2: float) -> None:
     interface = Interface(k1, k2)
-    seen = interface.seen(layer)
+    seen = interface.outside(layer)
     assert 0.0 <= seen <= (1.0 - k1) * (1.0 + 1e-12)
     assert interface.layer(seen) == pytest.approx(layer, rel=1e-9)
     assert thick_layer_reflectance(absorption_to_scattering(layer)) == pytest.approx(layer, rel=1e-7)
@@ -44,7 +44,7 @@ def test_the_interface_is_the_sum_over_returns() -> None:
         up = light * layer
         left += up * (1.0 - interface.k2)
         light = up * interface.k2
-    assert interface.seen(layer) == pytest.approx(left, rel=1e-12)
+    assert interface.outside(layer) == pytest.approx(left, rel=1e-12)
 
 
 def test_the_defaults_are_those_of_an_index_of_one_and_a_half() -> None:
@@ -55,7 +55,7 @@ def test_the_defaults_are_those_of_an_index_of_one_and_a_half() -> None:
 def test_it_agrees_with_the_simulator() -> None:
     ratio = np.array([0.01, 0.3, 12.0])
     simulated = np.array([Paint(q)(np.array([550.0]))[0] for q in ratio])
-    mine = Interface().k1 + Interface().seen(thick_layer_reflectance(ratio))
+    mine = Interface().k1 + Interface().outside(thick_layer_reflectance(ratio))
     np.testing.assert_allclose(mine, simulated, rtol=1e-12)
 
 

@@ -58,11 +58,11 @@ def test_scattering_weighs_duncans_sums() -> None:
 def test_mirrored_light_is_taken_off_and_put_back(mirror: str) -> None:
     layers = np.array([[0.8, 0.3], [0.1, 0.6]])
     offset = 0.04 if mirror == "included" else 0.0
-    seen = Interface().seen(layers) + offset
+    seen = Interface().outside(layers) + offset
     library = library_of({"a": seen[0].tolist(), "b": seen[1].tolist()}, mirror)
     made = hp.paints.mix_paints(library, {"c": {"a": 3, "b": 1}})
     ratio = np.array([0.75, 0.25]) @ absorption_to_scattering(layers)
-    expected = Interface().seen(thick_layer_reflectance(ratio)) + offset
+    expected = Interface().outside(thick_layer_reflectance(ratio)) + offset
     np.testing.assert_allclose(made.reflectance.values[0], expected, rtol=1e-6)
     assert made.reflectance.attrs["mirror_reflection"] == mirror
 
