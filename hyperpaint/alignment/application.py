@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK
 
@@ -91,28 +90,66 @@ def apply_alignment(
     columns = dataset.sizes[CROSS_TRACK]
     windows = _with_windows(alignment)
     is_reliable = windows["flag"].values == 0
-    _check(windows, is_reliable, (dataset.sizes[BAND], columns), degree)
-    corrections, factors = zip(
-        *(
-            _smoothed(windows.isel(window=w, **{CROSS_TRACK: is_reliable[w]}), columns, degree)
-            for w in range(len(is_reliable))
-        ),
-        strict=True,
+    problems = Problems("the alignment cannot be applied", SchemaError)
+    if windows.sizes[BAND] != dataset.sizes[BAND] or not -0.5 < float(windows["column"].max()) <= columns - 1:
+        problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
+    if degree < 0:
+        problems.add(f"degree={degree}", expected="0 or more", code="value-out-of-range")
+    for centre, number in zip(np.ravel(windows["window_centre"]), is_reliable.sum(axis=1), strict=True):
+        if number < degree + 1:
+            problems.add(
+                f"{number} of {is_reliable.shape[1]} columns are reliable at {centre:.0f} nm",
+                expected=f"at least {degree + 1} for a polynomial of degree {degree}",
+                mend="see 'flag', or average groups of columns",
+                code="columns-too-few",
+            )
+    problems.raise_if_any()
+    # correction of the shift (window, column) [nm], and mean width factor (window,)
+    smoothed = [
+        _smoothed(windows.isel(window=w, **{CROSS_TRACK: is_reliable[w]}), columns, degree)
+        for w in range(len(is_reliable))
+    ]
+    correction, factor = (np.array(values) for values in zip(*smoothed, strict=True))
+    centres, wavelength = np.atleast_1d(windows["window_centre"].values), declared["wavelength"].values
+    order = np.argsort(centres)
+
+    def over_bands(values: Floats) -> Floats:
+        return np.asarray(np.interp(wavelength, centres[order], values[order]))
+
+    shift = (
+        xr.DataArray(correction[0], dims=CROSS_TRACK)
+        if len(order) == 1
+        else xr.DataArray(np.apply_along_axis(over_bands, 0, correction), dims=(BAND, CROSS_TRACK))
     )
-    return _replaced(dataset, declared, windows, np.stack(corrections), np.array(factors) if fwhm else None)
+    if "wavelength_shift" in declared:
+        shift = shift + xr.DataArray(
+            declared["wavelength_shift"].values, dims=declared["wavelength_shift"].dims
+        )
+    order_of_dims = [dim for dim in (BAND, CROSS_TRACK) if dim in shift.dims]
+    aligned = without_products(dataset).assign_coords(
+        wavelength_shift=schema.label(shift.transpose(*order_of_dims), "wavelength_shift")
+    )
+    sentence = (
+        f"wavelength_shift corrected in flight against the irradiance record at {windows.attrs[_WINDOW]}, "
+        f"mean {correction.mean():+.3f} nm"
+    )
+    if fwhm:
+        width = xr.DataArray(declared["fwhm"].values * over_bands(factor), dims=BAND)
+        aligned = aligned.assign_coords(fwhm=schema.label(width, "fwhm"))
+        sentence += f"; fwhm times {', '.join(f'{value:.4f}' for value in factor)}"
+    return restated(aligned, sentence)
 
 
 def _with_windows(alignment: xr.Dataset) -> xr.Dataset:
     # Return the alignment with a leading dim of windows; SchemaError for another dataset.
     problems = Problems("this dataset is not a result of align_to_irradiance", SchemaError)
-    for name in _VARIABLES:
-        if name not in alignment.variables:
-            problems.add(f"{name!r} is missing", code="variable-missing")
-    for dim in (BAND, CROSS_TRACK):
-        if dim not in alignment.dims:
-            problems.add(f"dim {dim!r} is missing", code="dim-missing")
-    if _WINDOW not in alignment.attrs:
-        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
+    for kind, names, present, code in (
+        ("", _VARIABLES, alignment.variables, "variable-missing"),
+        ("dim ", (BAND, CROSS_TRACK), alignment.dims, "dim-missing"),
+        ("attribute ", (_WINDOW,), alignment.attrs, "attribute-missing"),
+    ):
+        for name in (name for name in names if name not in present):
+            problems.add(f"{kind}{name!r} is missing", code=code)
     problems.raise_if_any()
     windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
     for name in _VARIABLES[:5]:
@@ -121,24 +158,6 @@ def _with_windows(alignment: xr.Dataset) -> xr.Dataset:
             problems.add(f"{name!r} is on {dims}", expected=CROSS_TRACK, code="dims-wrong")
     problems.raise_if_any()
     return windows.transpose(_WINDOW, ...)
-
-
-def _check(windows: xr.Dataset, reliable: Bools, shape: tuple[int, int], degree: int) -> None:
-    problems = Problems("the alignment cannot be applied", SchemaError)
-    bands, columns = shape
-    if windows.sizes[BAND] != bands or not -0.5 < float(windows["column"].max()) <= columns - 1:
-        problems.add("it belongs to a line with other bands or columns", code="grid-mismatch")
-    if degree < 0:
-        problems.add(f"degree={degree}", expected="0 or more", code="value-out-of-range")
-    for centre, number in zip(np.ravel(windows["window_centre"]), reliable.sum(axis=1), strict=True):
-        if number < degree + 1:
-            problems.add(
-                f"{number} of {reliable.shape[1]} columns are reliable at {centre:.0f} nm",
-                expected=f"at least {degree + 1} for a polynomial of degree {degree}",
-                mend="see 'flag', or average groups of columns",
-                code="columns-too-few",
-            )
-    problems.raise_if_any()
 
 
 def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, float]:
@@ -164,42 +183,6 @@ def _smoothed(window: xr.Dataset, columns: int, degree: int) -> tuple[Floats, fl
     return basis_of_columns @ coefficients, float(
         (factor * inverse_variance)[is_inlier].sum() / inverse_variance[is_inlier].sum()
     )
-
-
-def _replaced(
-    dataset: xr.Dataset,
-    variables: Mapping[str, xr.DataArray],
-    alignment: xr.Dataset,
-    correction: Floats,
-    factor: Any,
-) -> xr.Dataset:
-    centres, wavelength = np.atleast_1d(alignment["window_centre"].values), variables["wavelength"].values
-    order = np.argsort(centres)
-
-    def over_bands(values: Floats) -> Floats:
-        return np.asarray(np.interp(wavelength, centres[order], values[order]))
-
-    shift = (
-        xr.DataArray(correction[0], dims=CROSS_TRACK)
-        if len(order) == 1
-        else xr.DataArray(np.apply_along_axis(over_bands, 0, correction), dims=(BAND, CROSS_TRACK))
-    )
-    if "wavelength_shift" in variables:
-        declared = variables["wavelength_shift"]
-        shift = shift + xr.DataArray(declared.values, dims=declared.dims)
-    order_of_dims = [dim for dim in (BAND, CROSS_TRACK) if dim in shift.dims]
-    aligned = without_products(dataset).assign_coords(
-        wavelength_shift=schema.label(shift.transpose(*order_of_dims), "wavelength_shift")
-    )
-    sentence = (
-        f"wavelength_shift corrected in flight against the irradiance record at {alignment.attrs[_WINDOW]}, "
-        f"mean {correction.mean():+.3f} nm"
-    )
-    if factor is not None:
-        width = xr.DataArray(variables["fwhm"].values * over_bands(factor), dims=BAND)
-        aligned = aligned.assign_coords(fwhm=schema.label(width, "fwhm"))
-        sentence += f"; fwhm times {', '.join(f'{value:.4f}' for value in factor)}"
-    return restated(aligned, sentence)
 
 
 def without_products(dataset: xr.Dataset) -> xr.Dataset:

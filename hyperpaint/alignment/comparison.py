@@ -22,13 +22,12 @@ from hyperpaint.base.errors import PaintError, PaintWarning
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.illumination import ALIGNED_AT_NM, ALIGNED_PER_NM
-from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.uncertainty.irradiance_noise import noise_of_record
 
 from .application import restated, without_products
-from .lamp import Declared, responses_table, shares_of_samples, variance_of_responses
+from .lamp import Declared, channels_near, responses_table, shares_of_samples, variance_of_responses
 from .oxygen import mean_over_lines, radiance_of_bands
-from .sunlines import Instruments, RecordAgainstSun, divided, record_against_sun
+from .sunlines import RecordAgainstSun, divided, record_against_sun
 
 
 @dataclass(frozen=True)
@@ -140,6 +139,11 @@ class Comparison(NamedTuple):
     declared_fwhm: tuple[float, float] = (np.nan, np.nan)
 
     @property
+    def u(self) -> Floats:
+        """Standard uncertainties of shift [nm], tilt [nm] and width [1]."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
     def departure(self) -> float:
         """Departure from the declared values over its uncertainty [1]."""
         deviation = np.array([self.shift, self.tilt, self.width - 1.0])
@@ -204,11 +208,6 @@ class _WindowFit:
         values = at_width.ravel()
         return np.asarray(sum(w * values[first + k * shift.shape[0]] for k, w in enumerate(weights)))
 
-    def lines(self, shift: Floats, width: float) -> Floats:
-        # Return the logarithm of the light (band, group) without its smooth part.
-        light = self.light_at(self.shift + shift[:, None], width)
-        return np.asarray(light - self.basis @ (self.basis.T @ light))
-
     def departure(self, shift: Floats, width: float) -> Floats:
         # Return the logarithm of radiance over light (band, group) without its smooth part.
         # A surface of spectral slope g in a band of variance v acts as a shift g v; g comes from the smooth
@@ -236,23 +235,26 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
     """
     dataset = schema.rename_to_roles(line)
     declared = Declared.by(dataset)
-    windows = _windows(declared, rules)
+    channels, bands = declared.light.wavelength, declared.wavelength
+    is_inside = {(low, high): (bands >= low) & (bands <= high) & declared.good for low, high in rules.windows}
+    windows = [
+        (low, high)
+        for (low, high), inside in is_inside.items()
+        if inside.sum() >= rules.degree + 1 + 6 and channels.min() < low and channels.max() > high
+    ]
     if not windows:
         return None
-    inside_windows = [
-        (declared.wavelength >= low) & (declared.wavelength <= high) & declared.good for low, high in windows
-    ]
+    inside_windows = [is_inside[window] for window in windows]
     used_bands = np.flatnonzero(np.logical_or.reduce(inside_windows))
     blocks, shares = _block_means(dataset, declared, used_bands, windows, rules)
     spectra = declared.light.spectra[shares > 0]
     light, squared_noise = shares[shares > 0] @ spectra, shares[shares > 0] ** 2 @ spectra**2
     relative = noise_of_record(declared.light.spectra, declared.light.time, fewest=1)
     noise = np.sqrt(squared_noise) * (0.0 if relative is None else relative)
-    fits = [_window_fit(declared, is_inside, blocks, (light, noise), rules) for is_inside in inside_windows]
+    fits = [_window_fit(declared, inside, blocks, (light, noise), rules) for inside in inside_windows]
     usable = [fit for fit in fits if fit is not None]
     if not usable:
         return None
-    channels = declared.light.wavelength
     is_between = (channels >= windows[0][0]) & (channels <= windows[-1][1])
     width = float(np.broadcast_to(declared.light.fwhm, channels.shape)[is_between].mean())
     return _joint_fit(usable, rules)._replace(
@@ -261,31 +263,15 @@ def compared(line: xr.Dataset, rules: ComparisonRules = COMPARISON) -> Compariso
     )
 
 
-def _windows(declared: Declared, rules: ComparisonRules) -> list[tuple[float, float]]:
-    channels = declared.light.wavelength
-    fewest = rules.degree + 1 + 6
-    return [
-        (low, high)
-        for low, high in rules.windows
-        if ((declared.wavelength >= low) & (declared.wavelength <= high) & declared.good).sum() >= fewest
-        and channels.min() < low
-        and channels.max() > high
-    ]
-
-
-class _Block(NamedTuple):
-    radiance: Floats  # (band, column), all bands; NaN for bands that were not read
-    pixels: Array  # (column,)
-
-
 def _block_means(
     dataset: xr.Dataset,
     declared: Declared,
     used_bands: Array,
     windows: list[tuple[float, float]],
     rules: ComparisonRules,
-) -> tuple[list[_Block], Floats]:
-    # Return means of slabs evenly over the line, and the weights (sample,) of record samples in their light.
+) -> tuple[list[tuple[Floats, Array]], Floats]:
+    # Return slabs evenly over the line, and the weights (sample,) of record samples in their light. Of a
+    # slab: means (band, column) of all bands, NaN for bands that were not read, and pixels (column,).
     lines = dataset.sizes[ALONG_TRACK]
     size = min(rules.block_lines, lines)
     starts = np.unique(np.linspace(0, lines - size, rules.blocks).astype(np.int64))
@@ -297,43 +283,37 @@ def _block_means(
         mean, pixels = mean_over_lines(cube[lines_of_block], level)
         radiance = np.full((declared.wavelength.size, pixels.size), np.nan)
         radiance[used_bands] = mean
-        blocks.append(_Block(radiance, pixels))
+        blocks.append((radiance, pixels))
         shares.append(share)
     return blocks, np.asarray(np.mean(shares, axis=0))
-
-
-def _group_means(
-    declared: Declared, is_inside: Array, blocks: list[_Block], rules: ComparisonRules
-) -> tuple[Floats, Floats]:
-    # Return spectra and declared shifts (band, group) of a window; NaN spectra where pixels are too few.
-    columns = blocks[0].pixels.size
-    shift = declared.shift(columns)[is_inside]
-    edges = np.unique(np.linspace(0, columns, rules.column_groups + 1).astype(np.int64))
-    spectra, shifts = [], []
-    for block in blocks:
-        # leave out columns with bad elements: that band would be averaged over another surface
-        values = block.radiance[is_inside]
-        is_complete = np.isfinite(values).all(axis=0)
-        for first, last in itertools.pairwise(edges):
-            weight = np.where(is_complete, block.pixels, 0)[first:last]
-            has_enough = weight.sum() >= rules.least_pixels
-            share = weight / weight.sum() if has_enough else np.full(last - first, 1.0 / (last - first))
-            spectrum = np.where(is_complete, values, 0.0)[:, first:last] @ share
-            spectra.append(spectrum if has_enough else np.full(spectrum.shape, np.nan))
-            shifts.append(shift[:, first:last] @ share)
-    return np.stack(spectra, axis=1), np.stack(shifts, axis=1)
 
 
 def _window_fit(
     declared: Declared,
     is_inside: Array,
-    blocks: list[_Block],
+    blocks: list[tuple[Floats, Array]],
     record: tuple[Floats, Floats],
     rules: ComparisonRules,
 ) -> _WindowFit | None:
     # Return the inputs of the fit of a window; None where record or pixels cover too little of it.
     light, noise = record  # (channel,): mean of the light, and its noise
-    spectrum, declared_shift = _group_means(declared, is_inside, blocks, rules)
+    # spectra and declared shifts (band, group) of neighbouring columns; NaN spectra where pixels are too few
+    columns = blocks[0][1].size
+    shift = declared.shift(columns)[is_inside]
+    edges = np.unique(np.linspace(0, columns, rules.column_groups + 1).astype(np.int64))
+    spectra, shifts = [], []
+    for radiance, pixels in blocks:
+        # leave out columns with bad elements: that band would be averaged over another surface
+        values = radiance[is_inside]
+        is_complete = np.isfinite(values).all(axis=0)
+        for first, last in itertools.pairwise(edges):
+            weight = np.where(is_complete, pixels, 0)[first:last]
+            has_enough = weight.sum() >= rules.least_pixels
+            share = weight / weight.sum() if has_enough else np.full(last - first, 1.0 / (last - first))
+            mean = np.where(is_complete, values, 0.0)[:, first:last] @ share
+            spectra.append(mean if has_enough else np.full(mean.shape, np.nan))
+            shifts.append(shift[:, first:last] @ share)
+    spectrum, declared_shift = np.stack(spectra, axis=1), np.stack(shifts, axis=1)
     valid = np.asarray(np.isfinite(spectrum).all(axis=0))
     if valid.sum() < rules.least_groups:
         return None
@@ -342,21 +322,14 @@ def _window_fit(
         float(declared_shift.min()) - rules.max_shift_nm,
         float(declared_shift.max()) + rules.max_shift_nm,
     )
-    channels = declared.light.wavelength
-    order = np.argsort(channels, kind="stable")
-    width = np.broadcast_to(declared.light.fwhm, channels.shape)
-    reach = np.abs(limits).max() + 2.0 * bands.reach().max() + 8.0 * width.max()
-    nearby_channels = order[
-        np.abs(channels[order] - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach
-    ]
-    spectrometer = Responses(channels[nearby_channels], width[nearby_channels], declared.light.srf_shape)
+    nearby_channels, spectrometer = channels_near(declared.light, bands, limits, widths=8.0)
     widths = np.asarray(rules.widths)
     nodes, logs, weights = responses_table(spectrometer, bands, light[nearby_channels], limits, widths)
     is_covered = np.isfinite(logs).all(axis=(0, 1)) & (spectrum[:, valid] > 0).all(axis=1)
     if is_covered.sum() < rules.degree + 7:
         return None
     wavelength = bands.wavelength[is_covered]
-    by_channel = np.zeros((channels.size, is_covered.sum()))
+    by_channel = np.zeros((light.size, is_covered.sum()))
     light_nearby, sd = np.nan_to_num(light[nearby_channels]), np.nan_to_num(noise[nearby_channels])
     by_channel[nearby_channels] = (weights[is_covered] * sd / (weights[is_covered] @ light_nearby)[:, None]).T
     scale = np.ptp(wavelength) / 2.0
@@ -387,7 +360,18 @@ def _joint_fit(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
     # Fit shift, tilt and width at which radiance over irradiance is smoothest in all windows and groups.
     # A fourth parameter is the air below the camera, which increases absorption in radiance only.
     prior = 1.0 / np.array([rules.shift_prior_nm, rules.tilt_prior, rules.width_prior, rules.path_prior]) ** 2
-    parameters = np.append(_coarse_minimum(fits, rules), 0.0)
+    # the best of a grid of shifts and widths for the mean group: solar lines cause several minima
+    steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
+    shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
+    totals = np.zeros((len(rules.widths), shifts.size))
+    for fit in fits:
+        # every shift is a group
+        mean_log, mean_shift = (a[:, fit.valid].mean(axis=1, keepdims=True) for a in (fit.log, fit.shift))
+        trial = replace(fit, log=mean_log, shift=mean_shift + shifts)
+        for row, width in zip(totals, rules.widths, strict=True):
+            row += (trial.departure(np.zeros(fit.wavelength.size), width) ** 2).sum(axis=0)
+    at_width, at_shift = divmod(int(totals.argmin()), shifts.size)
+    parameters = np.array([shifts[at_shift], 0.0, rules.widths[at_width], 0.0])
     limits = np.array([rules.max_shift_nm, 0.3, np.inf, 0.1])
     for _ in range(_ITERATIONS):
         departures, slopes = _linearised(fits, parameters, rules)
@@ -400,7 +384,6 @@ def _joint_fit(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
         parameters[2] = np.clip(parameters[2], rules.widths[0], rules.widths[-1])
     departures, slopes = _linearised(fits, parameters, rules)
     covariance = _covariance(fits, departures, slopes, np.diag(prior), rules)
-    departures_declared = [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]
     effects = [
         (
             fit.light_at(fit.shift + _shifts(fit, parameters)[:, None], parameters[2])
@@ -414,7 +397,7 @@ def _joint_fit(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
         width=float(parameters[2]),
         covariance=covariance,
         residual=_rms(fits, departures),
-        residual_declared=_rms(fits, departures_declared),
+        residual_declared=_rms(fits, [fit.departure(np.zeros(fit.wavelength.size), 1.0) for fit in fits]),
         wavelength=np.concatenate([fit.wavelength for fit in fits]),
         effect=np.concatenate(effects),
         groups=max(int(fit.valid.sum()) for fit in fits),
@@ -422,27 +405,6 @@ def _joint_fit(fits: list[_WindowFit], rules: ComparisonRules) -> Comparison:
             abs(parameters[0]) >= rules.max_shift_nm or not rules.widths[0] < parameters[2] < rules.widths[-1]
         ),
     )
-
-
-def _coarse_minimum(fits: list[_WindowFit], rules: ComparisonRules) -> Floats:
-    # Return the best of a grid of shifts and widths for the mean group: solar lines cause several minima.
-    steps = int(np.ceil(rules.max_shift_nm / _COARSE_STEP_NM))
-    shifts = np.linspace(-rules.max_shift_nm, rules.max_shift_nm, 2 * steps + 1)
-    # every shift is a group
-    trials = [
-        replace(
-            fit,
-            log=fit.log[:, fit.valid].mean(axis=1, keepdims=True),
-            shift=fit.shift[:, fit.valid].mean(axis=1, keepdims=True) + shifts,
-        )
-        for fit in fits
-    ]
-    totals = np.zeros((len(rules.widths), shifts.size))
-    for row, width in zip(totals, rules.widths, strict=True):
-        for fit in trials:
-            row += (fit.departure(np.zeros(fit.wavelength.size), width) ** 2).sum(axis=0)
-    at_width, at_shift = divmod(int(totals.argmin()), shifts.size)
-    return np.array([shifts[at_shift], 0.0, rules.widths[at_width]])
 
 
 def _linearised(
@@ -458,7 +420,9 @@ def _linearised(
         by_width = (
             fit.departure(shift, width + _DERIVATIVE_WIDTH) - fit.departure(shift, width - _DERIVATIVE_WIDTH)
         ) / (2 * _DERIVATIVE_WIDTH)
-        path = fit.lines(shift, width) * (fit.wavelength[-1] > rules.airy)
+        # the light without its smooth part: its lines, which are deeper below more air
+        light = fit.light_at(fit.shift + shift[:, None], width)
+        path = (light - fit.basis @ (fit.basis.T @ light)) * (fit.wavelength[-1] > rules.airy)
         departures.append(fit.departure(shift, width) - parameters[3] * path)
         lever = ((fit.wavelength - ALIGNED_AT_NM) / ALIGNED_PER_NM)[:, None]
         slopes.append(np.stack([by_shift, lever * by_shift, by_width, -path]))
@@ -613,7 +577,27 @@ def align(
         return _not_compared(line, str(error).splitlines()[0])
     if comparison is None:
         return _not_compared(line, "too few bands, pixels or channels where daylight has lines")
-    numbers = _attributes_of(comparison)
+    shift_u, tilt_u, width_u = comparison.u
+    shares = divided(
+        (comparison.shift, float(shift_u)),
+        (comparison.width, float(width_u)),
+        comparison.sun,
+        comparison.declared_fwhm,
+    )
+    values = {
+        "shift": comparison.shift,
+        "shift_u": shift_u,
+        "shift_slope": comparison.tilt,
+        "shift_slope_u": tilt_u,
+        "width": comparison.width,
+        "width_u": width_u,
+        "effect": np.nanmax(np.abs(comparison.effect)),
+        "departure": comparison.departure,
+        "residual": comparison.residual,
+        "residual_declared": comparison.residual_declared,
+        **shares._asdict(),
+    }
+    numbers = {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
     is_significant = comparison.is_significant(rules)
     if comparison.at_limit:
         text = f"camera and irradiance record differ by more than can be corrected ({_sentence(comparison)})"
@@ -622,7 +606,6 @@ def align(
         return restated(line, text, numbers=numbers, state="not applied")
     if apply == "always" or (apply == "auto" and is_significant):
         # the camera's wavelengths move only where its share is significant
-        shares = _instruments(comparison)
         is_camera_significant = abs(shares.camera_shift) > rules.camera_significance * shares.camera_shift_u
         camera = float(f"{shares.camera_shift:.3f}") if is_camera_significant else 0.0
         camera_text = f", and the camera's wavelength_shift by {camera:+.3f} nm" if camera else ""
@@ -645,41 +628,17 @@ def _not_compared(line: xr.Dataset, reason: str) -> xr.Dataset:
     return restated(line, f"camera and irradiance record not compared: {reason}", state="not compared")
 
 
-def _attributes_of(comparison: Comparison) -> dict[str, float]:
-    uncertainties = np.sqrt(np.diag(comparison.covariance))
-    values = {
-        "shift": comparison.shift,
-        "shift_u": uncertainties[0],
-        "shift_slope": comparison.tilt,
-        "shift_slope_u": uncertainties[1],
-        "width": comparison.width,
-        "width_u": uncertainties[2],
-        "effect": np.nanmax(np.abs(comparison.effect)),
-        "departure": comparison.departure,
-        "residual": comparison.residual,
-        "residual_declared": comparison.residual_declared,
-    }
-    values |= _instruments(comparison)._asdict()
-    return {f"alignment_{name}": float(f"{value:.6g}") for name, value in values.items()}
-
-
-def _instruments(comparison: Comparison) -> Instruments:
-    uncertainties = np.sqrt(np.diag(comparison.covariance))
-    shift, width = (comparison.shift, float(uncertainties[0])), (comparison.width, float(uncertainties[2]))
-    return divided(shift, width, comparison.sun, comparison.declared_fwhm)
-
-
 def _sentence(comparison: Comparison) -> str:
-    uncertainties = np.sqrt(np.diag(comparison.covariance))
+    shift_u, tilt_u, width_u = comparison.u
     changes = ", ".join(
         f"{float(comparison.effect[nearest]):+.2%} at {comparison.wavelength[nearest]:.0f} nm"
         for nearest in (int(np.abs(comparison.wavelength - nm).argmin()) for nm in (_BLUE_NM, _OXYGEN_NM))
     )
     return (
-        f"camera minus record {comparison.shift:+.3f} +- {uncertainties[0]:.3f} nm at 600 nm, changing by "
-        f"{comparison.tilt:+.3f} +- {uncertainties[1]:.3f} nm over 100 nm; width of the record "
+        f"camera minus record {comparison.shift:+.3f} +- {shift_u:.3f} nm at 600 nm, changing by "
+        f"{comparison.tilt:+.3f} +- {tilt_u:.3f} nm over 100 nm; width of the record "
         f"{comparison.width:.3f} +- "
-        f"{uncertainties[2]:.3f} of that declared; irradiance changes by {changes}, at most "
+        f"{width_u:.3f} of that declared; irradiance changes by {changes}, at most "
         f"{np.nanmax(np.abs(comparison.effect)):.2%}"
     )
 

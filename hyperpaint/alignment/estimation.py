@@ -34,85 +34,32 @@ _ITERATIONS = 12
 MIN_FREEDOM = 3
 
 
-@dataclass(frozen=True)
-class Fit:
-    """Result of one window of bands for every column; NaN where a column has too few bands."""
-
-    # shift, shift_u, factor, factor_u, correlation (column,): Wavelength minus the declared one [nm] and
-    # width over the declared one [1], with their standard uncertainties and the correlation of their errors
-    shift: Floats
-    shift_u: Floats
-    factor: Floats
-    factor_u: Floats
-    correlation: Floats
-    # residual, residual_declared (column,): Relative departure from a smooth curve, root mean square over
-    # the degrees of freedom, at the best and at the declared values
-    residual: Floats
-    residual_declared: Floats
-    # departure, departure_declared (band, column): relative departure of every band
-    departure: Floats
-    departure_declared: Floats
-    at_limit: Array  # (column,): True where the optimum is at an end of the search, or was not reached
-    noise_gain: Floats  # (column,): Largest noise gain of the operators at the fitted width [1]
-    freedom: Array  # (column,): Degrees of freedom: bands beyond the fitted parameters
-
-
 @dataclass(frozen=True, eq=False)
-class _Optimum:
-    # shift, factor (column,): [nm], [1]
-    shift: Floats
-    factor: Floats
-    tilt: Floats  # (band, column): shift equivalent to the surface's slope [nm]
-    last_step: Floats  # (column, 2): last step of shift and factor; 0 where the search converged
-
-
-@dataclass(frozen=True)
-class _SmoothPart:
-    # Projection of logarithms (band, column) onto polynomials over the bands
-    used: Array
+class _Ratio:
+    # Logarithm of radiance over irradiance (band, column) at trial shifts and widths (column,), and its
+    # smooth part by projection onto polynomials over the bands.
+    # A `tilt` (band, column) [nm] is the shift equivalent to the surface's own slope.
+    table: IrradianceTable
+    log: Floats  # (band, column), of radiance
+    declared: Floats  # (band, column), shift [nm]
+    used: Array  # (band, column)
     basis: Floats  # (column, band, power), orthonormal over the used bands
     slopes: Floats  # (column, band, power), its derivative [nm-1]
 
-    @classmethod
-    def over(cls, wavelength: Floats, used: Array, degree: int) -> _SmoothPart:
-        scale = np.ptp(wavelength) / 2.0
-        position = (wavelength - wavelength.min()) / scale - 1.0
-        powers = np.polynomial.legendre.legvander(position, degree)
-        polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
-        derivatives = np.stack([polynomial.deriv()(position) for polynomial in polynomials], axis=-1)
-        basis, upper = np.linalg.qr(used.T[:, :, None] * powers)
-        upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
-        return cls(used, basis, derivatives / scale @ np.linalg.inv(upper))
-
-    def slope(self, values: Floats) -> Floats:
-        # Return the derivative of the smooth curve (band, column) [nm-1].
-        terms = np.einsum("xbp,bx->xp", self.basis, np.where(self.used, values, 0.0))
-        return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms))
-
-    def without(self, values: Floats) -> Floats:
+    def without_smooth(self, values: Floats) -> Floats:
         usable = np.where(self.used, values, 0.0)
-        smooth = np.einsum("xbp,xp->bx", self.basis, np.einsum("xbp,bx->xp", self.basis, usable))
-        return np.where(self.used, usable - smooth, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Ratio:
-    # Logarithm of radiance over irradiance (band, column) at trial shifts and widths (column,).
-    # `tilt` (band, column) [nm] is the shift equivalent to the surface's own slope.
-    table: IrradianceTable
-    smooth: _SmoothPart
-    log: Floats  # (band, column), of radiance
-    declared: Floats  # (band, column), shift [nm]
+        smooth = np.einsum("xbp,bx->xp", self.basis, usable)
+        return np.where(self.used, usable - np.einsum("xbp,xp->bx", self.basis, smooth), 0.0)
 
     def departure(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
         # Return the departure of the ratio from a smooth curve (band, column).
-        return self.smooth.without(self._log_ratio(tilt, shift, factor))
+        return self.without_smooth(self.log - self.table.at(self.declared + tilt + shift, factor))
 
     def tilt(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
-        # Return the next tilt (band, column) [nm], from the slope of the smooth curve.
-        return np.asarray(
-            self.smooth.slope(self._log_ratio(tilt, shift, factor)) * self.table.variance_at(factor)
-        )
+        # Return the next tilt (band, column) [nm], from the slope of the smooth curve [nm-1].
+        ratio = self.log - self.table.at(self.declared + tilt + shift, factor)
+        terms = np.einsum("xbp,bx->xp", self.basis, np.where(self.used, ratio, 0.0))
+        return np.asarray(np.einsum("xbp,xp->bx", self.slopes, terms) * self.table.variance_at(factor))
 
     def normal_equations(
         self, tilt: Floats, shift: Floats, factor: Floats, departure: Floats
@@ -120,11 +67,29 @@ class _Ratio:
         # Return normal matrix (column, 2, 2) and right side (column, 2) of a Gauss-Newton step.
         total_shift = self.declared + tilt + shift
         derivatives = (self.table.at(total_shift, factor, dx=1), self.table.at(total_shift, factor, dy=1))
-        slopes = np.stack([self.smooth.without(derivative) for derivative in derivatives])
+        slopes = np.stack([self.without_smooth(derivative) for derivative in derivatives])
         return np.einsum("ibx,jbx->xij", slopes, slopes), np.einsum("ibx,bx->xi", slopes, departure)
 
-    def _log_ratio(self, tilt: Floats, shift: Floats, factor: Floats) -> Floats:
-        return self.log - self.table.at(self.declared + tilt + shift, factor)
+
+@dataclass(frozen=True)
+class Estimate:
+    """Shift [nm] and width factor [1] of every column with their covariance, residuals and flags.
+
+    NaN where a column has too few bands.
+    """
+
+    value: Floats  # (column, 2): wavelength minus the declared one, and width over the declared one
+    covariance: Floats  # (column, 2, 2): of their errors
+    shift: Floats  # (column,), declared [nm]
+    fwhm: float  # declared [nm]
+    centre: float  # mean wavelength of the bands [nm]
+    # residual, residual_declared (column,): Relative departure from a smooth curve, root mean square over
+    # the degrees of freedom, at the best and at the declared values
+    residual: Floats
+    residual_declared: Floats
+    freedom: Array  # (column,): Degrees of freedom: bands beyond the fitted parameters
+    flag: Array  # (column,): without the flag of noise, which depends on the mean of windows
+    chi2: Floats  # (column,): of windows against their mean
 
 
 def fewest_bands(degree: int) -> int:
@@ -133,13 +98,16 @@ def fewest_bands(degree: int) -> int:
 
 
 def fit_columns(
-    table: IrradianceTable, spectrum: Floats, declared: Floats, degree: int, max_shift: float
-) -> Fit:
+    declared: Declared, table: IrradianceTable, spectrum: Floats, shift: Floats, inside: Array,
+    degree: int, max_shift: float,
+) -> tuple[Estimate, Floats, Floats]:  # fmt: skip
     """Find the shift and the width of every column at which radiance over irradiance is smooth.
 
-    ``table``: logarithm of irradiance; ``spectrum`` (band, column): mean radiance of every column, any scale;
-    NaN where an element is bad; ``declared`` (band, column): declared shifts [nm]; ``degree``: of the
-    polynomial; ``max_shift``: range of the search around the declared shifts [nm].
+    ``table``: logarithm of irradiance in the bands of a window; ``spectrum`` (band, column): mean radiance of
+    every column, any scale, NaN where an element is bad; ``shift`` (band, column): declared [nm]; ``inside``
+    (band,): whether bands are in the window; ``degree``: of the polynomial; ``max_shift``: range of the
+    search around the declared shifts [nm]. Returns the estimate of the window, and the relative departures of
+    its bands (band, column) at the best and at the declared values.
 
     Notes
     -----
@@ -152,18 +120,71 @@ def fit_columns(
     because relative noise does not depend on the ratio: with relative noise s the ratio would be biased by s
     squared.
     """
-    is_covered = np.isfinite(table.log).all(axis=(0, 1)).reshape(-1, 1)
+    radiance = spectrum[inside]
+    covered = np.isfinite(table.log).all(axis=(0, 1)).reshape(-1, 1)
     with np.errstate(invalid="ignore"):
-        is_used = is_covered & (spectrum > 0.0)
-    has_bands = is_used.sum(axis=0) >= fewest_bands(degree)
-    degrees_of_freedom = is_used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
-    is_used = is_used & has_bands
-    log = np.where(is_used, np.log(np.where(is_used, spectrum, 1.0)), 0.0)
-    ratio = _Ratio(table, _SmoothPart.over(table.wavelength, is_used, degree), log, declared)
-    return _reported(ratio, _search(ratio, max_shift), has_bands, degrees_of_freedom, max_shift)
+        used = covered & (radiance > 0.0)
+    has_bands = used.sum(axis=0) >= fewest_bands(degree)
+    freedom = used.sum(axis=0) - fewest_bands(degree) + MIN_FREEDOM
+    used = used & has_bands
+    # polynomials, orthonormal over the used bands of each column
+    scale = np.ptp(table.wavelength) / 2.0
+    position = (table.wavelength - table.wavelength.min()) / scale - 1.0
+    powers = np.polynomial.legendre.legvander(position, degree)
+    polynomials = [np.polynomial.Legendre.basis(power) for power in range(degree + 1)]
+    derivatives = np.stack([polynomial.deriv()(position) for polynomial in polynomials], axis=-1)
+    basis, upper = np.linalg.qr(used.T[:, :, None] * powers)
+    upper = np.where(used.any(axis=0).reshape(-1, 1, 1), upper, np.eye(degree + 1))
+    log = np.where(used, np.log(np.where(used, radiance, 1.0)), 0.0)
+    slopes = derivatives / scale @ np.linalg.inv(upper)
+    ratio = _Ratio(table, log, shift[inside], used, basis, slopes)
+    best, factor, tilt, last_step = _search(ratio, max_shift)
+    at_limit = (np.abs(best) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
+    at_limit |= (np.abs(last_step) > 1e-3).any(axis=1)
+    departure = ratio.departure(tilt, best, factor)
+    zero, one = np.zeros_like(best), np.ones_like(best)
+    departure_declared = ratio.departure(ratio.tilt(tilt, zero, one), zero, one)
+    # covariance from the residual; infinite where the light has no lines
+    matrix, _ = ratio.normal_equations(tilt, best, factor, departure)
+    residual, residual_declared = (
+        (values**2).sum(axis=0) / np.maximum(freedom, 1) for values in (departure, departure_declared)
+    )
+    variance = np.maximum(residual, RESIDUAL_FLOOR**2)
+    by_shift, by_factor, mixed = matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 0, 1]
+    # explicit inverse: a column without absorption bands would make the matrix singular
+    determinant = by_shift * by_factor - mixed**2
+    gain = np.interp(factor, table.factors, table.noise_gain)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        has_structure = determinant > 0.0
+        shift_u = np.where(has_structure, np.sqrt(variance * by_factor / determinant), np.inf)
+        factor_u = np.where(has_structure, np.sqrt(variance * by_shift / determinant), np.inf)
+        correlation = np.where(has_structure, -mixed / np.sqrt(by_shift * by_factor), 0.0)
+        common = correlation * shift_u * factor_u
+    covariance = np.moveaxis(np.array([[shift_u**2, common], [common, factor_u**2]]), -1, 0)
+    flag = np.where(has_bands & np.isfinite(best), 0, FLAGS["no_data"])
+    flag |= np.where(at_limit & has_bands, FLAGS["at_limit"], 0)
+    flag |= np.where(gain > MAX_NOISE_GAIN, FLAGS["record_too_coarse"], 0)
+    estimate = Estimate(
+        value=np.where(has_bands[:, None], np.stack([best, factor], axis=1), np.nan),
+        covariance=np.where(has_bands[:, None, None], covariance, np.nan),
+        shift=ratio.declared.mean(axis=0),
+        fwhm=float(declared.fwhm[inside].mean()),
+        centre=float(declared.wavelength[inside].mean()),
+        residual=np.where(has_bands, np.sqrt(residual), np.nan),
+        residual_declared=np.where(has_bands, np.sqrt(residual_declared), np.nan),
+        freedom=np.where(has_bands, freedom, 0),
+        flag=flag.astype(np.uint8),
+        chi2=np.full(best.shape, np.nan),
+    )
+    best_relative, declared_relative = (
+        np.where(used, np.expm1(values), np.nan) for values in (departure, departure_declared)
+    )
+    return estimate, best_relative, declared_relative
 
 
-def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
+def _search(ratio: _Ratio, max_shift: float) -> tuple[Floats, Floats, Floats, Floats]:
+    # Return shift [nm] and factor (column,), tilt (band, column), and the last step of shift and factor
+    # (column, 2), which is 0 where the search converged.
     tilt: Floats = np.zeros(ratio.log.shape)
     # the best of a grid of shifts and widths: absorption bands cause several minima
     columns = tilt.shape[1]
@@ -187,56 +208,7 @@ def _search(ratio: _Ratio, max_shift: float) -> _Optimum:
         step = np.clip(np.linalg.solve(matrix, vector[..., None])[..., 0], (-0.5, -0.1), (0.5, 0.1))
         shift = np.clip(shift + step[:, 0], -max_shift, max_shift)
         factor = np.clip(factor + step[:, 1], FACTORS[0], FACTORS[-1])
-    return _Optimum(shift, factor, tilt, step)
-
-
-def _reported(ratio: _Ratio, optimum: _Optimum, has_bands: Array, freedom: Array, max_shift: float) -> Fit:
-    shift, factor, is_used = optimum.shift, optimum.factor, ratio.smooth.used
-    departure_best = ratio.departure(optimum.tilt, shift, factor)
-    matrix, _ = ratio.normal_equations(optimum.tilt, shift, factor, departure_best)
-    zero, unity = np.zeros_like(shift), np.ones_like(shift)
-    departure_declared = ratio.departure(ratio.tilt(optimum.tilt, zero, unity), zero, unity)
-    is_at_limit = (np.abs(shift) >= max_shift) | (factor <= FACTORS[0]) | (factor >= FACTORS[-1])
-    is_at_limit |= (np.abs(optimum.last_step) > 1e-3).any(axis=1)
-    shift_u, factor_u, correlation = _uncertainties(departure_best, matrix, freedom, has_bands)
-
-    def residual(departure: Floats) -> Floats:
-        return np.where(has_bands, np.sqrt((departure**2).sum(axis=0) / np.maximum(freedom, 1)), np.nan)
-
-    return Fit(
-        shift=np.where(has_bands, shift, np.nan),
-        shift_u=shift_u,
-        factor=np.where(has_bands, factor, np.nan),
-        factor_u=factor_u,
-        correlation=correlation,
-        residual=residual(departure_best),
-        residual_declared=residual(departure_declared),
-        departure=np.where(is_used, np.expm1(departure_best), np.nan),
-        departure_declared=np.where(is_used, np.expm1(departure_declared), np.nan),
-        at_limit=is_at_limit & has_bands,
-        noise_gain=ratio.table.noise_gain_at(factor),
-        freedom=np.where(has_bands, freedom, 0),
-    )
-
-
-def _uncertainties(
-    departure: Floats, matrix: Floats, freedom: Array, has_bands: Array
-) -> tuple[Floats, Floats, Floats]:
-    # Return standard uncertainties of shift and factor from the residual, and their correlation.
-    # Infinite where the light has no lines, NaN where a column has too few bands.
-    variance = np.maximum((departure**2).sum(axis=0) / np.maximum(freedom, 1), RESIDUAL_FLOOR**2)
-    shift, factor, mixed = matrix[:, 0, 0], matrix[:, 1, 1], matrix[:, 0, 1]
-    # explicit inverse: a column without absorption bands would make the matrix singular
-    determinant = shift * factor - mixed**2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        has_structure = determinant > 0.0
-        shift_u = np.where(has_structure, np.sqrt(variance * factor / determinant), np.inf)
-        factor_u = np.where(has_structure, np.sqrt(variance * shift / determinant), np.inf)
-        correlation = np.where(has_structure, -mixed / np.sqrt(shift * factor), 0.0)
-    shift_u, factor_u, correlation = (
-        np.where(has_bands, values, np.nan) for values in (shift_u, factor_u, correlation)
-    )
-    return shift_u, factor_u, correlation
+    return shift, factor, tilt, step
 
 
 Window = tuple[float, float]
@@ -316,44 +288,6 @@ def bands_of(windows: list[Window], declared: Declared, degree: int) -> list[Arr
     return inside_windows
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """Shift [nm] and width factor [1] of every column with their covariance, residuals and flags."""
-
-    value: Floats  # (column, 2)
-    covariance: Floats  # (column, 2, 2)
-    shift: Floats  # (column,), declared [nm]
-    fwhm: float  # declared [nm]
-    centre: float  # mean wavelength of the bands [nm]
-    residual: Floats
-    residual_declared: Floats
-    freedom: Array
-    flag: Array
-    chi2: Floats
-
-
-def estimate(fit: Fit, inside: Array, declared: Declared, shift: Floats) -> Estimate:
-    """Return the estimate of a window, without the flag of noise, which depends on the mean of windows."""
-    flag = np.where(np.isfinite(fit.shift), 0, FLAGS["no_data"])
-    flag |= np.where(fit.at_limit, FLAGS["at_limit"], 0)
-    with np.errstate(invalid="ignore"):
-        flag |= np.where(fit.noise_gain > MAX_NOISE_GAIN, FLAGS["record_too_coarse"], 0)
-        common = fit.correlation * fit.shift_u * fit.factor_u
-        covariance = np.array([[fit.shift_u**2, common], [common, fit.factor_u**2]])
-    return Estimate(
-        value=np.stack([fit.shift, fit.factor], axis=1),
-        covariance=np.moveaxis(covariance, -1, 0),
-        shift=shift[inside].mean(axis=0),
-        fwhm=float(declared.fwhm[inside].mean()),
-        centre=float(declared.wavelength[inside].mean()),
-        residual=fit.residual,
-        residual_declared=fit.residual_declared,
-        freedom=fit.freedom,
-        flag=flag.astype(np.uint8),
-        chi2=np.full(fit.shift.shape, np.nan),
-    )
-
-
 def stacked(estimates: list[Estimate], name: str) -> Array:
     """Return a field of several estimates as one array (estimate, ...)."""
     return np.stack([getattr(estimate, name) for estimate in estimates])
@@ -363,7 +297,15 @@ def combined(windows: list[Estimate]) -> Estimate:
     """Return the mean of the reliable windows, weighted with the inverse of their covariances."""
     value, covariance, flag = (stacked(windows, name) for name in ("value", "covariance", "flag"))
     is_reliable = (flag == 0) & np.isfinite(covariance).all(axis=(2, 3))
-    covariance = covariance * _pooled_noise_factor(windows, is_reliable)[..., None, None]
+    residual = _pooled(windows, is_reliable, "residual")
+    # pooled variance over the variance of each window, where they are alike: variances from a few tens of
+    # bands are uncertain by a third, and so would be weights from them
+    variance = np.where(is_reliable, np.maximum(stacked(windows, "residual"), RESIDUAL_FLOOR) ** 2, np.nan)
+    with np.errstate(all="ignore"):
+        largest, smallest = (np.where(is_reliable, variance, limit) for limit in (-np.inf, np.inf))
+        is_alike = largest.max(axis=0) <= _MAX_VARIANCE_RATIO * smallest.min(axis=0)
+        noise_factor = np.maximum(residual, RESIDUAL_FLOOR) ** 2 / variance
+    covariance = covariance * np.where(is_reliable & is_alike, noise_factor, 1.0)[..., None, None]
     # where no window is reliable, report the flags of the first
     is_reliable[0] |= ~is_reliable.any(axis=0)
     finite_covariance = np.where(
@@ -399,17 +341,6 @@ def _pooled(windows: list[Estimate], is_reliable: Array, name: str) -> Floats:
     square = np.where(is_reliable, stacked(windows, name) ** 2, 0.0)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.sqrt((freedom * square).sum(axis=0) / freedom.sum(axis=0)))
-
-
-def _pooled_noise_factor(windows: list[Estimate], is_reliable: Array) -> Floats:
-    # Return pooled variance over variance of each window (window, column); 1 where variances differ too much.
-    # Variances from a few tens of bands are uncertain by a third, and so would be weights from them.
-    variance = np.where(is_reliable, np.maximum(stacked(windows, "residual"), RESIDUAL_FLOOR) ** 2, np.nan)
-    pooled = np.maximum(_pooled(windows, is_reliable, "residual"), RESIDUAL_FLOOR) ** 2
-    with np.errstate(invalid="ignore", all="ignore"):
-        largest, smallest = (np.where(is_reliable, variance, limit) for limit in (-np.inf, np.inf))
-        is_alike = largest.max(axis=0) <= _MAX_VARIANCE_RATIO * smallest.min(axis=0)
-        return np.asarray(np.where(is_reliable & is_alike, pooled / variance, 1.0))
 
 
 #: Pixels below which a column is not used.
@@ -537,16 +468,22 @@ def align_to_irradiance(
     spectrum = np.full((declared.wavelength.size, mean.shape[1]), np.nan)
     spectrum[used_bands] = mean
     spectrum, pixels, shift, column = _grouped(spectrum, pixels, declared.shift(mean.shape[1]), group)
-    fits = []
+    estimates, departures = [], []
     for is_inside in inside_windows:
         limits = (float(shift[is_inside].min()) - max_shift, float(shift[is_inside].max()) + max_shift)
         table = table_of_bands(declared.light, light, declared.bands(is_inside), limits, fewest_bands(degree))
-        fits.append(fit_columns(table, spectrum[is_inside], shift[is_inside], degree, max_shift))
-    estimates = [
-        estimate(fit, is_inside, declared, shift) for fit, is_inside in zip(fits, inside_windows, strict=True)
-    ]
+        estimate, *of_bands = fit_columns(declared, table, spectrum, shift, is_inside, degree, max_shift)
+        estimates.append(estimate)
+        departures.append(of_bands)
     report = _labelled(estimates if separate else [combined(estimates)], pixels, column, max_uncertainty)
-    return _with_spectra(report, fits, inside_windows, declared, separate).assign_attrs(
+    report = report if separate else report.isel(window=0)
+    for number, name in enumerate(("departure", "departure_declared")):
+        values = np.full((declared.wavelength.size, report.sizes[CROSS_TRACK]), np.nan)
+        for of_bands, is_inside in zip(departures, inside_windows, strict=True):
+            values[is_inside] = of_bands[number]
+        report[name] = ((BAND, CROSS_TRACK), values, _attrs_of(name))
+    attrs = schema.VARIABLES["wavelength"].attrs
+    return report.assign_coords(wavelength=(BAND, declared.wavelength, attrs)).assign_attrs(
         window="; ".join(f"{low:g}-{high:g} nm" for low, high in windows),
         degree=degree,
         lines=len(level),
@@ -613,8 +550,9 @@ def _labelled(estimates: list[Estimate], pixels: Ints, column: Floats, max_uncer
         **{name: stacked(estimates, name) for name in ("residual", "residual_declared", "chi2")},
         "flag": flag,
     }
-    report = xr.Dataset({name: (("window", CROSS_TRACK), values) for name, values in columns.items()})
-    report["pixels"] = (CROSS_TRACK, pixels)
+    dims = ("window", CROSS_TRACK)
+    report = xr.Dataset({name: (dims, values, _attrs_of(name)) for name, values in columns.items()})
+    report["pixels"] = (CROSS_TRACK, pixels, _attrs_of("pixels"))
     centre_attrs = {"units": "nm", "long_name": "Mean wavelength of the bands of a window"}
     return report.assign_coords(
         column=(CROSS_TRACK, column, {"long_name": "Column, or mean column of a group", "units": "1"}),
@@ -622,27 +560,12 @@ def _labelled(estimates: list[Estimate], pixels: Ints, column: Floats, max_uncer
     )
 
 
-def _with_spectra(
-    report: xr.Dataset, fits: list[Fit], inside_windows: list[Array], declared: Declared, separate: bool
-) -> xr.Dataset:
-    labelled = report if separate else report.isel(window=0)
-    for name in ("departure", "departure_declared"):
-        values = np.full((declared.wavelength.size, report.sizes[CROSS_TRACK]), np.nan)
-        for fit, is_inside in zip(fits, inside_windows, strict=True):
-            values[is_inside] = getattr(fit, name)
-        labelled[name] = ((BAND, CROSS_TRACK), values)
-    labelled = labelled.assign_coords(
-        wavelength=(BAND, declared.wavelength, schema.VARIABLES["wavelength"].attrs)
-    )
-    for name in map(str, labelled.data_vars):
-        if name in schema.VARIABLES:
-            labelled[name].attrs = schema.VARIABLES[name].attrs
-        else:
-            units, meaning = _REPORTED[name]
-            labelled[name].attrs = {"long_name": meaning, "units": units}
-    labelled["flag"].attrs = {
-        "long_name": _REPORTED["flag"][1],
-        "flag_masks": np.array(list(FLAGS.values()), np.uint8),
-        "flag_meanings": " ".join(FLAGS),
-    }
-    return labelled
+def _attrs_of(name: str) -> dict[str, Any]:
+    # Return the attributes of a reported variable.
+    if name in schema.VARIABLES:
+        return schema.VARIABLES[name].attrs
+    units, meaning = _REPORTED[name]
+    if name == "flag":
+        masks = np.array(list(FLAGS.values()), np.uint8)
+        return {"long_name": meaning, "flag_masks": masks, "flag_meanings": " ".join(FLAGS)}
+    return {"long_name": meaning, "units": units}

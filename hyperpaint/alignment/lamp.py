@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base import schema
-from hyperpaint.base.arrays import Array, Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.light.responses import (
@@ -26,6 +26,24 @@ from hyperpaint.light.synchrony import line_light
 
 #: Largest declared shift [nm]; larger values have wrong units.
 MAX_SHIFT_NM = 20.0
+_NEEDED = (
+    "time",
+    "wavelength",
+    "fwhm",
+    "irradiance",
+    "irradiance_fwhm",
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+)
+_OPTIONAL = (
+    "wavelength_shift",
+    "good",
+    "band_spacing",
+    "radiance_gain",
+    "irradiance_max_gap",
+    "srf",
+    "srf_offset",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,19 +74,13 @@ class Declared:
     @classmethod
     def by(cls, dataset: xr.Dataset) -> Declared:
         """Return the declarations of a dataset; SchemaError if any are missing."""
-        needed = ["time", "wavelength", "fwhm", "irradiance", "irradiance_fwhm"]
-        needed += [IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH]
-        optional = ["wavelength_shift", "good", "band_spacing", "radiance_gain", "irradiance_max_gap"]
-        optional += ["srf", "srf_offset"]
-        names = [*needed, *(name for name in optional if name in dataset.variables)]
+        names = [*_NEEDED, *(name for name in _OPTIONAL if name in dataset.variables)]
         arrays = schema.require(dataset, names, "the alignment")
         values: dict[str, Array] = {name: np.asarray(array.values) for name, array in arrays.items()}
         wavelength, fwhm = values["wavelength"], values["fwhm"]
         slope = None
         if "radiance_gain" in values:
             slope = log_slope(wavelength, mean_responsivity(values["radiance_gain"]), 2.0 * fwhm)
-        spacing, offset, table = (values.get(name) for name in ("band_spacing", "srf_offset", "srf"))
-        shape = str(dataset.attrs.get("srf_shape", "gaussian"))
         max_gap = values.get("irradiance_max_gap")
         return cls(
             time=values["time"],
@@ -77,7 +89,13 @@ class Declared:
             good=np.asarray(values.get("good", np.ones(wavelength.size)), bool),
             wavelength_shift=np.asarray(values.get("wavelength_shift", 0.0), np.float64),
             imager=Responses(
-                wavelength, fwhm, shape, spacing=spacing, slope=slope, offset=offset, table=table
+                wavelength,
+                fwhm,
+                str(dataset.attrs.get("srf_shape", "gaussian")),
+                spacing=values.get("band_spacing"),
+                slope=slope,
+                offset=values.get("srf_offset"),
+                table=values.get("srf"),
             ),
             light=Light(
                 spectra=np.asarray(values["irradiance"], np.float64),
@@ -153,10 +171,6 @@ class IrradianceTable:
             self.variance[lower].T + (position - lower) * (self.variance[lower + 1] - self.variance[lower]).T
         )
 
-    def noise_gain_at(self, factor: Floats) -> Floats:
-        """Return the noise gain at widths (column,) [1]."""
-        return np.asarray(np.interp(factor, self.factors, self.noise_gain))
-
 
 def mean_light(
     declared: Declared, windows: list[tuple[float, float]], lines: slice | None
@@ -172,7 +186,21 @@ def shares_of_samples(
 ) -> tuple[Floats, Floats]:
     """Return the weights of the record's samples (sample,) in the mean light, and the level of lines."""
     light = declared.light
-    level = _level(light, min(low for low, _ in windows), max(high for _, high in windows))
+    low, high = min(low for low, _ in windows), max(high for _, high in windows)
+    is_inside = (light.wavelength >= low) & (light.wavelength <= high)
+    # leave out channels that are missing in over a tenth of the spectra, then spectra that lack other
+    # channels
+    has_values = np.isfinite(light.spectra).any(axis=1)
+    is_inside &= np.isnan(light.spectra[has_values]).mean(axis=0) <= 0.1 if has_values.any() else False
+    if not is_inside.any():
+        raise SchemaError(
+            f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) has no "
+            "channel in the window",
+            mend="choose a window that the record covers",
+            code="irradiance-coverage",
+        )
+    level = light.spectra[:, is_inside].mean(axis=1)
+    level = np.where(level > 0.0, level, np.nan)  # mean irradiance of every sample
     times = declared.time if lines is None else declared.time[lines]
     neighbours = line_light(times, light.time, level, light.max_gap)
     before, after, weight = neighbours.before, neighbours.after, neighbours.weight
@@ -192,24 +220,6 @@ def shares_of_samples(
     return share / lines_with_light.size, level_of_line
 
 
-def _level(light: Light, low: float, high: float) -> Floats:
-    # Return the mean irradiance of every sample between two wavelengths; NaN where it is not positive.
-    is_inside = (light.wavelength >= low) & (light.wavelength <= high)
-    # leave out channels that are missing in over a tenth of the spectra, then spectra that lack other
-    # channels
-    has_values = np.isfinite(light.spectra).any(axis=1)
-    is_inside &= np.isnan(light.spectra[has_values]).mean(axis=0) <= 0.1 if has_values.any() else False
-    if not is_inside.any():
-        raise SchemaError(
-            f"the irradiance record ({light.wavelength.min():g} to {light.wavelength.max():g} nm) has no "
-            "channel in the window",
-            mend="choose a window that the record covers",
-            code="irradiance-coverage",
-        )
-    level = light.spectra[:, is_inside].mean(axis=1)
-    return np.where(level > 0.0, level, np.nan)
-
-
 def table_of_bands(
     light: Light, spectrum: Floats, bands: Responses, limits: tuple[float, float], fewest: int
 ) -> IrradianceTable:
@@ -218,42 +228,40 @@ def table_of_bands(
     ``light``: the record; ``spectrum`` (channel,): its mean; ``bands``: as declared; ``limits``: lowest and
     highest shift [nm]; ``fewest``: number of bands that must be covered.
     """
-    channels = light.wavelength
-    width = np.broadcast_to(light.fwhm, channels.shape)
-    # select channels near the window: a spectrometer covers a much wider range
-    reach = np.abs(limits).max() + 2.0 * bands.reach().max() + 4.0 * width.max()
-    nearby = np.flatnonzero(
-        np.abs(channels - bands.wavelength.mean()) <= np.ptp(bands.wavelength) / 2 + reach
-    )
-    nearby = nearby[np.argsort(channels[nearby], kind="stable")]
-    spectrometer = Responses(channels[nearby], width[nearby], light.srf_shape)
-    table = irradiance_table(spectrometer, bands, spectrum[nearby], limits)
-    is_covered = np.isfinite(table.log).all(axis=(0, 1))
-    if is_covered.sum() < fewest:
+    nearby, spectrometer = channels_near(light, bands, limits, widths=4.0)
+    imagers = [_widened(bands, float(factor)) for factor in FACTORS]
+    shifts = _shift_nodes(limits)
+    operators = [_operator(spectrometer, imager, shifts) for imager in imagers]
+    log = np.stack([_log_matched(matching, spectrum[nearby]) for matching in operators], axis=1)
+    covered = np.isfinite(log).all(axis=(0, 1))
+    if covered.sum() < fewest:
+        channels = light.wavelength
         raise SchemaError(
-            f"the irradiance record ({channels.min():g} to {channels.max():g} nm, {width.max():g} nm wide) "
-            f"covers {is_covered.sum()} of the {is_covered.size} bands from {bands.wavelength.min():.1f} to "
+            f"the irradiance record ({channels.min():g} to {channels.max():g} nm, {light.fwhm.max():g} nm "
+            f"wide) covers {covered.sum()} of the {covered.size} bands from {bands.wavelength.min():.1f} to "
             f"{bands.wavelength.max():.1f} nm",
             expected=f"at least {fewest}",
             mend="choose a window that the record covers",
             code="irradiance-coverage",
         )
-    return table
-
-
-def irradiance_table(
-    spectrometer: Responses, imager: Responses, spectrum: Floats, limits: tuple[float, float]
-) -> IrradianceTable:
-    """Return a spectrum (channel,) matched to an imager's bands at many shifts and widths.
-
-    ``spectrometer``, ``imager``: responses of the channels, in order, and of the bands as declared;
-    ``spectrum`` (channel,): irradiance, any unit; ``limits``: lowest and highest shift [nm].
-    """
-    shifts, operators = _operators(spectrometer, imager, limits)
-    log = np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1)
     gain = np.array([np.nan_to_num(matching.noise_gain).max() for matching in operators])
-    variance = np.stack([variance_of_responses(_widened(imager, float(factor))) for factor in FACTORS])
-    return IrradianceTable(imager.wavelength, shifts, FACTORS, log, gain, variance)
+    variance = np.stack([variance_of_responses(imager) for imager in imagers])
+    return IrradianceTable(bands.wavelength, np.array(shifts), FACTORS, log, gain, variance)
+
+
+def channels_near(
+    light: Light, bands: Responses, limits: tuple[float, float], widths: float
+) -> tuple[Ints, Responses]:
+    """Return the channels of a record near a window, in order of wavelength, and their responses.
+
+    ``limits``: lowest and highest shift of the bands [nm]; ``widths``: margin in widths of the channels.
+    """
+    channels, width = light.wavelength, np.broadcast_to(light.fwhm, light.wavelength.shape)
+    order = np.argsort(channels, kind="stable")
+    reach = np.abs(limits).max() + 2.0 * bands.reach().max() + widths * width.max()
+    distance = np.abs(channels[order] - bands.wavelength.mean())
+    nearby = order[distance <= np.ptp(bands.wavelength) / 2 + reach]
+    return nearby, Responses(channels[nearby], width[nearby], light.srf_shape)
 
 
 def _log_matched(matching: Matching, spectrum: Floats) -> Floats:
@@ -274,36 +282,23 @@ def responses_table(
     result are the weights (band, channel) of the channels at the middle shift and the declared width.
     """
     shifts = _shift_nodes(limits)
-    operators = _operators_of_widths(spectrometer, imager, tuple(shifts), tuple(widths))
-    weights = operators[int(np.abs(widths - 1.0).argmin())].weights[shifts.size // 2]
-    return shifts, np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1), weights
+    spectrometers = [replace(spectrometer, fwhm=spectrometer.fwhm * width) for width in widths]
+    operators = [_operator(widened, imager, shifts) for widened in spectrometers]
+    weights = operators[int(np.abs(widths - 1.0).argmin())].weights[len(shifts) // 2]
+    logs = np.stack([_log_matched(matching, spectrum) for matching in operators], axis=1)
+    return np.array(shifts), logs, weights
 
 
-@functools.lru_cache(maxsize=16)
-def _operators_of_widths(
-    spectrometer: Responses, imager: Responses, shifts: tuple[float, ...], widths: tuple[float, ...]
-) -> list[Matching]:
-    # Return operators for several widths of the spectrometer; cached for all flight lines of a camera.
-    return [
-        matching_operator(replace(spectrometer, fwhm=spectrometer.fwhm * width), imager, shifts)
-        for width in widths
-    ]
-
-
-def _shift_nodes(limits: tuple[float, float]) -> Floats:
+def _shift_nodes(limits: tuple[float, float]) -> tuple[float, ...]:
     # Return even shifts [nm] around the limits.
     first, last = np.floor(limits[0] / SHIFT_STEP) - 1, np.ceil(limits[1] / SHIFT_STEP) + 1
-    return np.asarray(np.arange(first, last + 1) * SHIFT_STEP)
+    return tuple((np.arange(first, last + 1) * SHIFT_STEP).tolist())
 
 
-@functools.lru_cache(maxsize=4)
-def _operators(
-    spectrometer: Responses, imager: Responses, limits: tuple[float, float]
-) -> tuple[Floats, list[Matching]]:
-    # Return shifts, and the operators at every width; cached for all flight lines of a camera.
-    shifts = _shift_nodes(limits)
-    imagers = [_widened(imager, float(factor)) for factor in FACTORS]
-    return shifts, [matching_operator(spectrometer, bands, shifts) for bands in imagers]
+@functools.lru_cache(maxsize=132)
+def _operator(spectrometer: Responses, imager: Responses, shifts: tuple[float, ...]) -> Matching:
+    # Cached for all flight lines of a camera: some windows, at all widths of camera or record.
+    return matching_operator(spectrometer, imager, shifts)
 
 
 def _widened(imager: Responses, factor: float) -> Responses:

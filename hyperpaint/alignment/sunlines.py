@@ -168,14 +168,12 @@ def _window(
     if is_used.sum() < rules.degree + 1 + 12:
         return None
     wavelength, log = channels[is_used], np.log(spectrum[is_used])
-    trials = _trials(tuple(wavelength.tolist()), rules)
-    residual = log - trials.log_sun
-    residual = residual - np.einsum(
-        "swck,swk->swc", trials.basis, np.einsum("swck,swc->swk", trials.basis, residual)
-    )
+    shifts, widths, log_sun, basis = _trials(tuple(wavelength.tolist()), rules)
+    residual = log - log_sun
+    residual = residual - np.einsum("swck,swk->swc", basis, np.einsum("swck,swc->swk", basis, residual))
     costs = np.einsum("swc,swc->sw", residual, residual)
-    i, j = divmod(int(costs.argmin()), trials.widths.size)
-    if i in (0, trials.shifts.size - 1) or j in (0, trials.widths.size - 1):
+    i, j = divmod(int(costs.argmin()), widths.size)
+    if i in (0, shifts.size - 1) or j in (0, widths.size - 1):
         return None
     # minimum of the paraboloid around the best trial, with its uncertainties
     costs_around = costs[i - 1 : i + 2, j - 1 : j + 2]
@@ -193,21 +191,17 @@ def _window(
     step = np.clip(-np.linalg.solve(hessian, gradient), -1.0, 1.0)
     freedom = wavelength.size - (rules.degree + 1) - 4
     variance = 2.0 * np.diag(np.linalg.inv(hessian)) * costs_around[1, 1] / max(freedom, 1)
-    steps = np.array([trials.shifts[1] - trials.shifts[0], trials.widths[1] - trials.widths[0]])
+    steps = np.array([shifts[1] - shifts[0], widths[1] - widths[0]])
     uncertainty = np.sqrt(np.maximum(variance, 0.0)) * steps
-    shift, width = trials.shifts[i] + step[0] * steps[0], trials.widths[j] + step[1] * steps[1]
+    shift, width = shifts[i] + step[0] * steps[0], widths[j] + step[1] * steps[1]
     return shift, uncertainty[0], width, uncertainty[1]
 
 
-class _Trials(NamedTuple):
-    shifts: Floats  # (shift,) [nm]
-    widths: Floats  # (width,) [nm]
-    log_sun: Floats  # (shift, width, channel): logarithm of the sun above the air
-    basis: Floats  # (shift, width, channel, term), orthonormal: polynomial, then gases; 0 for missing gases
-
-
 @functools.lru_cache(maxsize=4)  # the lines of a collect have the same channels
-def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
+def _trials(channels: tuple[float, ...], rules: SunLineRules) -> tuple[Floats, Floats, Floats, Floats]:
+    # Return trial shifts (shift,) and widths (width,) [nm], logarithms of the sun above the air (shift,
+    # width, channel), and an orthonormal basis (shift, width, channel, term): polynomial, then gases, 0 for
+    # missing gases.
     wavelength = np.array(channels)
     smooth = np.polynomial.legendre.legvander(
         (wavelength - wavelength.mean()) / (np.ptp(wavelength) / 2.0), rules.degree
@@ -228,7 +222,7 @@ def _trials(channels: tuple[float, ...], rules: SunLineRules) -> _Trials:
                 [np.broadcast_to(smooth, (shifts_of_group.size, *smooth.shape)), terms], axis=-1
             )
             basis[shifts_of_group, j, :, : terms_of_group.shape[-1]] = np.linalg.qr(terms_of_group)[0]
-    return _Trials(shifts, widths, log_sun, basis)
+    return shifts, widths, log_sun, basis
 
 
 def _log_light(wavelengths: Floats, width: float, rules: SunLineRules) -> tuple[Floats, Floats]:

@@ -62,8 +62,8 @@ def etendue_from_optics(f_number: float, pixel_pitch: float, slit_width: float) 
     >>> f"{etendue_from_pupil(4.8e-3, 7.4e-6 / 12e-3, 20e-6 / 12e-3):.4e}"
     '1.8598e-11'
     """
-    _check_lengths({"pixel_pitch": pixel_pitch, "slit_width": slit_width}, 1e-2)
-    _check_lengths({"f_number": f_number}, 1e3)
+    lengths = {"pixel_pitch": (pixel_pitch, 1e-2), "slit_width": (slit_width, 1e-2)}
+    _check_lengths({**lengths, "f_number": (f_number, 1e3)})
     return float(pixel_pitch * slit_width * np.pi / (4.0 * f_number**2))
 
 
@@ -93,14 +93,15 @@ def etendue_from_pupil(diameter: float, field_along_slit: float, field_across_sl
     >>> f"{etendue:.4e}"
     '1.8598e-11'
     """
-    _check_lengths({"diameter": diameter}, 10.0)
-    _check_lengths({"field_along_slit": field_along_slit, "field_across_slit": field_across_slit}, 1.0)
+    fields = {"field_along_slit": (field_along_slit, 1.0), "field_across_slit": (field_across_slit, 1.0)}
+    _check_lengths({"diameter": (diameter, 10.0), **fields})
     return float(np.pi / 4.0 * diameter**2 * field_along_slit * field_across_slit)
 
 
-def _check_lengths(values: dict[str, float], high: float) -> None:
+def _check_lengths(values: dict[str, tuple[float, float]]) -> None:
+    # Refuse values that are not positive, or above their limit.
     problems = Problems("the etendue cannot be computed", SchemaError)
-    for name, value in values.items():
+    for name, (value, high) in values.items():
         if not 0 < value < high:
             problems.add(
                 f"{name}={value!r}",
@@ -264,7 +265,6 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
                 expected="([along_track,] band, cross_track)",
                 code="dims-wrong",
             )
-    for array in (counts, dark):
         expected = {dim: calibration.sizes.get(dim, array.sizes.get(dim)) for dim in _ELEMENT}
         sizes = {dim: array.sizes.get(dim) for dim in _ELEMENT}
         if sizes != expected and sizes != {BAND: expected[BAND], CROSS_TRACK: sizes[CROSS_TRACK]}:
@@ -273,50 +273,38 @@ def _anchor_signal(frames: xr.Dataset, calibration: xr.Dataset) -> tuple[Floats,
             )
     problems.raise_if_any()
     other_dims = [dim for dim in counts.dims if dim not in _ELEMENT]
-    is_saturated = None
-    if "saturation_count" in {*frames.variables, *calibration.variables}:
-        limit: Any = frames.get("saturation_count", calibration.get("saturation_count"))
-        is_saturated = counts >= limit - float(SATURATION_MARGIN_COUNTS)
-        is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
     mean = counts.astype(np.float64).mean(other_dims) if other_dims else counts.astype(np.float64)
     dark = dark.astype(np.float64)
     dark = dark.mean(ALONG_TRACK) if ALONG_TRACK in dark.dims else dark
     raw_counts, dark_counts = (
         np.asarray(a.transpose(*_ELEMENT).to_numpy(), np.float64) for a in (mean, dark)
     )
-    dark_counts = dark_counts + _dark_of_exposure(frames, calibration, exposure[0])
+    # correction of the dark to the exposure of the frames
+    if "dark_exposure_time" in frames.variables:
+        dark_exposure = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
+        if (np.abs(dark_exposure - exposure[0]) > SAME_EXPOSURE * exposure[0]).any():
+            if "dark_rate" not in calibration.variables:
+                dark_ms = ", ".join(f"{t * 1e3:g}" for t in np.unique(dark_exposure))
+                raise SchemaError(
+                    f"frames at {exposure[0] * 1e3:g} ms, dark at {dark_ms} ms, and dark_rate is missing",
+                    mend="take a dark at the exposure of the frames",
+                    code="dark-exposure-differs",
+                )
+            rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy()
+            dark_counts = dark_counts + rate.astype(np.float64) * (
+                exposure[0] - float(np.mean(dark_exposure))
+            )
     signal = linearity_of(calibration).net(raw_counts, dark_counts)
-    if (
-        is_saturated is not None
-        and (saturated_elements := np.asarray(is_saturated.transpose(*_ELEMENT).to_numpy())).any()
-    ):
-        warnings.warn(
-            PaintWarning(
-                f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames",
-                code="elements-saturated",
-            ),
-            stacklevel=3,
-        )
-        signal = np.where(saturated_elements, np.nan, signal)
+    if "saturation_count" in {*frames.variables, *calibration.variables}:
+        limit: Any = frames.get("saturation_count", calibration.get("saturation_count"))
+        is_saturated = counts >= limit - float(SATURATION_MARGIN_COUNTS)
+        is_saturated = is_saturated.any(other_dims) if other_dims else is_saturated
+        saturated_elements = is_saturated.transpose(*_ELEMENT).to_numpy()
+        if saturated_elements.any():
+            text = f"{int(saturated_elements.sum())} elements are saturated in the anchor's frames"
+            warnings.warn(PaintWarning(text, code="elements-saturated"), stacklevel=3)
+            signal = np.where(saturated_elements, np.nan, signal)
     return signal, float(exposure[0])
-
-
-def _dark_of_exposure(frames: xr.Dataset, calibration: xr.Dataset, exposure: float) -> Floats | float:
-    # Return the correction of the dark to the exposure of the frames [count]; 0 for a dark at that exposure.
-    if "dark_exposure_time" not in frames.variables:
-        return 0.0
-    dark_exposure = require(frames, ["dark_exposure_time"], "an anchor")["dark_exposure_time"].to_numpy()
-    if not (np.abs(dark_exposure - exposure) > SAME_EXPOSURE * exposure).any():
-        return 0.0
-    if "dark_rate" not in calibration.variables:
-        raise SchemaError(
-            f"frames at {exposure * 1e3:g} ms, dark at "
-            f"{', '.join(f'{t * 1e3:g}' for t in np.unique(dark_exposure))} ms, and dark_rate is missing",
-            mend="take a dark at the exposure of the frames",
-            code="dark-exposure-differs",
-        )
-    rate = require(calibration, ["dark_rate"], "an anchor")["dark_rate"].to_numpy().astype(np.float64)
-    return np.asarray(rate * (exposure - float(np.mean(dark_exposure))))
 
 
 def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectrum: xr.DataArray) -> Floats:
@@ -345,18 +333,20 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
             mend="sort them",
             code="wavelength-unordered",
         )
-    shift = calibration["wavelength_shift"] if "wavelength_shift" in calibration.variables else None
-    shifts = np.zeros((1, 1)) if shift is None else np.atleast_2d(shift.to_numpy())
-    spacing = calibration.get("band_spacing")
-    responses = Responses(
-        response_inputs["wavelength"].to_numpy(),
-        response_inputs["fwhm"].to_numpy(),
-        str(calibration.attrs.get("srf_shape", "gaussian")),
-        spacing=None if spacing is None else spacing.to_numpy(),
-        offset=calibration["srf_offset"].to_numpy() if "srf_offset" in calibration.variables else None,
-        table=calibration["srf"].to_numpy() if "srf" in calibration.variables else None,
-        slope=_log_slope_of(calibration, response_inputs),
-    )
+    optional = {"spacing": "band_spacing", "offset": "srf_offset", "table": "srf"}
+    tables = {
+        option: calibration[name].to_numpy()
+        for option, name in optional.items()
+        if name in calibration.variables
+    }
+    wavelength, fwhm = (response_inputs[name].to_numpy() for name in ("wavelength", "fwhm"))
+    if "radiance_gain" in calibration.variables:
+        gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
+        tables["slope"] = log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
+    responses = Responses(wavelength, fwhm, str(calibration.attrs.get("srf_shape", "gaussian")), **tables)
+    shifts = np.zeros((1, 1))
+    if "wavelength_shift" in calibration.variables:
+        shifts = np.atleast_2d(calibration["wavelength_shift"].to_numpy())
     low, high = float(shifts.min()), float(shifts.max())
     nodes = np.linspace(low, high, max(int(np.ceil((high - low) / NODE_SPACING_NM)) + 1, 1))
     bands = responses.wavelength.size
@@ -366,15 +356,6 @@ def _band_means(calibration: xr.Dataset, response_inputs: dict[str, Any], spectr
         at_nodes = [_mean_over_response(responses.shifted(float(node)), band, grid, values) for node in nodes]
         means[band] = np.interp(shifts[band if len(shifts) > 1 else 0], nodes, at_nodes)
     return means
-
-
-def _log_slope_of(calibration: xr.Dataset, response_inputs: dict[str, Any]) -> Floats | None:
-    # Return the slope of the log responsivity (band,) [nm-1]; None without a gain.
-    if "radiance_gain" not in calibration.variables:
-        return None
-    gain = calibration["radiance_gain"].transpose(*_ELEMENT).to_numpy().astype(np.float64)
-    wavelength, fwhm = (response_inputs[name].to_numpy() for name in ("wavelength", "fwhm"))
-    return log_slope(wavelength, 1.0 / row_medians(gain), 2.0 * fwhm)
 
 
 def _mean_over_response(responses: Responses, band: int, grid: Floats, values: Floats) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,14 +14,14 @@ from numpy.polynomial import chebyshev
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import BAND, CROSS_TRACK, label
+from hyperpaint.base.schema import label
 from hyperpaint.base.units import takes_quantities
+from hyperpaint.kernels.line_fits import GAUSSIAN
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, Linearity, linearity_of
 
-from .calibration_dataset import Budget, Result, line_level
-from .detector import deviant_darks, factors_of, row_medians
+from .calibration_dataset import Result, responses_of_lines
+from .detector import deviant_darks, element_values, row_medians
 from .elements import (
-    Differences,
     at_steps,
     band_widths,
     complete_edge_lines,
@@ -30,14 +30,13 @@ from .elements import (
     placed_lines,
 )
 from .lab_sweep import LabSweep, check_sweep, listed, refused
-from .line_fits import SHAPES, Fits
+from .line_fits import SHAPES, Fits, NoiseModel
 from .responsivity import slope_shift_of_lines
 from .steps import (
     FROM_SCATTER,
     LampLines,
     SweepData,
-    fit_with_deconvolution,
-    fit_without_deconvolution,
+    fit_steps,
     read_lines,
 )
 from .wavelength_map import WavelengthMap, fit_wavelength_map
@@ -160,78 +159,118 @@ def calibrate(
     if srf_shape is not None:
         one_of(srf_shape, SHAPES, "srf_shape")
     lab = check_sweep(sweep, absolute=absolute)
-    tick = _counter(progress, lab.shape[0] * (3 if srf_shape else 4))
+    total, done = lab.shape[0] * (3 if srf_shape else 4), itertools.count(1)
+
+    def tick() -> None:
+        if progress is not None:
+            progress(next(done), total)
+
     bad = _initial_bad_elements(lab, bad_elements)
-    flat_factors = None if flat_field is None else factors_of(flat_field, bad.shape)
+    flat_factors = (
+        None if flat_field is None else element_values(flat_field, bad.shape, "flat_field").astype(np.float64)
+    )
     curve = _linearity_curve(linearity, linearity_on, lab)
     # first fits: centres of lamp lines, and a rough wavelength map
     sweep_data = read_lines(lab, bad, curve, flat_factors, tick)
-    _check_lines(lab, sweep_data)
-    first_lines, fits = fit_without_deconvolution(lab, sweep_data, tick)
+    windows = sweep_data.windows
+    dark = [float(w) for w, window in zip(lab.wavelength, windows, strict=True) if window is None]
+    if len(dark) > len(windows) - MIN_LINES:
+        raise refused(
+            f"no lamp line above noise at {len(dark)} of {len(windows)} steps ({listed(dark, 'nm')})",
+            mend="check the exposure of the dark, and the lamp",
+            code="steps-dark",
+        )
+    if dark:
+        text = f"no lamp line above the noise at {listed(dark, 'nm')}: left out"
+        warnings.warn(PaintWarning(text, code="steps-dark"), stacklevel=2)
+    first_lines, fits = fit_steps(lab, sweep_data, GAUSSIAN, tick)
     _check_trusted(sweep_data, first_lines, fits)
     rough_map = _map(first_lines, lab, lab.wavelength, smile_degree)
     # fits with every line shape; the best shape is fitted again without deviant elements
     shapes = {name: code for name, code in SHAPES.items() if srf_shape in (None, name)}
     by_shape = {
-        name: fit_with_deconvolution(lab, sweep_data, rough_map, code, fits, tick)
-        for name, code in shapes.items()
+        name: fit_steps(lab, sweep_data, code, tick, (rough_map, fits))[0] for name, code in shapes.items()
     }
-    misfit = _misfits(by_shape)
+    common = np.logical_and.reduce([lines.trusted for lines in by_shape.values()])
+    misfit = {
+        name: float(np.log(np.maximum(lines.chi2[common] / lines.degrees[common], 1e-12)).mean())
+        if common.any()
+        else 0.0
+        for name, lines in by_shape.items()
+    }
     shape = min(misfit, key=lambda name: misfit[name])
     lamp_lines = by_shape[shape]
     is_deviant = deviant_elements(lab, sweep_data, lamp_lines, rough_map, SHAPES[shape])
     if is_deviant.any():
         bad |= is_deviant
-        for window in sweep_data.windows:
+        for window in windows:
             if window is not None:
                 window.leave_out(bad)
-        lamp_lines = fit_with_deconvolution(lab, sweep_data, rough_map, SHAPES[shape], fits, lambda: None)
-    sweep_data, lamp_lines, differences = _with_differences(
-        lab, sweep_data, lamp_lines, rough_map, SHAPES[shape], fits
+        lamp_lines, _ = fit_steps(lab, sweep_data, SHAPES[shape], lambda: None, (rough_map, fits))
+    # deviations of elements, and where noise is unknown the noise, with which lamp lines are fitted again
+    has_noise = sweep_data.noise_source != FROM_SCATTER
+    differences, noise_slope = element_differences(
+        lab, sweep_data, lamp_lines, rough_map, SHAPES[shape], has_noise=has_noise
     )
-    _warn_of_saturation(lab, sweep_data)
+    if not has_noise:
+        if lab.variance is None:
+            text = (
+                "neither counts_variance nor electrons_per_count is given: noise is estimated from residuals "
+                "of the fits, and uncertainties of single elements are rough"
+            )
+            warnings.warn(PaintWarning(text, code="noise-missing"), stacklevel=2)
+        noise = replace(sweep_data.noise, slope=noise_slope * float(np.median(lab.frames)))
+        sweep_data = replace(sweep_data, noise=noise)
+        lamp_lines, _ = fit_steps(lab, sweep_data, SHAPES[shape], lambda: None, (rough_map, fits))
+    saturated_steps = [
+        f"{w:g} nm ({int(window.saturated.sum())} of {window.saturated.size} lit columns)"
+        for w, window in zip(lab.wavelength, windows, strict=True)
+        if window is not None and window.saturated.any()
+    ]
+    if saturated_steps:
+        text = f"saturated lamp lines are left out: {listed(saturated_steps)}"
+        warnings.warn(PaintWarning(text, code="steps-saturated"), stacklevel=2)
     # wavelength map, widths of bands, and lamp lines cut off at the edges of the array
-    wavelength_map, slope, slope_shift = _map_with_slope_shift(
-        lamp_lines, lab, sweep_data, rough_map, shape, smile_degree
-    )
+    slope, slope_shift = _slope_and_shift(lamp_lines, lab, sweep_data.noise, rough_map, shape)
+    light_wavelength = lab.wavelength + slope_shift
+    wavelength_map = _map(lamp_lines, lab, light_wavelength, smile_degree)
     is_placed = placed_lines(lab, lamp_lines, wavelength_map, slope_shift)
     if not lab.by_column and flat_factors is None:
         areas = np.where(is_placed, lamp_lines.area, np.nan)
         problem = beam_problem(lab.wavelength, areas, max(MAX_FALL_PER_U * flux_uncertainty, MIN_FALL))
         if problem is not None:
-            warning = PaintWarning(
+            text = (
                 f"flux per step is assumed equal in all lit columns, but {problem}: the beam's profile "
-                "enters the response; give flux or capture_fraction per step and column, or a flat_field",
-                code="flux-profile-missing",
+                "enters the response; give flux or capture_fraction per step and column, or a flat_field"
             )
-            warnings.warn(warning, stacklevel=2)
+            warnings.warn(PaintWarning(text, code="flux-profile-missing"), stacklevel=2)
     fwhm = band_widths(lab, lamp_lines, wavelength_map, is_placed)
     _refuse_undersampled(lab, wavelength_map, fwhm)
-    light_wavelength, camera_width = lab.wavelength + slope_shift, at_steps(lab, wavelength_map, fwhm)
+    camera_width = at_steps(lab, wavelength_map, fwhm)
     complete_edge_lines(lab, sweep_data, lamp_lines, wavelength_map, light_wavelength, camera_width, shape)
-    budget = Budget(
-        flux_uncertainty,
-        capture_uncertainty,
-        etendue_uncertainty,
-        wavelength_uncertainty,
-        linearity_uncertainty,
-    )
     result = Result(
-        lab,
-        sweep_data,
-        lamp_lines,
-        wavelength_map,
-        slope,
-        slope_shift,
-        shape,
-        misfit,
-        bad,
-        budget,
-        curve,
-        is_placed,
-        fwhm,
-        differences.relative,
-        srf_shape is None,
+        lab=lab,
+        sweep_data=sweep_data,
+        lamp_lines=lamp_lines,
+        wavelength_map=wavelength_map,
+        line_slope=slope,
+        slope_shift=slope_shift,
+        shape=shape,
+        misfit=misfit,
+        bad=bad,
+        scale_u={
+            "flux_uncertainty": flux_uncertainty,
+            "capture_uncertainty": capture_uncertainty,
+            "etendue_uncertainty": etendue_uncertainty,
+        },
+        dial_u=wavelength_uncertainty,
+        linearity_u=linearity_uncertainty,
+        linearity=curve,
+        is_placed=is_placed,
+        fwhm=fwhm,
+        fwhm_at_steps=camera_width,
+        differences=differences,
+        is_shape_free=srf_shape is None,
     )
     return result.dataset(flat_factors)
 
@@ -256,36 +295,6 @@ def _linearity_curve(linearity: Sequence[float] | xr.DataArray, on: str, lab: La
     return curve
 
 
-def _with_differences(
-    lab: LabSweep,
-    sweep_data: SweepData,
-    lamp_lines: LampLines,
-    wavelength_map: WavelengthMap,
-    shape: int,
-    fits: list[Fits | None],
-) -> tuple[SweepData, LampLines, Differences]:
-    has_noise = sweep_data.noise_source != FROM_SCATTER
-    differences = element_differences(lab, sweep_data, lamp_lines, wavelength_map, shape, has_noise=has_noise)
-    if has_noise:
-        return sweep_data, lamp_lines, differences
-    if lab.variance is None:
-        warnings.warn(
-            PaintWarning(
-                "neither counts_variance nor electrons_per_count is given: noise is estimated from residuals "
-                "of the fits, and uncertainties of single elements are rough",
-                code="noise-missing",
-            ),
-            stacklevel=3,
-        )
-    noise = replace(sweep_data.noise, slope=differences.slope * float(np.median(lab.frames)))
-    sweep_data = replace(sweep_data, noise=noise)
-    return (
-        sweep_data,
-        fit_with_deconvolution(lab, sweep_data, wavelength_map, shape, fits, lambda: None),
-        differences,
-    )
-
-
 def _refuse_undersampled(lab: LabSweep, wavelength_map: WavelengthMap, fwhm: Floats) -> None:
     """Refuse bands farther apart than lamp lines are wide: light between such bands is not counted.
 
@@ -308,50 +317,14 @@ def _refuse_undersampled(lab: LabSweep, wavelength_map: WavelengthMap, fwhm: Flo
     )
 
 
-def _counter(progress: Callable[[int, int], None] | None, total: int) -> Callable[[], None]:
-    done = itertools.count(1)
-
-    def tick() -> None:
-        if progress is not None:
-            progress(next(done), total)
-
-    return tick
-
-
 def _initial_bad_elements(lab: LabSweep, declared: xr.DataArray | None) -> Bools:
     # Return the elements (band, cross_track) that are bad before any lamp line is fitted.
     bad = deviant_darks(lab.dark.at(float(lab.exposure.min())), lab.saturation)
     if declared is not None:
-        has_dims = set(declared.dims) == {BAND, CROSS_TRACK}
-        if not has_dims or declared.transpose(BAND, CROSS_TRACK).shape != bad.shape:
-            raise SchemaError(
-                f"bad_elements has sizes {dict(declared.sizes)}",
-                expected=f"{BAND} and {CROSS_TRACK} of {bad.shape}",
-                code="grid-mismatch",
-            )
-        bad = bad | declared.transpose(BAND, CROSS_TRACK).to_numpy().astype(bool)
+        bad = bad | element_values(declared, bad.shape, "bad_elements").astype(bool)
     if bad.all():
         raise refused("no element has a finite dark that is not saturated", code="dark-invalid")
     return bad
-
-
-def _check_lines(lab: LabSweep, sweep_data: SweepData) -> None:
-    dark = [float(w) for w, window in zip(lab.wavelength, sweep_data.windows, strict=True) if window is None]
-    if len(dark) > len(sweep_data.windows) - MIN_LINES:
-        raise refused(
-            f"no lamp line above noise at {len(dark)} of {len(sweep_data.windows)} steps "
-            f"({listed(dark, 'nm')})",
-            mend="check the exposure of the dark, and the lamp",
-            code="steps-dark",
-        )
-    if dark:
-        warnings.warn(
-            PaintWarning(
-                f"no lamp line above the noise at {listed(dark, 'nm')}: left out",
-                code="steps-dark",
-            ),
-            stacklevel=3,
-        )
 
 
 def _check_trusted(sweep_data: SweepData, lamp_lines: LampLines, fits: Sequence[Fits | None]) -> None:
@@ -392,66 +365,26 @@ def _map(lamp_lines: LampLines, lab: LabSweep, wavelength: Floats, degree: int |
     )
 
 
-def _misfits(by_shape: Mapping[str, LampLines]) -> dict[str, float]:
-    common = np.logical_and.reduce([lamp_lines.trusted for lamp_lines in by_shape.values()])
-    if not common.any():
-        return dict.fromkeys(by_shape, 0.0)
-    return {
-        name: float(np.log(np.maximum(lamp_lines.chi2[common] / lamp_lines.degrees[common], 1e-12)).mean())
-        for name, lamp_lines in by_shape.items()
-    }
-
-
-def _warn_of_saturation(lab: LabSweep, sweep_data: SweepData) -> None:
-    saturated_steps = [
-        f"{w:g} nm ({int(window.saturated.sum())} of {window.saturated.size} lit columns)"
-        for w, window in zip(lab.wavelength, sweep_data.windows, strict=True)
-        if window is not None and window.saturated.any()
-    ]
-    if saturated_steps:
-        warnings.warn(
-            PaintWarning(
-                f"saturated lamp lines are left out: {listed(saturated_steps)}", code="steps-saturated"
-            ),
-            stacklevel=3,
-        )
-
-
-def _map_with_slope_shift(
-    lamp_lines: LampLines,
-    lab: LabSweep,
-    sweep_data: SweepData,
-    rough_map: WavelengthMap,
-    shape: str,
-    degree: int | None,
-) -> tuple[WavelengthMap, Floats, Floats]:
-    # Return the wavelength map, and at the steps the slope of the log responsivity [nm-1] and its shift [nm].
-    zeros = np.zeros(lab.shape[0])
+def _slope_and_shift(
+    lamp_lines: LampLines, lab: LabSweep, noise: NoiseModel, rough_map: WavelengthMap, shape: str
+) -> tuple[Floats, Floats]:
+    # Return the slope of the log responsivity (step,) [nm-1] and the shift of lamp lines by it [nm].
     lit_steps = np.flatnonzero(lamp_lines.trusted.any(axis=1))
-    level = line_level(lamp_lines, lab, rough_map)
+    spacing = rough_map.spacing(np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2]))
+    level = row_medians(responses_of_lines(lamp_lines, lab, spacing), lamp_lines.trusted)
     if lit_steps.size < MIN_LINES or not (level[lit_steps] > 0).all():
-        return _map(lamp_lines, lab, lab.wavelength, degree), zeros, zeros
+        return np.zeros(lab.shape[0]), np.zeros(lab.shape[0])
     lit_wavelength = lab.wavelength[lit_steps]
 
     def over_steps(values: Floats) -> Floats:
         return np.interp(lab.wavelength, lit_wavelength, values)
 
-    def median_over_steps(values: Floats) -> Floats:
-        return over_steps(row_medians(values, lamp_lines.trusted)[lit_steps])
-
     slope = over_steps(np.gradient(np.log(level[lit_steps]), lit_wavelength))
-    spacing = rough_map.spacing(np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2]))
-    camera_width = median_over_steps(lamp_lines.camera_width * spacing)
-    slope_shift = slope_shift_of_lines(
-        lab,
-        sweep_data.noise,
-        slope,
-        camera_width,
-        median_over_steps(spacing),
-        median_over_steps(lamp_lines.amplitude),
-        shape,
+    width, pitch, amplitude = (
+        over_steps(row_medians(values, lamp_lines.trusted)[lit_steps])
+        for values in (lamp_lines.camera_width * spacing, spacing, lamp_lines.amplitude)
     )
-    return _map(lamp_lines, lab, lab.wavelength + slope_shift, degree), slope, slope_shift
+    return slope, slope_shift_of_lines(lab, noise, slope, width, pitch, amplitude, shape)
 
 
 #: Degree of a beam's log profile over the columns.

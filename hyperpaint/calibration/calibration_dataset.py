@@ -5,14 +5,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Bools, Floats, Ints
 from hyperpaint.base.constants import MAX_STRAY_LIGHT_U, QUANTISATION_VARIANCE_COUNT2
 from hyperpaint.base.errors import PaintWarning
 from hyperpaint.base.schema import VARIABLES, dtype_of, label
@@ -21,7 +19,7 @@ from hyperpaint.light.responses import Responses
 from hyperpaint.radiometry.linear_counts import DARK_SUBTRACTED, RAW, Linearity
 
 from .detector import row_medians
-from .elements import at_steps, line_wavelengths
+from .elements import line_wavelengths
 from .lab_sweep import LabSweep, refused
 from .line_fits import Window, fit_beam
 from .responsivity import element_gain, second_order_factor, shape_variance
@@ -35,67 +33,30 @@ from .wavelength_map import WavelengthMap
 # curve; the monochromator's line is deconvolved by least squares without negative response.
 
 
-@dataclass(frozen=True)
-class ShapeRules:
-    """Thresholds between a line model and a table.
-
-    Attributes
-    ----------
-    reach
-        Half support of the table in widths; 2e-7 of a Gaussian's area lies beyond.
-    step
-        Step of the table in widths.
-    smoothing
-        Weight of the table's second differences relative to the curve: suppresses ringing by noise of 1e-3
-        where the monochromator is as wide as the camera's response.
-    least_samples
-        Minimum mean number of samples at a point of the curve.
-    least_misfit
-        Distance of curve and model, relative to the model, above which a table is used [1]: the right model
-        gives 0.0006, a slit with a tail of a tenth of its width 0.024.
-    widest_light
-        Largest width of the monochromator relative to the camera's width at which the response is resolved
-        [1].
-    sun_zenith_deg
-        Zenith angle of the sun for the daylight in which the effect is stated [degree].
-    """
-
-    reach: float = 2.0
-    step: float = 0.04
-    smoothing: float = 1e-4
-    least_samples: float = 4.0
-    least_misfit: float = 0.012
-    widest_light: float = 0.7
-    sun_zenith_deg: float = 48.2
-
-
-SHAPE_RULES = ShapeRules()
+#: Half support of the table in widths; 2e-7 of a Gaussian's area lies beyond.
+_TABLE_REACH = 2.0
+_TABLE_STEP = 0.04  # in widths
+#: Weight of the table's second differences relative to the curve: suppresses ringing by noise of 1e-3 where
+#: the monochromator is as wide as the camera's response.
+_SMOOTHING = 1e-4
+_MIN_SAMPLES = 4.0  # mean number at a point of the curve
+#: Distance of curve and model, relative to the model, above which a table is used [1]: the right model gives
+#: 0.0006, a slit with a tail of a tenth of its width 0.024.
+MAX_MODEL_MISFIT = 0.012
+#: Width of the monochromator over the camera's above which fwhm is ill-conditioned and the response is not
+#: resolved [1].
+MAX_SLIT_SHARE = 0.7
+_SUN_ZENITH_DEG = 48.2  # of the daylight in which the effect is stated
 
 
 class MeasuredShape(NamedTuple):
-    """The response in units of its width.
+    """The response in units of its width."""
 
-    ``offset`` (place,): wavelength minus wavelength of the band, over the width; ``response`` (place,), of
-    unit area; ``misfit``: distance of the lamp lines from the best model, relative [1]; ``effect``: largest
-    relative change of matched daylight if the model replaces the response [1]; ``is_resolved``: whether the
-    monochromator's line was narrow enough.
-    """
-
-    offset: Floats
-    response: Floats
-    misfit: float
-    effect: float
-    is_resolved: bool
-
-    @property
-    def fits_no_model(self) -> bool:
-        """Whether the response fits neither model."""
-        return self.misfit > SHAPE_RULES.least_misfit
-
-    def table(self, fwhm: Floats) -> tuple[Floats, Floats]:
-        """Return offsets (srf_offset,) [nm], and the response of bands of widths (band,) [nm] there."""
-        offset = self.offset * float(fwhm.max())
-        return offset, np.stack([np.interp(offset, self.offset * w, self.response, 0.0, 0.0) for w in fwhm])
+    offset: Floats  #: (place,): wavelength minus wavelength of the band, over the width
+    response: Floats  #: (place,), of unit area
+    misfit: float  #: Distance of the lamp lines from the best model, relative [1]
+    effect: float  #: Largest relative change of matched daylight if the model replaces the response [1]
+    is_resolved: bool  #: Whether the monochromator's line was narrow enough
 
 
 def measured_shape(
@@ -112,8 +73,9 @@ def measured_shape(
     ``is_placed`` (step, cross_track): lamp lines that are used; ``camera_width`` (step,) [nm];
     ``shape``: the best line model.
     """
-    rules = SHAPE_RULES
-    edges = np.arange(-rules.reach - rules.step / 2, rules.reach + rules.step, rules.step)
+    from scipy.optimize import nnls
+
+    edges = np.arange(-_TABLE_REACH - _TABLE_STEP / 2, _TABLE_REACH + _TABLE_STEP, _TABLE_STEP)
     # sums over the samples between two edges: area, area times distance, area times height
     sums, light, spacing, count = np.zeros((3, edges.size - 1)), [], [], 0
     for step, window in enumerate(sweep_data.windows):
@@ -141,64 +103,44 @@ def measured_shape(
         light.append(float(lab.width[step] / camera_width[step]))
         spacing.append(float(np.median(pitch)))
         count += int(is_inside.sum())
-    if count < rules.least_samples * (edges.size - 1):
+    if count < _MIN_SAMPLES * (edges.size - 1):
         return None
+    # matrix from a response (offset,) to the curve, which is its convolution with a lamp line
     offset, width = 0.5 * (edges[1:] + edges[:-1]), float(np.median(light))
     # distances repeat between steps and bands: bins without samples are determined by their neighbours
     weight = sums[0, sums[0] > 0]
-    distances, observed = sums[1:, sums[0] > 0] / weight
-    source = _convolution(distances, offset, width, triangular=lab.triangular)
+    place, observed = sums[1:, sums[0] > 0] / weight
+    distance = place[:, None] - offset
+    lamp_line = (
+        np.clip(1.0 - np.abs(distance) / width, 0.0, None) / width
+        if lab.triangular
+        else np.exp(-4.0 * np.log(2.0) * (distance / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
+    )
+    source = lamp_line * _TABLE_STEP
+    # distance of the model from the curve
     pitch_of_all = np.array([np.median(spacing)])
     model = Responses(np.zeros(1), np.ones(1), shape, spacing=pitch_of_all).on(offset, 0)
-    model_curve = source @ model
-    root_weight = np.sqrt(weight)
+    model_curve, root_weight = source @ model, np.sqrt(weight)
     misfit = float(
         np.linalg.norm(root_weight * (observed - model_curve)) / np.linalg.norm(root_weight * model_curve)
     )
-    response = _deconvolved(source, observed, weight)
-    return MeasuredShape(
-        offset=offset,
-        response=response,
-        misfit=misfit,
-        effect=_effect(offset, response, model, float(np.median(camera_width))),
-        is_resolved=width <= rules.widest_light,
-    )
-
-
-def _convolution(source_distance: Floats, offset: Floats, width: float, *, triangular: bool) -> Floats:
-    # Return the matrix from a response (offset,) to a curve at distances (place,), convolved with a lamp
-    # line.
-    distance = source_distance[:, None] - offset
-    lamp_line = (
-        np.clip(1.0 - np.abs(distance) / width, 0.0, None) / width
-        if triangular
-        else np.exp(-4.0 * np.log(2.0) * (distance / width) ** 2) * np.sqrt(4.0 * np.log(2.0) / np.pi) / width
-    )
-    return np.asarray(lamp_line * SHAPE_RULES.step)
-
-
-def _deconvolved(source: Floats, observed: Floats, weight: Floats) -> Floats:
-    # Return the response (offset,), not negative and of unit area, whose convolution fits a curve.
-    from scipy.optimize import nnls
-
-    size = source.shape[1]
+    # smooth response, not negative and of unit area, whose convolution fits the curve
     root_weight = np.sqrt(weight / weight.mean())
-    smoothness = np.diff(np.eye(size), 2, axis=0) * np.sqrt(SHAPE_RULES.smoothing) / SHAPE_RULES.step
+    smoothness = np.diff(np.eye(offset.size), 2, axis=0) * np.sqrt(_SMOOTHING) / _TABLE_STEP
     response, _ = nnls(
         np.vstack([root_weight[:, None] * source, smoothness]),
-        np.concatenate([root_weight * observed, np.zeros(size - 2)]),
+        np.concatenate([root_weight * observed, np.zeros(offset.size - 2)]),
     )
-    return np.asarray(response / (response.sum() * SHAPE_RULES.step))
-
-
-def _effect(offset: Floats, response: Floats, model: Floats, width: float) -> float:
-    # Return the largest relative change of daylight in a band, 420 to 950 nm, if a model replaces the
-    # response.
-    wavelength = np.arange(380.0, 1001.0)
-    air_mass = 1.0 / np.cos(np.radians(SHAPE_RULES.sun_zenith_deg))
-    direct, diffuse = ClearSky(SHAPE_RULES.sun_zenith_deg, airmass=float(air_mass)).irradiance(wavelength)
-    light = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width, wavelength, direct + diffuse)
-    return float(np.abs(light @ response / (light @ model) * model.sum() / response.sum() - 1.0).max())
+    response = response / (response.sum() * _TABLE_STEP)
+    # change of daylight in a band, 420 to 950 nm, if the model replaces the response
+    nm = np.arange(380.0, 1001.0)
+    air_mass = float(1.0 / np.cos(np.radians(_SUN_ZENITH_DEG)))
+    daylight = sum(ClearSky(_SUN_ZENITH_DEG, airmass=air_mass).irradiance(nm))
+    width_nm = float(np.median(camera_width))
+    daylight = np.interp(np.arange(420.0, 950.0)[:, None] + offset * width_nm, nm, daylight)
+    change = daylight @ response / (daylight @ model) * model.sum() / response.sum() - 1.0
+    effect = float(np.abs(change).max())
+    return MeasuredShape(offset, response, misfit, effect, is_resolved=width <= MAX_SLIT_SHARE)
 
 
 # -- Light outside the lamp lines: wings of scattered light over all bands, and the second order of the
@@ -223,33 +165,46 @@ class OffLines(NamedTuple):
     stray_light: Floats
     relative: float  #: Relative standard uncertainty of ``stray_light`` [1]
     wing: float  #: Share of the areas of lamp lines that is light scattered into their windows [1]
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether stray light is accurate enough to be subtracted from a flight."""
-        return self.relative < MAX_STRAY_LIGHT_U
-
-    @property
-    def counted(self) -> float:
-        """Measured areas of the lamp lines over their areas without scattered light [1]."""
-        return 1.0 / (1.0 - self.wing) if self.is_usable else 1.0
-
-    @property
-    def counted_u(self) -> float:
-        """Relative standard uncertainty of the areas by scattered light [1]."""
-        return self.wing * (_WING_U if self.is_usable else 1.0)
+    counted: float  #: Measured areas of the lamp lines over their areas without scattered light [1]
+    counted_u: float  #: Relative standard uncertainty of the areas by scattered light [1]
 
 
 def light_off_lines(
     rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats,
     dark_check: dict[str, float],
 ) -> OffLines:  # fmt: skip
-    """Return the light off the lamp lines; arguments as of `stray_light_matrix` and `dark_off_lines`."""
-    second_order = second_order_share(rows, step_wavelength, wavelength, width)
-    matrix = stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second_order)
+    """Return the light off the lamp lines, of which all steps have some.
+
+    ``rows`` (step, band) are counts outside the lines relative to the lines' areas, 0 inside their windows;
+    ``centre`` (step,) are the bands of the lamp lines, ``step_wavelength`` (step,) and ``wavelength`` (band,)
+    in nm; ``width`` (step,) is the measured full width at half maximum of the line [nm]; ``dark_check`` as of
+    `dark_off_lines`.
+    """
+    second_order = _second_order_share(rows, step_wavelength, wavelength, width)
+    matrix = _stray_light_matrix(rows, centre, step_wavelength, wavelength, width, second_order)
+    source = np.clip(np.round(centre), 0, len(matrix) - 1).astype(np.int64)
+    # relative uncertainty: difference of the matrix to the sums of single steps, and offset of the dark
+    modelled = np.where(rows != 0, matrix[:, source].T, 0.0).sum(axis=1)
+    scatter = 1.4826 * float(np.median(np.abs(rows.sum(axis=1) - modelled)))
     offset = abs(dark_check.get("dark_offset_count", 0.0)) * dark_check.get("out_of_band_of_one_count", 0.0)
-    relative = wing_uncertainty(rows, matrix, centre, offset)
-    return OffLines(second_order, matrix, relative, wing_in_window(rows, matrix, centre))
+    level = float(np.median(modelled))
+    relative = min(float(np.hypot(scatter, offset)) / level, 1.0) if level > 0 else 1.0
+    # share of the areas that is light scattered into the windows, beyond the background
+    shares = []
+    for row, band in zip(rows, source, strict=True):
+        is_outside = row != 0
+        if is_outside.sum() >= MIN_BANDS_OUTSIDE:
+            # the background that is subtracted from a lamp line: clipped mean of the bands outside its window
+            median = np.median(row[is_outside])
+            spread = 1.4826 * np.median(np.abs(row[is_outside] - median))
+            background = row[is_outside & (np.abs(row - median) <= 4.0 * spread)].mean()
+            shares.append((matrix[~is_outside, band] - background).sum())
+    wing = max(float(np.median(shares)), 0.0) if shares else 0.0
+    # areas are corrected where stray light is accurate enough to be subtracted from a flight
+    is_usable = relative < MAX_STRAY_LIGHT_U
+    counted = 1.0 / (1.0 - wing) if is_usable else 1.0
+    counted_u = wing * (_WING_U if is_usable else 1.0)
+    return OffLines(second_order, matrix * counted, relative, wing, counted, counted_u)
 
 
 def dark_off_lines(
@@ -257,9 +212,11 @@ def dark_off_lines(
 ) -> dict[str, float]:
     """Return the offset of the dark, and the effect of one count of it on the light off the lamp lines.
 
-    ``windows`` (step,); ``area`` of the lines [count] and whether they are in place (step, column); ``rows``
-    (step, band) as of `second_order_share`. Empty where no step has a background.
+    The offset are counts off the lamp lines that are independent of their light. ``windows`` (step,);
+    ``area`` of the lines [count] and whether they are in place (step, column); ``rows`` (step, band) as of
+    `light_off_lines`. Empty where no step has a background.
     """
+    # medians of the lit columns: counts of a band off the line, and area of the line
     level, areas, bands = np.full(len(rows), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows))
     for step, window in enumerate(windows):
         if window is not None and is_placed[step].any() and (window.background_variance > 0).any():
@@ -270,17 +227,16 @@ def dark_off_lines(
     if not has_level.any():
         return {}
     results = {"out_of_band_of_one_count": float(np.median(bands[has_level] / areas[has_level]))}
-    offset = common_offset(level, areas)
-    return results | ({"dark_offset_count": offset} if np.isfinite(offset) else {})
+    is_usable = has_level & np.isfinite(areas) & (areas > 0)
+    if is_usable.sum() >= 4 and np.ptp(areas[is_usable]) >= 0.2 * areas[is_usable].max():
+        terms = np.column_stack([np.ones(int(is_usable.sum())), areas[is_usable]])
+        results["dark_offset_count"] = float(np.linalg.lstsq(terms, level[is_usable], rcond=None)[0][0])
+    return results
 
 
-def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
-    """Return counts at twice the wavelength over counts of the lamp line (step,) [1].
-
-    ``rows`` (step, band) are counts outside the lines relative to the lines' areas, 0 inside their windows;
-    ``step_wavelength`` (step,) and ``wavelength`` (band,) [nm]; ``width`` (step,) is the measured full width
-    at half maximum of the line [nm]. The second order is up to twice as wide.
-    """
+def _second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats) -> Floats:
+    # Return counts at twice the wavelength over counts of the lamp line (step,) [1].
+    # The second order is up to twice as wide as the lamp line.
     share = np.full(len(rows), np.nan)
     for step, (centre, fwhm) in enumerate(zip(2.0 * step_wavelength, width, strict=True)):
         distance = np.abs(wavelength - centre)
@@ -291,119 +247,52 @@ def second_order_share(rows: Floats, step_wavelength: Floats, wavelength: Floats
     return share
 
 
-def common_offset(level: Floats, area: Floats) -> float:
-    """Return the offset of the dark: counts off the lamp lines that are independent of their light [count].
-
-    ``level`` and ``area`` (step,) are the counts of a band off the line and the area of the line, medians of
-    the lit columns [count].
-    """
-    is_usable = np.isfinite(level) & np.isfinite(area) & (area > 0)
-    if is_usable.sum() < 4 or np.ptp(area[is_usable]) < 0.2 * area[is_usable].max():
-        return float("nan")
-    terms = np.column_stack([np.ones(int(is_usable.sum())), area[is_usable]])
-    return float(np.linalg.lstsq(terms, level[is_usable], rcond=None)[0][0])
-
-
-def wing_in_window(rows: Floats, matrix: Floats, centre: Floats) -> float:
-    """Return the share of a line's area that is light scattered into its window, beyond the background [1].
-
-    ``rows`` and ``centre`` as in `stray_light_matrix`, of which ``matrix`` (band, source band) is the result.
-    """
-    shares = []
-    for row, source in zip(rows, _bands_of(centre, len(matrix)), strict=True):
-        is_outside = row != 0
-        if is_outside.sum() >= MIN_BANDS_OUTSIDE:
-            # the background that is subtracted from a lamp line: clipped mean of the bands outside its window
-            median = np.median(row[is_outside])
-            spread = 1.4826 * np.median(np.abs(row[is_outside] - median))
-            background = row[is_outside & (np.abs(row - median) <= 4.0 * spread)].mean()
-            shares.append((matrix[~is_outside, source] - background).sum())
-    return max(float(np.median(shares)), 0.0) if shares else 0.0
-
-
-def _bands_of(centre: Floats, bands: int) -> npt.NDArray[np.int64]:
-    return np.clip(np.round(centre), 0, bands - 1).astype(np.int64)
-
-
-def stray_light_matrix(
+def _stray_light_matrix(
     rows: Floats, centre: Floats, step_wavelength: Floats, wavelength: Floats, width: Floats, second: Floats
 ) -> Floats:
-    """Return the share of each band's light that every other band receives (band, source_band) [1].
-
-    ``rows``, ``step_wavelength``, ``wavelength`` and ``width`` as in `second_order_share`, of which
-    ``second`` (step,) is the result; ``centre`` (step,) are the bands of the lamp lines.
-    """
-    bands = rows.shape[1]
+    # Return the share of the light of a source band that other bands receive (band, source_band) [1];
+    # `second` (step,) as of `_second_order_share`.
+    band = np.arange(rows.shape[1])
     is_usable = (rows != 0) & (np.abs(wavelength - 2.0 * step_wavelength[:, None]) > 3.0 * width[:, None])
-    wing = _wing_function((np.arange(bands) - centre[:, None])[is_usable], rows[is_usable], bands)
-    bands_index = np.arange(bands)
-    matrix = wing(bands_index[:, None] - bands_index)
+    matrix = _wings((band - centre[:, None])[is_usable], rows[is_usable], band[:, None] - band)
     has_second = np.isfinite(second)
     if has_second.any():
-        matrix += _second_order(
-            step_wavelength[has_second], second[has_second], wavelength, float(np.median(width))
+        is_covered = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
+        share = second[has_second]
+        level = np.interp(
+            wavelength, step_wavelength[has_second], np.maximum(share, 0.0), left=share[0], right=share[-1]
         )
-    return np.asarray(matrix)
+        level = np.where(is_covered, np.maximum(level, 0.0), 0.0)
+        distance = (wavelength[:, None] - 2.0 * wavelength) / (1.5 * float(np.median(width)))
+        shape = np.exp(-4.0 * np.log(2.0) * distance**2)
+        matrix += level * shape / np.maximum(shape.sum(axis=0), 1.0)
+    return matrix
 
 
-def _wing_function(distance: Floats, share: Floats, bands: int) -> Any:
-    # Return the wing as a function of the distance in bands: medians of bins that widen with distance.
-    edges = np.unique(np.round(np.geomspace(1.0, bands, 25)))
+def _wings(distance: Floats, share: Floats, at: Ints) -> Floats:
+    # Return the wing of a lamp line at distances (band, source_band) [band], from shares of counts at some
+    # distances.
+    # medians of bins that widen with distance
+    edges = np.unique(np.round(np.geomspace(1.0, len(at), 25)))
     edges = np.concatenate([-edges[::-1], edges])
     bins = np.digitize(distance, edges)
-    centres, levels = [], []
-    for index in range(1, len(edges)):
-        is_inside = bins == index
-        if is_inside.sum() >= 8:
-            centres.append(float(distance[is_inside].mean()))
-            levels.append(float(np.median(share[is_inside])))
-    if not centres:
-        return lambda x: np.zeros(np.shape(x))
-
-    nearest = float(np.abs(distance).min())
-    sides = [_wing_side(np.array(centres) * sign, np.array(levels)) for sign in (-1.0, 1.0)]
-
-    def wing(x: npt.NDArray[Any]) -> Floats:
-        # inside the window of a lamp line the wing is hidden: extrapolate its rise from outside
-        level = np.interp(x, centres, levels)
-        for sign, (nearest_level, rise) in zip((-1.0, 1.0), sides, strict=True):
-            exponent = np.maximum(nearest - sign * x, 0.0) * (sign * x >= 0) * rise
-            level = np.where((np.abs(x) < nearest) & (sign * x >= 0), nearest_level * np.exp(exponent), level)
-        return np.asarray(np.maximum(level, 0.0))
-
-    return wing
-
-
-def _wing_side(distance: Floats, levels: Floats) -> tuple[float, float]:
-    # Return the wing nearest to its lamp line on one side, and its rise towards the lamp line [band-1].
-    order = np.argsort(np.where(distance > 0, distance, np.inf))[:_NEAREST_BINS]
-    nearest, level = distance[order], levels[order]
-    if not ((nearest > 0) & (level > 0)).all() or level.size < _NEAREST_BINS:
-        return float(max(level[0], 0.0)), 0.0
-    rise = -float(np.polyfit(nearest, np.log(level), 1)[0])
-    return float(level[0]), float(np.clip(rise, 0.0, 1.0 / nearest[0]))
-
-
-def wing_uncertainty(rows: Floats, matrix: Floats, centre: Floats, offset: float) -> float:
-    """Return the relative standard uncertainty of the light off the lamp lines in a matrix [1].
-
-    It follows from the difference of its sums to the sums of single steps, and from the ``offset`` of the
-    dark in them, relative to the area of a lamp line. ``rows`` and ``centre`` as in `stray_light_matrix`, of
-    which ``matrix`` (band, source band) is the result. 1 without stray light.
-    """
-    source = _bands_of(centre, len(matrix))
-    modelled = np.where(rows != 0, matrix[:, source].T, 0.0).sum(axis=1)
-    scatter = 1.4826 * float(np.median(np.abs(rows.sum(axis=1) - modelled)))
-    level = float(np.median(modelled))
-    return min(float(np.hypot(scatter, offset)) / level, 1.0) if level > 0 else 1.0
-
-
-def _second_order(step_wavelength: Floats, share: Floats, wavelength: Floats, width: float) -> Floats:
-    is_covered = (2.0 * wavelength >= wavelength.min()) & (2.0 * wavelength <= wavelength.max())
-    level = np.interp(wavelength, step_wavelength, np.maximum(share, 0.0), left=share[0], right=share[-1])
-    level = np.where(is_covered, np.maximum(level, 0.0), 0.0)
-    shape = np.exp(-4.0 * np.log(2.0) * ((wavelength[:, None] - 2.0 * wavelength) / (1.5 * width)) ** 2)
-    return np.asarray(level * shape / np.maximum(shape.sum(axis=0), 1.0))
+    full_bins = [bins == index for index in range(1, len(edges)) if (bins == index).sum() >= 8]
+    if not full_bins:
+        return np.zeros(at.shape)
+    centres = np.array([distance[is_inside].mean() for is_inside in full_bins])
+    levels = np.array([np.median(share[is_inside]) for is_inside in full_bins])
+    wing = np.interp(at, centres, levels)
+    # inside the window of a lamp line the wing is hidden: extrapolate its rise from outside, on both sides
+    reach = float(np.abs(distance).min())
+    for sign in (-1.0, 1.0):
+        order = np.argsort(np.where(sign * centres > 0, sign * centres, np.inf))[:_NEAREST_BINS]
+        nearest, level, rise = sign * centres[order], levels[order], 0.0
+        if level.size == _NEAREST_BINS and ((nearest > 0) & (level > 0)).all():
+            rise = np.clip(-np.polyfit(nearest, np.log(level), 1)[0], 0.0, 1.0 / nearest[0])
+        exponent = np.maximum(reach - sign * at, 0.0) * (sign * at >= 0) * rise
+        is_hidden = (np.abs(at) < reach) & (sign * at >= 0)
+        wing = np.where(is_hidden, max(level[0], 0.0) * np.exp(exponent), wing)
+    return np.asarray(np.maximum(wing, 0.0))
 
 
 # -- Structure of the responsivity between the lamp lines of a sweep: fringes and etalons that the steps miss.
@@ -412,52 +301,26 @@ def _second_order(step_wavelength: Floats, share: Floats, wavelength: Floats, wi
 # where the responsivity rises by g per nanometre, at any distance of the next lamp line.
 
 
-@dataclass(frozen=True)
-class FringeRules:
-    """Thresholds above which the steps of a sweep are too wide.
-
-    Attributes
-    ----------
-    least_error
-        Relative error of the gain above which it is reported [1].
-    window_steps
-        Number of steps over which departures are averaged: structure may be local.
-    degree
-        Degree of the polynomial of the log responsivity over the sweep, around which areas ripple: detectors
-        and gratings change over some 60 nm and more.
-    spread
-        Error between lamp lines over the root mean square of the ripple, where they are independent:
-        root mean squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over
-        the residual of such a ripple after the polynomial, sqrt(1 - 10 / 61) = 0.91 for 61 lines. The largest
-        error is up to twice that, less where bands average over fringes.
-    """
-
-    least_error: float = 0.01
-    window_steps: int = 9
-    degree: int = 9
-    spread: float = 1.5
-
-    @property
-    def scatters(self) -> float:
-        """Error above which it is reported, in units of the scatter of the columns' median.
-
-        That scatter ripples like missed structure, by `spread`; twice that is significant.
-        """
-        return 2.0 * self.spread
+#: Relative error of the gain above which it is reported [1].
+MIN_REPORTED_ERROR = 0.01
+#: Number of steps over which departures are averaged: structure may be local.
+_WINDOW_STEPS = 9
+#: Degree of the polynomial of the log responsivity over the sweep, around which areas ripple: detectors and
+#: gratings change over some 60 nm and more.
+_RESPONSIVITY_DEGREE = 9
+#: Error between lamp lines over the root mean square of the ripple, where they are independent: root mean
+#: squares are as sqrt(0.82 + 1) = 1.35, a cubic's squared weights and the truth, over the residual of such a
+#: ripple after the polynomial, sqrt(1 - 10 / 61) = 0.91 for 61 lines. The largest error is up to twice that,
+#: less where bands average over fringes.
+_RIPPLE_SPREAD = 1.5
 
 
-FRINGES = FringeRules()
+def error_between_lines(
+    wavelength: Floats, level: Floats, moved: Floats, source: Floats
+) -> tuple[float, float] | None:
+    r"""Return the largest error of the gain between lamp lines [1], and its wavelength [nm].
 
-
-class Between(NamedTuple):
-    """Relative error of the gain between lines where it is largest [1], and the wavelength there [nm]."""
-
-    error: float
-    wavelength: float
-
-
-def error_between_lines(wavelength: Floats, level: Floats, moved: Floats, source: Floats) -> Between | None:
-    r"""Return the largest error of the gain between lamp lines; None where they are too few.
+    None where lamp lines are too few.
 
     ``level`` (step,): responsivity by the lines' areas, any scale, NaN where unknown; ``moved``
     (step,): distance of the lines from the wavelengths of their light [nm]; ``source`` (step,): variance of
@@ -465,19 +328,20 @@ def error_between_lines(wavelength: Floats, level: Floats, moved: Floats, source
 
     With :math:`r` the ripple of the areas, :math:`r'` its slope and :math:`g` the difference of that slope to
     the slope that moves lines, the error is :math:`s\,r \min(1, g^2 / r'^2)`, root mean squares over some
-    steps, with :math:`s` the ``spread`` of `FringeRules`. A ripple that the steps resolve has the slope that
+    steps, with :math:`s` the constant ``_RIPPLE_SPREAD``. A ripple that the steps resolve has the slope that
     moves the lines; a ripple that they miss, or the scatter of a power meter, is unrelated to it. Noise of
     places counts as such.
     """
     from scipy.interpolate import CubicSpline
 
-    rules = FRINGES
     usable = np.flatnonzero(np.isfinite(level) & (level > 0) & np.isfinite(moved))
-    if usable.size < 2 * rules.window_steps:
+    if usable.size < 2 * _WINDOW_STEPS:
         return None
     wavelength_used, log_level = wavelength[usable], np.log(level[usable])
     position = 2.0 * (wavelength_used - wavelength_used[0]) / (wavelength_used[-1] - wavelength_used[0]) - 1.0
-    ripple = log_level - np.polynomial.chebyshev.Chebyshev.fit(position, log_level, rules.degree)(position)
+    ripple = log_level - np.polynomial.chebyshev.Chebyshev.fit(position, log_level, _RESPONSIVITY_DEGREE)(
+        position
+    )
     slope = CubicSpline(wavelength_used, ripple).derivative()(wavelength_used)
     slope_difference = moved[usable] / source[usable] - CubicSpline(wavelength_used, log_level).derivative()(
         wavelength_used
@@ -485,9 +349,9 @@ def error_between_lines(wavelength: Floats, level: Floats, moved: Floats, source
     for values in (slope, slope_difference):  # slopes of a spline are unreliable at its ends
         values[:2], values[-2:] = np.nan, np.nan
     missed_share = (_running_rms(slope_difference) / np.maximum(_running_rms(slope), 1e-12)) ** 2
-    error = rules.spread * _running_rms(ripple) * np.minimum(1.0, missed_share)
+    error = _RIPPLE_SPREAD * _running_rms(ripple) * np.minimum(1.0, missed_share)
     worst = int(error.argmax())
-    return Between(float(error[worst]), float(wavelength_used[worst]))
+    return float(error[worst]), float(wavelength_used[worst])
 
 
 def level_scatter(nodes: Floats) -> float:
@@ -507,13 +371,11 @@ def level_scatter(nodes: Floats) -> float:
 
 def _running_rms(values: Floats) -> Floats:
     # Return the root mean square over some steps; near the ends over fewer steps.
-    is_finite, window = np.isfinite(values), np.ones(FRINGES.window_steps)
+    is_finite, window = np.isfinite(values), np.ones(_WINDOW_STEPS)
     total = np.convolve(np.where(is_finite, values, 0.0) ** 2, window, "same")
     return np.asarray(np.sqrt(total / np.maximum(np.convolve(is_finite, window, "same"), 1.0)))
 
 
-#: Width of the monochromator over the camera's above which fwhm is ill-conditioned [1].
-MAX_SLIT_SHARE = 0.7
 #: Allowed distance of an element beyond the outer step, lower and upper limit [nm].
 EDGE_TOLERANCE_NM = (0.01, 0.05)
 #: Offset of the dark above which it is reported [count].
@@ -522,155 +384,130 @@ MAX_DARK_OFFSET = 1.0
 ELECTRONS_RANGE = (0.05, 2000.0)
 
 
-@dataclass(frozen=True)
-class Budget:
-    """Standard uncertainties that the sweep does not determine: relative, and of the dial [nm]."""
+def responses_of_lines(lamp_lines: LampLines, lab: LabSweep, spacing: Floats) -> Floats:
+    """Return the integrated response at the lamp lines (step, cross_track) [count nm J-1].
 
-    flux: float
-    capture: float
-    etendue: float
-    wavelength: float
-    linearity: float
-
-    @property
-    def total(self) -> float:
-        """Root sum of squares of the relative ones."""
-        return float(np.sqrt(self.flux**2 + self.capture**2 + self.etendue**2))
-
-
-def line_level(
-    lamp_lines: LampLines, lab: LabSweep, wavelength_map: WavelengthMap, used: Bools | None = None
-) -> Floats:
-    """Return the integrated response at the lamp lines (step,) [count nm J-1], median of the columns."""
-    return row_medians(_nodes(lamp_lines, lab, wavelength_map), lamp_lines.trusted if used is None else used)
-
-
-def _nodes(lamp_lines: LampLines, lab: LabSweep, wavelength_map: WavelengthMap) -> Floats:
-    column = np.broadcast_to(np.arange(lamp_lines.centre.shape[1]), lamp_lines.centre.shape)
-    spacing = wavelength_map.spacing(np.nan_to_num(lamp_lines.centre), column)
+    ``spacing`` (step, cross_track): spacing of the bands there [nm].
+    """
     with np.errstate(over="ignore"):  # of fits that are not trusted
         return np.asarray(lamp_lines.area * spacing / (lab.exposure[:, None] * lab.power))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Result:
     """All results of a calibration, to be assembled into a Dataset."""
 
-    #: lab, read, lines, surface: sweep, its windows, the fits, and the wavelength map
     lab: LabSweep
     sweep_data: SweepData
     lamp_lines: LampLines
     wavelength_map: WavelengthMap
     line_slope: Floats  #: (step,): d ln responsivity / d wavelength [nm-1]
     slope_shift: Floats  #: (step,): shift of the lamp lines by that slope [nm]
-    #: shape, misfit: line shape of the camera, and the misfit of each shape
-    shape: str
-    misfit: dict[str, float]
+    shape: str  #: Line shape of the camera
+    misfit: dict[str, float]  #: Misfit of each line shape
     bad: Bools  #: (band, cross_track)
-    #: budget, linearity: as passed
-    budget: Budget
+    #: Uncertainties that the sweep does not determine: relative ones of flux, capture and etendue by
+    #: attribute, of the dial [nm], and of linear counts, relative
+    scale_u: dict[str, float]
+    dial_u: float
+    linearity_u: float
     linearity: Linearity
     is_placed: Bools  #: (step, cross_track): valid fits whose centres agree with the map
     fwhm: Floats  #: (band,): width of every band [nm]
+    fwhm_at_steps: Floats  #: (step,): width of the camera's line [nm]
     differences: float  #: Relative standard deviation of the elements about the lines
     is_shape_free: bool  #: Whether the response may be measured from the lamp lines
 
-    @cached_property
-    def wavelength(self) -> Floats:
-        """Wavelength of every element (band, cross_track) [nm]."""
-        return self.wavelength_map.grid()[0]
-
-    @cached_property
-    def spacing(self) -> Floats:
-        """Spacing of bands at every element (band, cross_track) [nm]."""
-        return self.wavelength_map.grid()[1]
-
-    @cached_property
-    def centre_wavelength(self) -> Floats:
-        """Wavelength of the bands at the centre column (band,) [nm]."""
-        return np.asarray(self.wavelength[:, self.lab.shape[2] // 2])
-
-    @cached_property
-    def columns(self) -> npt.NDArray[np.int64]:
-        """Column of every line (step, cross_track)."""
-        return np.broadcast_to(np.arange(self.lab.shape[2]), self.lamp_lines.centre.shape)
-
-    @cached_property
-    def line_wavelength(self) -> Floats:
-        """Wavelength of the lamp lines in the map, minus the slope shift (step, cross_track) [nm]."""
-        return line_wavelengths(self.lamp_lines, self.wavelength_map, self.slope_shift)
-
-    @cached_property
-    def line_spacing(self) -> Floats:
-        """Spacing of bands at the lines (step, cross_track) [nm]."""
-        return self.wavelength_map.spacing(np.nan_to_num(self.lamp_lines.centre), self.columns)
-
-    @cached_property
-    def used(self) -> Bools:
-        """Lamp lines whose area is used: placed lines, and lines completed at the edges of the array."""
-        return np.asarray(self.is_placed | self.lamp_lines.completed)
-
-    @cached_property
-    def fwhm_at_steps(self) -> Floats:
-        """Width of the camera's line at every step (step,) [nm]."""
-        return at_steps(self.lab, self.wavelength_map, self.fwhm)
-
-    @cached_property
-    def gain(self) -> tuple[Floats, Bools]:
-        """Gain of every element [W m-2 sr-1 nm-1 s count-1], NaN where unknown; and whether it is known."""
-        lab = self.lab
-        is_node = self.used
+    def __post_init__(self) -> None:
+        lab, lamp_lines, is_placed = self.lab, self.lamp_lines, self.is_placed
+        # wavelength and spacing of bands at every element (band, cross_track), and at the centre column [nm]
+        self.wavelength, self.spacing = self.wavelength_map.grid()
+        self.centre_wavelength = self.wavelength[:, lab.shape[2] // 2]
+        self.centre_spacing = self.spacing[:, lab.shape[2] // 2]
+        # columns (cross_track,) beyond the outermost lit columns, where the map is constant
+        first, last = self.wavelength_map.lit
+        self.is_unlit = (np.arange(lab.shape[2]) < first) | (np.arange(lab.shape[2]) > last)
+        # wavelength of the lamp lines, minus the slope shift, and spacing of bands there (step, cross_track)
+        self.line_wavelength = line_wavelengths(lamp_lines, self.wavelength_map, self.slope_shift)
+        self.line_spacing = self.wavelength_map.spacing(
+            np.nan_to_num(lamp_lines.centre), np.arange(lab.shape[2])
+        )
+        # lamp lines whose area is used: placed lines, and lines completed at the edges of the array
+        self.used = is_placed | lamp_lines.completed
+        nodes = responses_of_lines(lamp_lines, lab, self.line_spacing)
+        level = row_medians(nodes, self.used)
+        # offset of the dark, and light off the lamp lines, from the steps with placed lamp lines
+        rows, steps = self.sweep_data.rows, is_placed.any(axis=1)
+        self.dark_check = dark_off_lines(self.sweep_data.windows, lamp_lines.area, is_placed, rows)
+        self.off_lines = light_off_lines(
+            rows[steps],
+            row_medians(lamp_lines.centre, is_placed)[steps],
+            lab.wavelength[steps],
+            self.centre_wavelength,
+            row_medians(lamp_lines.width * self.line_spacing, is_placed)[steps],
+            self.dark_check,
+        )
+        # gain of every element [W m-2 sr-1 nm-1 s count-1], NaN where unknown
         order = np.argsort(self.centre_wavelength)
-        spacing = np.interp(
-            lab.wavelength, self.centre_wavelength[order], self.spacing[order, lab.shape[2] // 2]
-        )
-        factor = second_order_factor(
-            lab.wavelength,
-            line_level(self.lamp_lines, lab, self.wavelength_map, is_node),
-            shape_variance(self.fwhm_at_steps, self.shape, spacing),
-            shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
-        )
-        # without light that is scattered into the window of a lamp line
-        nodes = _nodes(self.lamp_lines, lab, self.wavelength_map) * (factor[:, None] / self.off_lines.counted)
+        spacing = np.interp(lab.wavelength, self.centre_wavelength[order], self.centre_spacing[order])
+        source = shape_variance(lab.width, "triangle" if lab.triangular else "gaussian")
+        own = shape_variance(self.fwhm_at_steps, self.shape, spacing)
+        factor = second_order_factor(lab.wavelength, level, own, source)[:, None]
         low, high = EDGE_TOLERANCE_NM
         tolerance = min(max(low, 3.0 * self.wavelength_map.residual), high)
-        return element_gain(lab.wavelength, nodes, is_node, self.wavelength, lab.etendue, tolerance)
+        # without light that is scattered into the window of a lamp line
+        self.gain, has_gain = element_gain(
+            lab.wavelength, nodes * (factor / self.off_lines.counted), self.used, self.wavelength,
+            lab.etendue, tolerance,
+        )  # fmt: skip
+        if not has_gain.any():
+            raise refused("no column has four reliable lamp lines", code="lamp-lines-few")
+        # response from all lamp lines together, and whether it fits neither model
+        self.measured = measured_shape(
+            lab, self.sweep_data, lamp_lines, self.wavelength_map, is_placed, self.fwhm_at_steps, self.shape
+        )
+        self.fits_no_model = self.measured is not None and self.measured.misfit > MAX_MODEL_MISFIT
+        # error of the gain between lamp lines [1], 0 if negligible or explained by column differences
+        distance = row_medians(self.line_wavelength - lab.wavelength[:, None], is_placed) + self.slope_shift
+        self.between = error_between_lines(lab.wavelength, level, distance, source)
+        self.error_between = 0.0
+        if self.between is not None and not (self.fits_no_model and not self.is_shape_free):
+            # scatter of the columns' median ripples like missed structure; twice that is significant
+            scatter = level_scatter(np.where(self.used, nodes, np.nan))
+            if self.between[0] > max(MIN_REPORTED_ERROR, 2.0 * _RIPPLE_SPREAD * scatter):
+                self.error_between = self.between[0]
 
     def dataset(self, flat: Floats | None) -> xr.Dataset:
         """Return the calibration."""
-        gain, has_gain = self.gain
-        if not has_gain.any():
-            raise refused("no column has four reliable lamp lines", code="lamp-lines-few")
+        gain = self.gain
         if self.lab.absolute:
             self._check_plausible(gain)
         for text, code in self._warnings():
             warnings.warn(PaintWarning(text, code=code), stacklevel=3)
         # gains for raw counts: the fitted gains are for counts levelled by the flat field
         gain = gain.copy() if flat is None else np.asarray(row_medians(gain)[:, None] * flat)
-        gain[:, self._unlit] = np.nan
+        gain[:, self.is_unlit] = np.nan
         responsivity = 1.0 / (gain * self.lab.etendue * self.spacing)
         gain[self.bad] = np.nan
         is_good = np.isfinite(gain[:, np.isfinite(gain).any(axis=0)]).mean(axis=1) > 0.5
         values: dict[str, Any] = {
             "radiance_gain": gain,
             "responsivity": responsivity,
-            "wavelength_u": np.hypot(self.wavelength_map.residual, self.budget.wavelength),
+            "wavelength_u": np.hypot(self.wavelength_map.residual, self.dial_u),
             **self._uncertainties(gain, is_good),
             **self._dark(),
             **self._line_variables(),
         }
         if flat is not None:
             values["flat_field"] = flat
-        if self.lab.band_shift_time:
-            values["band_shift_time"] = self.lab.band_shift_time
-        if self.budget.linearity:
-            values["linearity_u"] = self.budget.linearity
+        optional = {"band_shift_time": self.lab.band_shift_time, "linearity_u": self.linearity_u}
+        values |= {name: value for name, value in optional.items() if value}
         table = self._table()
         coords = {
             "wavelength": self.centre_wavelength,
             "wavelength_shift": self.wavelength - self.centre_wavelength[:, None],
             "fwhm": self.fwhm,
-            "band_spacing": self.spacing[:, self.lab.shape[2] // 2],
+            "band_spacing": self.centre_spacing,
             "good": is_good,
             "step_wavelength": self.lab.wavelength,
         }
@@ -687,40 +524,6 @@ class Result:
             {name: _labelled(value, name) for name, value in coords.items()},
             self._attrs(is_good) | ({} if table is None else {"srf_shape": "tabulated"}),
         )
-
-    @cached_property
-    def measured(self) -> MeasuredShape | None:
-        """Response measured from all lamp lines together; None where they are too few."""
-        return measured_shape(
-            self.lab,
-            self.sweep_data,
-            self.lamp_lines,
-            self.wavelength_map,
-            self.is_placed,
-            self.fwhm_at_steps,
-            self.shape,
-        )
-
-    @cached_property
-    def between(self) -> Between | None:
-        """Error of the gain between the lamp lines; None where they are too few."""
-        lab = self.lab
-        return error_between_lines(
-            lab.wavelength,
-            line_level(self.lamp_lines, lab, self.wavelength_map, self.used),
-            row_medians(self.line_wavelength - lab.wavelength[:, None], self.is_placed) + self.slope_shift,
-            shape_variance(lab.width, "triangle" if lab.triangular else "gaussian"),
-        )
-
-    @cached_property
-    def _error_between(self) -> float:
-        # Error of the gain between lamp lines [1]; 0 if negligible or explained by column differences.
-        is_shape_wrong = self.measured is not None and self.measured.fits_no_model and not self.is_shape_free
-        if self.between is None or is_shape_wrong:
-            return 0.0
-        nodes = np.where(self.used, _nodes(self.lamp_lines, self.lab, self.wavelength_map), np.nan)
-        threshold = max(FRINGES.least_error, FRINGES.scatters * level_scatter(nodes))
-        return self.between.error if self.between.error > threshold else 0.0
 
     def _warnings(self) -> Iterator[tuple[str, str]]:
         is_wide = self.lab.width > MAX_SLIT_SHARE * self.fwhm_at_steps
@@ -741,29 +544,33 @@ class Result:
                 "the sweep",
                 "dark-offset",
             )
-        if self.between is not None and self._error_between:
+        if self.between is not None and self.error_between:
+            error, wavelength = self.between
             step = float(np.median(np.abs(np.diff(self.lab.wavelength))))
             yield (
-                f"steps of {step:.3g} nm do not follow the responsivity around {self.between.wavelength:.0f} "
+                f"steps of {step:.3g} nm do not follow the responsivity around {wavelength:.0f} "
                 "nm, as with fringes, an etalon, or a noisy power meter: between lamp lines gain and "
-                f"reflectance may be wrong by {self.between.error:.1%}; sweep there in steps of "
+                f"reflectance may be wrong by {error:.1%}; sweep there in steps of "
                 f"{step / 4:.2g} nm",
                 "steps-too-coarse",
             )
-        if self._unlit.any():
+        if self.is_unlit.any():
             first, last = self.wavelength_map.lit
             yield (
-                f"{int(self._unlit.sum())} of {self._unlit.size} columns are not lit, all but {first} to "
+                f"{int(self.is_unlit.sum())} of {self.is_unlit.size} columns are not lit, all but {first} to "
                 f"{last}: they get no gain, and the wavelengths of the nearest lit column",
                 "columns-unlit",
             )
 
     def _table(self) -> tuple[Floats, Floats] | None:
         measured = self.measured
-        if measured is None or not measured.fits_no_model:
+        if measured is None or not self.fits_no_model:
             return None
         if self.is_shape_free and measured.is_resolved:
-            return measured.table(self.fwhm)
+            # offsets (srf_offset,) [nm], and the response of every band there
+            offset = measured.offset * float(self.fwhm.max())
+            widened = [np.interp(offset, measured.offset * w, measured.response, 0.0, 0.0) for w in self.fwhm]
+            return offset, np.stack(widened)
         reason = "srf_shape= is given" if measured.is_resolved else "the monochromator's line is too wide"
         warnings.warn(
             PaintWarning(
@@ -788,10 +595,10 @@ class Result:
                 )
         slope = np.interp(self.centre_wavelength, self.lab.wavelength, self.line_slope)
         total = np.sqrt(
-            self.budget.total**2
+            sum(u**2 for u in self.scale_u.values())
             + (slope * self.wavelength_map.residual) ** 2
             + self.off_lines.counted_u**2
-            + self._error_between**2
+            + self.error_between**2
         )
         random = np.hypot(random, self.differences)
         return {
@@ -801,23 +608,19 @@ class Result:
 
     def _dark(self) -> dict[str, Any]:
         lab = self.lab
-        exposure = float(np.median(lab.exposure))
+        exposure, noise = float(np.median(lab.exposure)), self.sweep_data.noise
         variables: dict[str, Any] = {"dark_counts": lab.dark.at(exposure), "dark_exposure_time": exposure}
         if lab.dark.has_rate:
             variables |= {"dark_bias": lab.dark.bias, "dark_rate": lab.dark.rate}
         if lab.saturation is not None:
             variables["saturation_count"] = lab.saturation
-        noise = self.sweep_data.noise
         electrons, read_noise = lab.electrons_per_count, lab.read_noise
         if self.sweep_data.noise_source == FROM_FRAMES:
             electrons = electrons or 1.0 / noise.slope
             if read_noise is None:
                 read_noise = float(np.sqrt(max(noise.constant - QUANTISATION_VARIANCE_COUNT2, 0.0)))
-        if electrons is not None:
-            variables["electrons_per_count"] = electrons
-        if read_noise is not None:
-            variables["read_noise"] = read_noise
-        return variables
+        known = {"electrons_per_count": electrons, "read_noise": read_noise}
+        return variables | {name: value for name, value in known.items() if value is not None}
 
     def _line_variables(self) -> dict[str, Any]:
         lamp_lines, steps = self.lamp_lines, self.lab.shape[0]
@@ -825,8 +628,7 @@ class Result:
         for step, window in enumerate(self.sweep_data.windows):
             if window is not None:
                 beam[step] = fit_beam(window.beam)
-        is_placed_step = self.is_placed.any(axis=1)
-        second = np.full(steps, np.nan)
+        is_placed_step, second = self.is_placed.any(axis=1), np.full(steps, np.nan)
         second[is_placed_step] = self.off_lines.second_order
         return {
             "line_band": lamp_lines.centre,
@@ -841,7 +643,7 @@ class Result:
             "beam_fwhm": beam[:, 1],
             "out_of_band": np.where(is_placed_step, self.sweep_data.rows.sum(axis=1), np.nan),
             "second_order": second,
-            "stray_light": self.off_lines.stray_light * self.off_lines.counted,
+            "stray_light": self.off_lines.stray_light,
             "stray_light_u": self.off_lines.relative,
         }
 
@@ -868,46 +670,15 @@ class Result:
             code="scale-implausible",
         )
 
-    @cached_property
-    def _unlit(self) -> Bools:
-        # Columns (cross_track,) beyond the outermost lit columns, where the map is constant.
-        first, last = self.wavelength_map.lit
-        column = np.arange(self.lab.shape[2])
-        return np.asarray((column < first) | (column > last))
-
-    @cached_property
-    def off_lines(self) -> OffLines:
-        """Light off the lamp lines, from the steps with placed lamp lines."""
-        is_placed_step = self.is_placed.any(axis=1)
-        return light_off_lines(
-            self.sweep_data.rows[is_placed_step],
-            row_medians(self.lamp_lines.centre, self.is_placed)[is_placed_step],
-            self.lab.wavelength[is_placed_step],
-            self.centre_wavelength,
-            row_medians(self.lamp_lines.width * self.line_spacing, self.is_placed)[is_placed_step],
-            self.dark_check,
-        )
-
-    @cached_property
-    def dark_check(self) -> dict[str, float]:
-        """Offset of the dark, and effect of one count of it on the light off the lamp lines."""
-        return dark_off_lines(
-            self.sweep_data.windows, self.lamp_lines.area, self.is_placed, self.sweep_data.rows
-        )
-
     def _attrs(self, good: Bools) -> dict[str, Any]:
         lab = self.lab
         left_out = [float(w) for w in lab.wavelength[~self.used.any(axis=1)]]
-        electrons_source = "none"
-        if lab.electrons_per_count is not None:
-            electrons_source = "as stated"
-        elif self.sweep_data.noise_source == FROM_FRAMES:
+        electrons_source = "none" if lab.electrons_per_count is None else "as stated"
+        if lab.electrons_per_count is None and self.sweep_data.noise_source == FROM_FRAMES:
             electrons_source = (
                 "photon transfer of the sweep, to some per cent; see hyperpaint.radiometry.estimate_noise"
             )
-        linearity: str | list[float] = "table" if self.linearity else "identity"
-        if self.linearity.coefficients:
-            linearity = list(self.linearity.coefficients)
+        linearity = [*self.linearity.coefficients] or ("table" if self.linearity else "identity")
         # distance of the measured response from the better model, and its effect
         shape_attrs: dict[str, Any] = {}
         if self.measured is not None:
@@ -919,9 +690,7 @@ class Result:
             "source": "monochromator sweep, line-area method",
             "absolute_scale": "known" if lab.absolute else "unknown",
             "absolute_anchor": "flux, capture fraction and etendue" if lab.absolute else "none",
-            "flux_uncertainty": self.budget.flux,
-            "capture_uncertainty": self.budget.capture,
-            "etendue_uncertainty": self.budget.etendue,
+            **self.scale_u,
             "steps": len(lab.wavelength),
             "step_range_nm": [float(lab.wavelength[0]), float(lab.wavelength[-1])],
             "steps_left_out_nm": left_out,
@@ -931,7 +700,7 @@ class Result:
             "monochromator_shape": "triangle" if lab.triangular else "gaussian",
             "column_light": "told per column" if lab.by_column else "taken as equal in all lit columns",
             "wavelength_residual_nm": self.wavelength_map.residual,
-            "wavelength_uncertainty_nm": self.budget.wavelength,
+            "wavelength_uncertainty_nm": self.dial_u,
             "element_differences": self.differences,
             "stray_light_in_lines": self.off_lines.wing,
             "lit_columns": list(self.wavelength_map.lit),
@@ -943,7 +712,7 @@ class Result:
             "electrons_per_count_source": electrons_source,
             **{f"line_misfit_{name}": value for name, value in self.misfit.items()},
             **shape_attrs,
-            **({} if self.between is None else {"gain_between_lines": float(f"{self.between.error:.3g}")}),
+            **({} if self.between is None else {"gain_between_lines": float(f"{self.between[0]:.3g}")}),
         }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND, CROSS_TRACK, label, require
 from hyperpaint.base.units import takes_quantities
@@ -222,15 +222,15 @@ def flat_field(frames: xr.DataArray, dark: xr.DataArray | None = None) -> xr.Dat
     return label((level.mean(CROSS_TRACK) / level).transpose(*_ELEMENT).astype(np.float32), "flat_field")
 
 
-def factors_of(flat: xr.DataArray, shape: tuple[int, ...]) -> Floats:
-    """Return the values of a `flat_field`; SchemaError unless its ``shape`` (band, cross_track) fits."""
-    if set(flat.dims) != set(_ELEMENT) or flat.transpose(*_ELEMENT).shape != shape:
+def element_values(array: xr.DataArray, shape: tuple[int, ...], name: str) -> Array:
+    """Return the values of an argument; SchemaError unless its ``shape`` (band, cross_track) fits."""
+    if set(array.dims) != set(_ELEMENT) or array.transpose(*_ELEMENT).shape != shape:
         raise SchemaError(
-            f"flat_field has sizes {dict(flat.sizes)}",
+            f"{name} has sizes {dict(array.sizes)}",
             expected=f"{BAND} and {CROSS_TRACK} of {shape}",
             code="grid-mismatch",
         )
-    return np.asarray(flat.transpose(*_ELEMENT).to_numpy(), np.float64)
+    return array.transpose(*_ELEMENT).to_numpy()
 
 
 @takes_quantities()

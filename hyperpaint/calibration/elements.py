@@ -6,8 +6,6 @@ map gives the centre and the neighbours give the width; only the height is fitte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hyperpaint.base.arrays import Bools, Floats
@@ -23,14 +21,6 @@ _MIN_BRIGHT_SHARE = 0.12  # share of a lamp line's height above which a dead ele
 _MIN_DEVIATION_SHARE = 0.5  # deviation of a dead element, as a share of its lamp line
 MIN_BIN_SAMPLES = 20
 _CENTRE_STEP_BANDS = 0.01  # [band], step of a derivative
-
-
-@dataclass(frozen=True)
-class Differences:
-    """Deviations of elements from the smooth lamp lines."""
-
-    relative: float  #: Standard deviation of the factors of elements [1]
-    slope: float  #: Slope of the variance of a step's mean over the signal, fitted for unknown noise [count]
 
 
 def _camera_widths(lab: LabSweep, lamp_lines: LampLines, wavelength_map: WavelengthMap) -> Floats:
@@ -115,13 +105,16 @@ def element_differences(
     shape: int,
     *,
     has_noise: bool,
-) -> Differences:
-    """Return the deviations of elements from smooth lamp lines, beyond noise.
+) -> tuple[float, float]:
+    """Return the standard deviation of the factors of elements [1], beyond noise, and a slope of noise.
 
+    The slope is that of the variance of a step's mean over the signal [count], 0 with ``has_noise``.
     A fit of four parameters hides most of them, since a lamp line is a few bands wide. So centre and width
     are taken from the map, and only height and a small shift are fitted. Without ``has_noise``,
     ``sweep_data.noise`` is not valid for bright samples, and their noise is determined too.
     """
+    from scipy.optimize import nnls
+
     widths = _camera_widths(lab, lamp_lines, wavelength_map)
     tally = np.zeros((4, SIGNAL_BINS))
     shares = []
@@ -147,11 +140,16 @@ def element_differences(
         shares.append(excess[is_bright].sum() / (model**2 * freedom)[is_bright].sum())
         weights = (model * freedom, model**2 * freedom, excess)
         tally += binned(model[is_bright], *(weight[is_bright] for weight in weights))
-    if not shares:
-        return Differences(0.0, 0.0)
+    is_used = tally[0] >= MIN_BIN_SAMPLES
     if has_noise:
-        return Differences(float(np.sqrt(max(float(np.median(shares)), 0.0))), 0.0)
-    return _differences_from_bins(tally)
+        return float(np.sqrt(max(float(np.median(shares)), 0.0))) if shares else 0.0, 0.0
+    if is_used.sum() < 2:
+        return 0.0, 0.0
+    # excess variance = slope x signal + (relative x signal)^2
+    signal, square, excess = (row[is_used] / tally[0][is_used] for row in tally[1:])
+    weight = np.sqrt(tally[0][is_used]) / np.maximum(np.abs(excess), 1e-12)
+    slope, relative = nnls(np.column_stack([signal, square]) * weight[:, None], excess * weight)[0]
+    return float(np.sqrt(relative)), float(slope)
 
 
 def _residuals_of_fit(values: Floats, unit: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
@@ -164,18 +162,6 @@ def _residuals_of_fit(values: Floats, unit: Floats, slope: Floats) -> tuple[Floa
     residual = values - model
     residual -= (residual * second).sum(axis=1, keepdims=True) * second
     return model, residual, 1.0 - first**2 - second**2
-
-
-def _differences_from_bins(tally: Floats) -> Differences:
-    from scipy.optimize import nnls
-
-    is_used = tally[0] >= MIN_BIN_SAMPLES
-    if is_used.sum() < 2:
-        return Differences(0.0, 0.0)
-    signal, square, excess = (row[is_used] / tally[0][is_used] for row in tally[1:])
-    weight = np.sqrt(tally[0][is_used]) / np.maximum(np.abs(excess), 1e-12)
-    slope, relative = nnls(np.column_stack([signal, square]) * weight[:, None], excess * weight)[0]
-    return Differences(float(np.sqrt(relative)), float(slope))
 
 
 #: Largest distance of a lamp line from the wavelength map [nm].

@@ -80,12 +80,6 @@ class LabSweep:
         """Return the mean counts of one step, dark not subtracted (band, cross_track)."""
         return np.asarray(self.counts.isel({STEP: step}).to_numpy(), np.float64)
 
-    def frame_variance(self, step: int) -> Floats | None:
-        """Return the variance of one frame of a step (band, cross_track), or None."""
-        if self.variance is None:
-            return None
-        return np.asarray(self.variance.isel({STEP: step}).to_numpy(), np.float64)
-
 
 def listed(values: Any, unit: str = "", limit: int = 6) -> str:
     """Return some values as text, and the number of further ones."""
@@ -117,9 +111,17 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         Variables, dims, units or values are missing or impossible; all problems are listed.
     """
     problems = Problems(_REFUSAL, SchemaError)
-    arrays = _variables(sweep, absolute, problems)
-    steps = sweep.sizes.get(STEP, 0)
-    columns = sweep.sizes.get(CROSS_TRACK, 0)
+    needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
+    optional = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
+    arrays, faults = find(sweep, [*needed, *optional], SWEEP_VARIABLES)
+    problems.extend(faults)
+    for name in [name for name, array in arrays.items() if array.dtype.kind not in "iuf"]:
+        problems.add(
+            f"{name!r} has dtype {arrays.pop(name).dtype}",
+            expected=f"{SWEEP_VARIABLES[name].dtype}",
+            code="type-wrong",
+        )
+    steps, columns = sweep.sizes.get(STEP, 0), sweep.sizes.get(CROSS_TRACK, 0)
     if sweep.sizes and steps < MIN_STEPS:
         problems.add(f"{steps} steps", expected=f"at least {MIN_STEPS}", code="steps-too-few")
     values = {
@@ -128,12 +130,9 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
         if name not in ("counts", "counts_variance", "dark_counts")
     }
     _check_order(values, problems)
-    for name in _POSITIVE:
-        if name in values:
-            high = 1.0 if name == "capture_fraction" else np.inf
-            _check_positive(
-                name, arrays[name].dims, values[name], high, values.get("step_wavelength"), problems
-            )
+    for name in (name for name in _POSITIVE if name in values):
+        high, wavelength = 1.0 if name == "capture_fraction" else np.inf, values.get("step_wavelength")
+        _check_positive(name, arrays[name].dims, values[name], high, wavelength, problems)
     if not (np.isfinite(shift := values.get("band_shift_time", np.zeros(()))) & (shift >= 0)).all():
         problems.add(
             f"'band_shift_time' is {float(shift):g} s",
@@ -141,9 +140,8 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
             code="value-out-of-range",
         )
     if "read_noise" in values and not (np.isfinite(values["read_noise"]) & (values["read_noise"] >= 0)).all():
-        worst = float(values["read_noise"].min())
         problems.add(
-            f"'read_noise' is {worst:g} in places",
+            f"'read_noise' is {float(values['read_noise'].min()):g} in places",
             expected="finite and at least zero",
             code="value-out-of-range",
         )
@@ -151,23 +149,8 @@ def check_sweep(sweep: xr.Dataset, *, absolute: bool = True) -> LabSweep:
     one_of(shape, MONOCHROMATOR_SHAPES, "attribute monochromator_shape", problems=problems)
     dark = _dark(arrays, values, problems)
     problems.raise_if_any()
-    if dark is None:
-        raise refused("'dark_counts' give no dark", code="dark-invalid")
+    assert dark is not None  # otherwise there is a problem
     return _assembled(arrays, values, dark, (steps, columns), shape == "triangle")
-
-
-def _variables(sweep: xr.Dataset, absolute: bool, problems: Problems) -> dict[str, xr.DataArray]:
-    needed = [*_REQUIRED, *(_ABSOLUTE if absolute else _ABSOLUTE[:1])]
-    optional_names = [n for n in (*_ABSOLUTE, *_OPTIONAL) if n in sweep.variables and n not in needed]
-    arrays, faults = find(sweep, [*needed, *optional_names], SWEEP_VARIABLES)
-    problems.extend(faults)
-    wrong_types = {name: array for name, array in arrays.items() if array.dtype.kind not in "iuf"}
-    for name, array in wrong_types.items():
-        problems.add(
-            f"{name!r} has dtype {array.dtype}", expected=f"{SWEEP_VARIABLES[name].dtype}", code="type-wrong"
-        )
-        del arrays[name]
-    return arrays
 
 
 def _check_order(values: dict[str, Floats], problems: Problems) -> None:
@@ -212,21 +195,22 @@ def _check_positive(
         wavelengths_text = "" if wavelength is None else f" ({listed(wavelength[steps], 'nm')})"
         steps_text = f" at {steps.size} of {len(values)} steps{wavelengths_text}"
         mend = "measure it, or leave these steps out with sweep.isel(step=...)"
-    first_value = values[is_invalid].ravel()[0]
     problems.add(
-        f"{name!r} is {first_value:g}{steps_text}", expected=expected, mend=mend, code="value-out-of-range"
+        f"{name!r} is {values[is_invalid].ravel()[0]:g}{steps_text}",
+        expected=expected,
+        mend=mend,
+        code="value-out-of-range",
     )
 
 
 def _dark(arrays: dict[str, xr.DataArray], values: dict[str, Floats], problems: Problems) -> DarkModel | None:
     if "dark_counts" not in arrays:
         return None
-    dark = arrays["dark_counts"]
-    is_by_step = STEP in dark.dims
-    exposure = values.get("exposure_time")
+    dark, exposure = arrays["dark_counts"], values.get("exposure_time")
     dark_exposure = values.get("dark_exposure_time", exposure)
     if exposure is None or dark_exposure is None:
         return None
+    is_by_step = STEP in dark.dims
     if is_by_step:
         dark_exposure = np.broadcast_to(dark_exposure, dark.sizes[STEP])
     elif dark_exposure.ndim:
@@ -276,9 +260,6 @@ def _assembled(
     def scalar(name: str) -> float | None:
         return float(np.nanmedian(values[name])) if name in values else None
 
-    is_by_column = any(
-        name in arrays and CROSS_TRACK in arrays[name].dims for name in ("flux", "capture_fraction")
-    )
     return LabSweep(
         counts=arrays["counts"],
         variance=arrays.get("counts_variance"),
@@ -295,6 +276,8 @@ def _assembled(
         electrons_per_count=scalar("electrons_per_count"),
         read_noise=scalar("read_noise"),
         absolute=all(name in arrays for name in _ABSOLUTE),
-        by_column=is_by_column,
+        by_column=any(
+            name in arrays and CROSS_TRACK in arrays[name].dims for name in ("flux", "capture_fraction")
+        ),
         band_shift_time=scalar("band_shift_time") or 0.0,
     )

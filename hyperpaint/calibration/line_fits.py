@@ -106,7 +106,6 @@ class Fits:
     #: the fit
     area: Floats
     area_variance: Floats
-    unseen: Floats  #: (line,): share of the area that was taken from the fit
     #: chi2, degrees (line,): weighted sum of squared residuals and degrees of freedom
     chi2: Floats
     degrees: Floats
@@ -146,14 +145,28 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     values = np.where(is_inside, valid_net[clipped, column_index], np.nan)
     outside = valid_net.copy()
     outside[clipped, column_index] = np.nan
-    background, variance = _background(outside)
+    # background: clipped mean of each column outside its window, and its variance relative to that of a band
+    # A drift of the dark shifts all bands equally; uncorrected, it would add to the area band by band.
+    background, variance = np.zeros((2, columns))
+    covered = np.flatnonzero(np.isfinite(outside).sum(axis=0) >= _MIN_BACKGROUND_BANDS)
+    if covered.size:
+        bands_outside = outside[:, covered]
+        distance = np.abs(bands_outside - np.nanmedian(bands_outside, axis=0))
+        is_background = np.isfinite(distance) & (distance <= 4.0 * 1.4826 * np.nanmedian(distance, axis=0))
+        count = np.maximum(is_background.sum(axis=0), 1)
+        background[covered] = np.where(is_background, bands_outside, 0.0).sum(axis=0) / count
+        variance[covered] = 1.0 / count
     values = values - background[:, None]
     is_saturated = np.zeros(columns, np.bool_)
     if saturation is not None:
         limit = np.broadcast_to(saturation, net.shape) - float(SATURATION_MARGIN_COUNTS)
         is_saturated = ((raw >= limit)[clipped, column_index] & is_inside & np.isfinite(values)).any(axis=1)
     light = np.where(np.isfinite(values).sum(axis=1) >= min(6, bands), np.nansum(values, axis=1), np.nan)
-    brightest = _brightest(light)
+    # light of the brightest columns, insensitive to a single column
+    levels = np.where(np.isfinite(light), light, 0.0)
+    if columns >= 5:
+        levels = np.median(np.lib.stride_tricks.sliding_window_view(levels, 5), axis=1)
+    brightest = float(levels.max(initial=0.0))
     is_valid = np.flatnonzero(light > LIT * brightest)
     if not brightest > 0 or not is_valid.size:
         return None
@@ -194,34 +207,6 @@ def _rough_width(spectrum: Floats, peak: int) -> float:
             break
         half_width = min(needed_half, len(spectrum))
     return float(min(width, len(spectrum) / 4.0))
-
-
-def _background(outside: Floats) -> tuple[Floats, Floats]:
-    # Return the clipped mean of each column outside its window, and its variance relative to that of a band.
-    # A drift of the dark shifts all bands equally; uncorrected, it would add to the area band by band.
-    is_finite = np.isfinite(outside)
-    mean, variance = np.zeros(outside.shape[1]), np.zeros(outside.shape[1])
-    covered = np.flatnonzero(is_finite.sum(axis=0) >= _MIN_BACKGROUND_BANDS)
-    if not covered.size:
-        return mean, variance
-    outside_covered, is_finite = outside[:, covered], is_finite[:, covered]
-    median = np.nanmedian(outside_covered, axis=0)
-    spread = 1.4826 * np.nanmedian(np.abs(outside_covered - median), axis=0)
-    is_background = is_finite & (np.abs(outside_covered - median) <= 4.0 * spread)
-    count = np.maximum(is_background.sum(axis=0), 1)
-    mean[covered], variance[covered] = (
-        np.where(is_background, outside_covered, 0.0).sum(axis=0) / count,
-        1.0 / count,
-    )
-    return mean, variance
-
-
-def _brightest(light: Floats) -> float:
-    # Return the light of the brightest columns, insensitive to a single column.
-    levels = np.where(np.isfinite(light), light, 0.0)
-    if levels.size < 5:
-        return float(levels.max(initial=0.0))
-    return float(np.median(np.lib.stride_tricks.sliding_window_view(levels, 5), axis=1).max())
 
 
 def fitted(samples: LineSamples, shape: int, triangular: bool, parameters: Floats) -> LineFits:
@@ -265,16 +250,40 @@ def fit_window(
     """
     is_finite = np.isfinite(window.values)
     values = np.where(is_finite, window.values, 0.0)
-    parameters = _start(window, light) if start is None else _restart(start, light)
-    model = values
-    if start is not None:
+    if start is None:
+        parameters, model = _start(window, light), values
+    else:
+        parameters, width = start.parameters.copy(), start.width
+        parameters[:, WIDTH] = np.sqrt(np.maximum(width**2 - light.width**2, (0.3 * width) ** 2))
         model = start.parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
     height = np.max(np.where(is_finite, values, -np.inf), axis=1, keepdims=True)
     # weights from the noise of single counts favour low counts: weights follow the model if there is one
     min_variance = (1e-4 * height) ** 2 if start is not None else (3e-2 * height) ** 2
     variance = noise.variance(model, frames) + min_variance
-    fits, is_used = _fit_twice(window, values, variance, parameters, shape, light)
-    area, unseen = _area(window, parameters, _profiles(window, parameters, shape, light), is_used)
+    # fit in place, and again without the worst outlier
+    is_used, start_values = is_finite.copy(), parameters.copy()
+    for is_last in (False, True):
+        parameters[:] = np.where(np.isfinite(parameters), parameters, start_values)
+        samples = LineSamples(values, np.where(is_used, 1.0 / variance, 0.0), window.first, light.width)
+        fits = fitted(samples, shape, light.triangular, parameters)
+        if is_last:
+            break
+        model = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
+        residual = np.where(is_used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
+        amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))[:, None]
+        # a dead element distorts the fit of its neighbours, so only the worst sample is left out
+        is_outlier = residual > np.maximum(8.0 * np.sqrt(variance), _MAX_DEVIATION_SHARE * amplitude)
+        is_outlier &= residual >= residual.max(axis=1, keepdims=True)
+        if not is_outlier.any():
+            break
+        is_used &= ~is_outlier
+    # sum over all bands, of which the part beyond the edge of the array or on bad elements is taken from the
+    # fit. Where bands are more than half a lamp line's width apart, their sum is a little more or less than
+    # the light, depending on its position between them; the profile corrects this.
+    unit = _profiles(window, parameters, shape, light)
+    total = np.maximum(unit.sum(axis=1), 1e-300)
+    unseen = np.clip(1.0 - np.where(is_used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)
+    area = np.where(is_used, window.values, 0.0).sum(axis=1) / total + unseen * parameters[:, AREA]
     area_variance = np.where(is_used, noise.variance(np.where(is_used, values, 0.0), frames), 0.0).sum(axis=1)
     area_variance += (
         is_used.sum(axis=1) ** 2 * window.background_variance * noise.variance(np.zeros(1), frames)
@@ -289,37 +298,10 @@ def fit_window(
         amplitude=parameters[:, AREA] * _peaks(parameters, shape, light),
         area=area,
         area_variance=area_variance,
-        unseen=unseen,
         chi2=fits.chi2,
         degrees=np.maximum(is_used.sum(axis=1) - 4.0, 1.0),
         converged=fits.converged & np.isfinite(area) & (parameters[:, AREA] > 0),
     )
-
-
-def _fit_twice(
-    window: Window, values: Floats, variance: Floats, parameters: Floats, shape: int, light: Light
-) -> tuple[LineFits, Bools]:
-    # Fit in place, and again without the worst outlier; return the fits and which samples are used.
-    is_used = np.isfinite(window.values)
-    start_values = parameters.copy()
-    for is_last in (False, True):
-        parameters[:] = np.where(np.isfinite(parameters), parameters, start_values)
-        samples = LineSamples(values, np.where(is_used, 1.0 / variance, 0.0), window.first, light.width)
-        fits = fitted(samples, shape, light.triangular, parameters)
-        if is_last:
-            break
-        model = parameters[:, AREA, None] * _profiles(window, parameters, shape, light)
-        residual = np.where(is_used, np.abs(values - model - parameters[:, OFFSET, None]), 0.0)
-        amplitude = np.abs(parameters[:, AREA] * _peaks(parameters, shape, light))
-        worst = residual.max(axis=1, keepdims=True)
-        # a dead element distorts the fit of its neighbours, so only the worst sample is left out
-        is_outlier = (
-            residual > np.maximum(8.0 * np.sqrt(variance), _MAX_DEVIATION_SHARE * amplitude[:, None])
-        ) & (residual >= worst)
-        if not is_outlier.any():
-            break
-        is_used &= ~is_outlier
-    return fits, is_used
 
 
 def _start(window: Window, light: Light) -> Floats:
@@ -336,12 +318,6 @@ def _start(window: Window, light: Light) -> Floats:
     return np.column_stack([window.first + peak, camera_width, area, np.zeros_like(area)]).astype(np.float64)
 
 
-def _restart(start: Fits, light: Light) -> Floats:
-    parameters = start.parameters.copy()
-    parameters[:, WIDTH] = np.sqrt(np.maximum(start.width**2 - light.width**2, (0.3 * start.width) ** 2))
-    return parameters
-
-
 def _profiles(window: Window, parameters: Floats, shape: int, light: Light) -> Floats:
     out = np.empty(window.values.shape)
     distance = window.places - parameters[:, CENTRE, None]
@@ -353,14 +329,3 @@ def _peaks(parameters: Floats, shape: int, light: Light) -> Floats:
     out = np.empty((len(parameters), 1))
     profiles(np.zeros_like(out), parameters[:, WIDTH].copy(), light.width, shape, light.triangular, out)
     return out[:, 0]
-
-
-def _area(window: Window, parameters: Floats, unit: Floats, is_used: Bools) -> tuple[Floats, Floats]:
-    # Return the sum over all bands of each lamp line, and the share that is taken from the fit:
-    # the part of a lamp line beyond the edge of the array or on bad
-    # elements. Where bands are more than half a lamp line's width apart, their sum is a little more or less
-    # than the light, depending on its position between them; the profile corrects this.
-    measured = np.where(is_used, window.values, 0.0).sum(axis=1)
-    total = np.maximum(unit.sum(axis=1), 1e-300)
-    unseen = np.clip(1.0 - np.where(is_used, unit, 0.0).sum(axis=1) / total, 0.0, 1.0)
-    return measured / total + unseen * parameters[:, AREA], unseen

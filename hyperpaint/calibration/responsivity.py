@@ -107,23 +107,20 @@ def interpolate_nodes(
         columns = np.flatnonzero(member.ravel() == index)
         if nodes.size < 4:
             continue
-        values[:, columns] = _hermite(x[nodes], y[np.ix_(nodes, columns)], at[:, columns], max_gap, tolerance)
+        x_used, y_used, place = x[nodes], y[np.ix_(nodes, columns)], at[:, columns]
+        place = np.where((place < x_used[0]) & (place >= x_used[0] - tolerance), x_used[0], place)
+        place = np.where((place > x_used[-1]) & (place <= x_used[-1] + tolerance), x_used[-1], place)
+        # cubic Hermite polynomials between the nodes
+        left = np.clip(np.searchsorted(x_used, place, side="right") - 1, 0, len(x_used) - 2)
+        width = np.diff(x_used)[left]
+        u = (place - x_used[left]) / width
+        slope, column = monotone_slopes(x_used, y_used), np.arange(columns.size)
+        y0, y1 = y_used[left, column], y_used[left + 1, column]
+        m0, m1 = slope[left, column] * width, slope[left + 1, column] * width
+        cubic = y0 * (1 + 2 * u) * (1 - u) ** 2 + m0 * u * (1 - u) ** 2
+        cubic += y1 * u**2 * (3 - 2 * u) + m1 * u**2 * (u - 1)
+        values[:, columns] = np.where((u >= 0) & (u <= 1) & (width <= max_gap), cubic, np.nan)
     return values, np.isfinite(values)
-
-
-def _hermite(x: Floats, y: Floats, at: Floats, max_gap: float, tolerance: float) -> Floats:
-    slope = monotone_slopes(x, y)
-    at = np.where((at < x[0]) & (at >= x[0] - tolerance), x[0], at)
-    at = np.where((at > x[-1]) & (at <= x[-1] + tolerance), x[-1], at)
-    left = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
-    width = np.diff(x)[left]
-    u = (at - x[left]) / width
-    column = np.arange(at.shape[1])
-    y0, y1 = y[left, column], y[left + 1, column]
-    m0, m1 = slope[left, column] * width, slope[left + 1, column] * width
-    values = y0 * (1 + 2 * u) * (1 - u) ** 2 + m0 * u * (1 - u) ** 2
-    values += y1 * u**2 * (3 - 2 * u) + m1 * u**2 * (u - 1)
-    return np.where((u >= 0) & (u <= 1) & (width <= max_gap), values, np.nan)
 
 
 def element_gain(
@@ -175,27 +172,18 @@ def slope_shift_of_lines(
             else np.exp(-4.0 * np.log(2.0) * (offset / source) ** 2)
         )
         light *= np.exp(slope[step] * offset + 0.5 * curvature[step] * offset**2)
-        shifts[step] = spacing[step] * _fitted(
-            offset / spacing[step], light / light.sum(), camera_width[step] / spacing[step],
-            source / spacing[step], lab, noise,
-            frames=float(lab.frames[step]), amplitude=amplitude[step], shape=SHAPES[shape],
-        )  # fmt: skip
+        # a lamp line of this light in units of bands, and the shift of its fitted centre
+        place, width, slit = (nm / spacing[step] for nm in (offset, camera_width[step], source))
+        half = int(np.ceil(2.2 * np.hypot(width, slit) + 2.0))
+        bands = np.arange(-half, half + 1, dtype=np.float64)
+        parts = np.empty((_PARTS, bands.size))
+        widths, zeros = np.full(_PARTS, width), np.zeros(_PARTS)
+        profiles(bands - place[:, None], widths, zeros, SHAPES[shape], False, parts)
+        line = (light / light.sum()) @ parts
+        line *= amplitude[step] / line.max()
+        variance = noise.variance(line, float(lab.frames[step])) + (1e-4 * amplitude[step]) ** 2
+        samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([slit]))
+        start = np.array([[0.0, width, line.sum(), 0.0]])
+        fits = fitted(samples, SHAPES[shape], lab.triangular, start)
+        shifts[step] = spacing[step] * (fits.parameters[0, CENTRE] if fits.converged[0] else 0.0)
     return shifts
-
-
-def _fitted(
-    offset: Floats, light: Floats, width_bands: float, source: float, lab: LabSweep, noise: NoiseModel, *,
-    frames: float, amplitude: float, shape: int,
-) -> float:  # fmt: skip
-    # Return the fitted centre of a lamp line whose light is centred at zero [band].
-    half = int(np.ceil(2.2 * np.hypot(width_bands, source) + 2.0))
-    bands_index = np.arange(-half, half + 1, dtype=np.float64)
-    parts = np.empty((len(offset), bands_index.size))
-    width, zeros = np.full(len(offset), width_bands), np.zeros(len(offset))
-    profiles(bands_index - offset[:, None], width, zeros, shape, False, parts)
-    line = light @ parts
-    line *= amplitude / line.max()
-    variance = noise.variance(line, frames) + (1e-4 * amplitude) ** 2
-    samples = LineSamples(line[None], 1.0 / variance[None], np.array([-half]), np.array([source]))
-    fits = fitted(samples, shape, lab.triangular, np.array([[0.0, width_bands, line.sum(), 0.0]]))
-    return float(fits.parameters[0, CENTRE]) if fits.converged[0] else 0.0

@@ -11,7 +11,8 @@ import numpy as np
 from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.constants import QUANTISATION_VARIANCE_COUNT2, SATURATION_MARGIN_COUNTS
 from hyperpaint.base.errors import PaintWarning
-from hyperpaint.kernels.line_fits import CENTRE, GAUSSIAN, WIDTH
+from hyperpaint.base.schema import STEP
+from hyperpaint.kernels.line_fits import CENTRE, WIDTH
 from hyperpaint.radiometry.linear_counts import Linearity
 from hyperpaint.radiometry.stray_light import smear_of
 
@@ -64,16 +65,10 @@ class LampLines:
     @classmethod
     def empty(cls, steps: int, columns: int) -> LampLines:
         """Return lines without any fit."""
-        shape = (steps, columns)
-        arrays = {field.name: np.full(shape, np.nan) for field in fields(cls)}
-        return cls(
-            **arrays
-            | {
-                "covariance": np.full((*shape, 4, 4), np.nan),
-                "trusted": np.zeros(shape, np.bool_),
-                "completed": np.zeros(shape, np.bool_),
-            }
-        )
+        lamp_lines = cls(*(np.full((steps, columns), np.nan) for _ in fields(cls)))
+        lamp_lines.covariance = np.full((steps, columns, 4, 4), np.nan)
+        lamp_lines.trusted, lamp_lines.completed = np.zeros((2, steps, columns), np.bool_)
+        return lamp_lines
 
     def store(self, step: int, window: Window, fits: Fits, bands: int) -> None:
         """Store the fits of one step."""
@@ -114,8 +109,8 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         if lab.band_shift_time:
             smear = smear_of(lab.band_shift_time, float(lab.exposure[step]), bands)
             net = net - smear * np.nansum(net, axis=0)
-        variance = lab.frame_variance(step)
-        if variance is not None:
+        if lab.variance is not None:
+            variance = np.asarray(lab.variance.isel({STEP: step}).to_numpy(), np.float64)
             is_saturated = lab.saturation is not None and raw >= lab.saturation - float(
                 SATURATION_MARGIN_COUNTS
             )
@@ -133,11 +128,30 @@ def read_lines(lab: LabSweep, bad: Bools, curve: Linearity, flat: Floats | None,
         windows.append(window)
         tick()
     _check_monotone(lab, windows)
-    _check_flux(lab, windows)
+    # lit columns without flux or capture fraction
+    missing_flux = [
+        f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
+        for step, window in enumerate(windows)
+        if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
+    ]
+    if missing_flux:
+        raise refused(
+            f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
+            mend="measure it there",
+            code="flux-missing",
+        )
+    # one highest count that repeats along a column
     if lab.saturation is None:
-        _warn_of_clipping(np.where(bad, -np.inf, highest))
-    noise, noise_source = _noise_model(lab, tally, scatter)
-    return SweepData(windows, rows, noise, noise_source)
+        highest = np.where(bad, -np.inf, highest)
+        is_highest = highest >= highest.max() - _COUNT_TOLERANCE
+        if (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any():
+            text = (
+                f"saturation_count is missing, and the highest count {highest.max():g} repeats in "
+                f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
+                "give saturation_count"
+            )
+            warnings.warn(PaintWarning(text, code="saturation-missing"), stacklevel=3)
+    return SweepData(windows, rows, *_noise_model(lab, tally, scatter))
 
 
 def binned(signal: Floats, *values: Floats) -> Floats:
@@ -172,37 +186,6 @@ def _noise_model(lab: LabSweep, tally: Floats, scatter: list[float]) -> tuple[No
     return NoiseModel(float(np.median(scatter)) if scatter else 0.0, 0.0), FROM_SCATTER
 
 
-def _check_flux(lab: LabSweep, windows: list[Window | None]) -> None:
-    # Refuse lit columns whose flux or capture fraction is zero or NaN.
-    missing_flux = [
-        f"{lab.wavelength[step]:g} nm ({missing} of {window.columns.size} lit columns)"
-        for step, window in enumerate(windows)
-        if window is not None and (missing := int((~np.isfinite(lab.power[step, window.columns])).sum()))
-    ]
-    if missing_flux:
-        raise refused(
-            f"flux x capture_fraction is zero or NaN in lit columns: {listed(missing_flux)}",
-            mend="measure it there",
-            code="flux-missing",
-        )
-
-
-def _warn_of_clipping(highest: Floats) -> None:
-    # Warn if one highest count repeats along a column (band, cross_track).
-    top = float(highest.max())
-    is_highest = highest >= top - _COUNT_TOLERANCE
-    if (is_highest.sum(axis=0) >= _MIN_CLIPPED_BANDS).any():
-        warnings.warn(
-            PaintWarning(
-                f"saturation_count is missing, and the highest count {top:g} repeats in "
-                f"{int(is_highest.sum())} elements: clipped lamp lines are not recognised; "
-                "give saturation_count",
-                code="saturation-missing",
-            ),
-            stacklevel=4,
-        )
-
-
 def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
     peaks = [(step, window.band) for step, window in enumerate(windows) if window is not None]
     if len(peaks) < 3:
@@ -224,38 +207,28 @@ def _check_monotone(lab: LabSweep, windows: list[Window | None]) -> None:
         )
 
 
-def fit_without_deconvolution(
-    lab: LabSweep, sweep_data: SweepData, tick: Tick
-) -> tuple[LampLines, list[Fits | None]]:
-    """Return Gaussian fits of the lamp lines without deconvolution, which give their centres."""
-    lamp_lines = LampLines.empty(lab.shape[0], lab.shape[2])
-    fits_of_steps: list[Fits | None] = []
-    for step, window in enumerate(sweep_data.windows):
-        fits = None
-        if window is not None:
-            light = Light(np.zeros(len(window.columns)), False)
-            fits = fit_window(window, sweep_data.noise, float(lab.frames[step]), GAUSSIAN, light)
-            lamp_lines.store(step, window, fits, lab.shape[1])
-        fits_of_steps.append(fits)
-        tick()
-    return lamp_lines, fits_of_steps
-
-
-def fit_with_deconvolution(
+def fit_steps(
     lab: LabSweep,
     sweep_data: SweepData,
-    wavelength_map: WavelengthMap,
     shape: int,
-    first_fits: list[Fits | None],
     tick: Tick,
-) -> LampLines:
-    """Return fits of the camera's response convolved with the monochromator's line."""
+    first: tuple[WavelengthMap, list[Fits | None]] | None = None,
+) -> tuple[LampLines, list[Fits | None]]:
+    """Return fits of the lamp lines, and by step.
+
+    Without ``first``, the monochromator's line is not deconvolved: such fits give the centres. With a
+    wavelength map and first fits, they are fits of the camera's response convolved with that line.
+    """
     lamp_lines = LampLines.empty(lab.shape[0], lab.shape[2])
-    for step, (window, start) in enumerate(zip(sweep_data.windows, first_fits, strict=True)):
-        if window is not None and start is not None:
-            spacing = wavelength_map.spacing(start.parameters[:, CENTRE], window.columns)
-            light = Light(np.asarray(lab.width[step] / spacing), lab.triangular)
+    fits_of_steps: list[Fits | None] = [None] * lab.shape[0]
+    for step, window in enumerate(sweep_data.windows):
+        if window is not None:
+            light, start = Light(np.zeros(len(window.columns)), False), None
+            if first is not None and (start := first[1][step]) is not None:
+                spacing = first[0].spacing(start.parameters[:, CENTRE], window.columns)
+                light = Light(np.asarray(lab.width[step] / spacing), lab.triangular)
             fits = fit_window(window, sweep_data.noise, float(lab.frames[step]), shape, light, start)
             lamp_lines.store(step, window, fits, lab.shape[1])
+            fits_of_steps[step] = fits
         tick()
-    return lamp_lines
+    return lamp_lines, fits_of_steps

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,6 +171,7 @@ def fitted_lines(
     wavelength = variables["wavelength"].to_numpy()
     spacing = np.gradient(wavelength)
     lab = None if sweep is None else check_sweep(sweep, absolute=False)
+    is_triangular = calibration.attrs["monochromator_shape"] == "triangle"
     results = []
     for step in steps:
         index = {STEP: step, CROSS_TRACK: column}
@@ -179,7 +180,6 @@ def fitted_lines(
         camera_width = float(variables["line_own_fwhm"].isel(index))
         spacing_at = float(np.interp(centre, np.arange(wavelength.size), spacing))
         source = calibration.attrs["monochromator_fwhm_nm"] if lab is None else lab.width[step]
-        profile = _profile(calibration.attrs, camera_width / abs(spacing_at), float(source) / abs(spacing_at))
         reach = _REACH * float(np.hypot(camera_width, source)) / abs(spacing_at)
         curve_distance = np.linspace(-reach, reach, _POINTS)
         distance, counts = np.empty(0), np.empty(0)
@@ -187,30 +187,23 @@ def fitted_lines(
             distance, counts = _samples(lab, calibration, step, column)
             is_near = np.abs(distance - centre) <= reach
             distance, counts = distance[is_near] - centre, counts[is_near]
+        # profile of the lamp line at its centre, which has unit height, at the samples and along the curve
+        place = np.concatenate([[0.0], distance, curve_distance])[None]
+        profile: Floats = np.empty(place.shape)
+        own, lamp = (np.array([float(width) / abs(spacing_at)]) for width in (camera_width, source))
+        profiles(place, own, lamp, SHAPES[str(calibration.attrs["srf_shape"])], is_triangular, profile)
+        profile = profile[0, 1:] / profile[0, 0]
         results.append(
             FittedLine(
                 float(variables["step_wavelength"][step]),
                 distance * spacing_at,
                 counts,
-                counts / amplitude - profile(distance),
+                counts / amplitude - profile[: distance.size],
                 curve_distance * spacing_at,
-                amplitude * profile(curve_distance),
+                amplitude * profile[distance.size :],
             )
         )
     return results
-
-
-def _profile(attrs: Mapping[Any, Any], camera_width: float, source: float) -> Callable[[Floats], Floats]:
-    # Return the profile of a lamp line of unit height over the distance from its centre, in bands.
-    shape, triangular = SHAPES[str(attrs["srf_shape"])], attrs["monochromator_shape"] == "triangle"
-
-    def of_unit_area(place: Floats) -> Floats:
-        out: Floats = np.empty((1, place.size))
-        profiles(place[None], np.array([camera_width]), np.array([source]), shape, triangular, out)
-        return np.asarray(out[0])
-
-    peak = of_unit_area(np.zeros(1))
-    return lambda place: of_unit_area(place) / peak
 
 
 def _samples(lab: LabSweep, calibration: xr.Dataset, step: int, column: int) -> tuple[Floats, Floats]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
-from hyperpaint.base.arrays import Floats
+from hyperpaint.base.arrays import Bools, Floats
 from hyperpaint.base.errors import SchemaError
 
 BAND_DEGREE = 3
@@ -30,7 +29,6 @@ class WavelengthMap:
     #: First and last column with lamp lines; beyond them the surface is constant
     lit: tuple[int, int]
     residual: float  #: Robust standard deviation of the lines about the surface [nm]
-    weight: Floats  #: (line,): Tukey's weights of the lines
 
     def at(self, band: npt.ArrayLike, column: npt.ArrayLike) -> Floats:
         """Return the wavelength at fractional bands and columns [nm]."""
@@ -92,54 +90,39 @@ def fit_wavelength_map(
         weight = 1.0 / (uncertainty**2 + min_uncertainty**2)
         weight /= weight.mean()
 
-    def criterion(surface: WavelengthMap) -> float:
-        # Bayesian information criterion, with a lower limit for rounding of counts
-        fit = band.size * 2.0 * np.log(surface.residual + 1e-6)
-        return float(fit + surface.coefficients.size * np.log(band.size))
-
-    trials = [
-        _robust_surface(band, column, wavelength, sizes, (degree, min(trial, max(n_columns - 1, 0))), weight)
-        for trial in degrees
-    ]
-    return min(trials, key=criterion)
-
-
-def _robust_surface(
-    band: Floats,
-    column: Floats,
-    wavelength: Floats,
-    sizes: tuple[int, int],
-    degrees: tuple[int, int],
-    prior: Floats,
-) -> WavelengthMap:
     bands, columns = sizes
     u, v = 2.0 * band / max(bands - 1, 1) - 1.0, 2.0 * column / max(columns - 1, 1) - 1.0
-    terms = np.asarray(chebyshev.chebvander2d(u, v, list(degrees)), np.float64)
-    tukey = np.ones_like(band)
-    coefficients = np.zeros(terms.shape[1])
-    sigma = np.inf
-    for _ in range(_ROUNDS):
-        coefficients, previous = _weighted_fit(terms, wavelength, prior * tukey), coefficients
-        residual = wavelength - terms @ coefficients
-        sigma = 1.4826 * float(np.median(np.abs(residual)))
-        if sigma < 1e-9 or np.abs(coefficients - previous).max() < 1e-7:
-            break
-        tukey = _biweight(residual / (_TUKEY_SD * sigma))
-    is_inlier = tukey > 0
-    freedom = max(is_inlier.sum() - terms.shape[1], 1)
-    rms = float(np.sqrt(((wavelength - terms @ coefficients)[is_inlier] ** 2).sum() / freedom))
-    shape = (degrees[0] + 1, degrees[1] + 1)
     lit = (int(column.min()), int(column.max()))
-    return WavelengthMap(coefficients.reshape(shape), bands, columns, lit, rms, tukey)
+    best, lowest = None, np.inf
+    for trial in degrees:
+        shape = (degree + 1, min(trial, max(n_columns - 1, 0)) + 1)
+        terms = np.asarray(chebyshev.chebvander2d(u, v, [size - 1 for size in shape]), np.float64)
+        coefficients, is_inlier = _robust_fit(terms, wavelength, weight, tolerance=1e-7)
+        freedom = max(is_inlier.sum() - terms.shape[1], 1)
+        rms = float(np.sqrt(((wavelength - terms @ coefficients)[is_inlier] ** 2).sum() / freedom))
+        # Bayesian information criterion, with a lower limit for rounding of counts
+        criterion = band.size * 2.0 * np.log(rms + 1e-6) + coefficients.size * np.log(band.size)
+        if best is None or criterion < lowest:
+            best, lowest = WavelengthMap(coefficients.reshape(shape), bands, columns, lit, rms), criterion
+    assert best is not None
+    return best
 
 
-def _biweight(z: Floats) -> Floats:
-    return np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
-
-
-def _weighted_fit(terms: Floats, values: Floats, weight: Floats) -> Floats:
-    normal = np.einsum("ni,n,nj->ij", terms, weight, terms, optimize=True)
-    return np.asarray(np.linalg.lstsq(normal, terms.T @ (weight * values), rcond=None)[0])
+def _robust_fit(terms: Floats, values: Floats, prior: Floats, tolerance: float) -> tuple[Floats, Bools]:
+    # Return the coefficients of terms (line, term), and which values have weight: least squares, reweighted
+    # by Tukey's biweight until the coefficients change by less than a tolerance.
+    tukey, coefficients = np.ones_like(values), np.zeros(terms.shape[1])
+    for _ in range(_ROUNDS):
+        normal = np.einsum("ni,n,nj->ij", terms, prior * tukey, terms, optimize=True)
+        previous, right = coefficients, terms.T @ (prior * tukey * values)
+        coefficients = np.linalg.lstsq(normal, right, rcond=None)[0]
+        residual = values - terms @ coefficients
+        sigma = 1.4826 * float(np.median(np.abs(residual)))
+        if sigma < 1e-9 or np.abs(coefficients - previous).max() < tolerance:
+            break
+        z = residual / (_TUKEY_SD * sigma)
+        tukey = np.where(np.abs(z) < 1.0, (1.0 - z**2) ** 2, 0.0)
+    return coefficients, tukey > 0
 
 
 def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats, degree: int = 2) -> Floats:
@@ -153,14 +136,6 @@ def fit_width(wavelength: Floats, width: Floats, uncertainty: Floats, at: Floats
     degree = max(min(degree, len(wavelength) - 2), 0)
     terms = np.asarray(chebyshev.chebvander(2.0 * (wavelength - low) / scale - 1.0, degree), np.float64)
     prior = 1.0 / (uncertainty**2 + max(float(np.median(uncertainty)), 1e-9) ** 2)
-    tukey: Any = np.ones_like(width)
-    coefficients = np.zeros(degree + 1)
-    for _ in range(_ROUNDS):
-        coefficients = _weighted_fit(terms, width, prior / prior.mean() * tukey)
-        residual = width - terms @ coefficients
-        sigma = 1.4826 * float(np.median(np.abs(residual)))
-        if sigma < 1e-9:
-            break
-        tukey = _biweight(residual / (_TUKEY_SD * sigma))
+    coefficients, _ = _robust_fit(terms, width, prior / prior.mean(), tolerance=0.0)
     clipped = np.clip(at, low, high)
     return np.asarray(chebyshev.chebval(2.0 * (clipped - low) / scale - 1.0, coefficients))

@@ -6,7 +6,7 @@ amplifier and converter, which process light and dark, are nonlinear, or the det
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -140,15 +140,11 @@ def declared_linearity(attrs: Mapping[Any, Any]) -> Linearity:
     """Return the curve that attributes alone declare; see `linearity_of`."""
     kind = attrs.get("linearity_on", DARK_SUBTRACTED)
     one_of(kind, (DARK_SUBTRACTED, RAW), "attribute linearity_on")
-    coefficients = attrs.get("linearity", ())
-    return Linearity(() if isinstance(coefficients, str) else polynomial(coefficients), on_raw=kind == RAW)
-
-
-def polynomial(coefficients: Sequence[float] | Any) -> tuple[float, ...]:
-    """Return coefficients as a tuple of numbers; empty, for the identity, where all are zero."""
-    numbers = tuple(float(value) for value in np.atleast_1d(np.asarray(coefficients, np.float64)))
+    declared = attrs.get("linearity", ())
+    coefficients = () if isinstance(declared, str) else np.atleast_1d(np.asarray(declared, np.float64))
+    numbers = tuple(float(value) for value in coefficients)
     if not np.isfinite(numbers).all():
         raise SchemaError(
             f"linearity {numbers}", expected="finite coefficients a2, a3 ...", code="linearity-invalid"
         )
-    return numbers if any(numbers) else ()
+    return Linearity(numbers if any(numbers) else (), on_raw=kind == RAW)

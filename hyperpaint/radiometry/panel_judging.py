@@ -117,23 +117,9 @@ class PanelClosure(NamedTuple):
 
     def at(self, indices: NDArray[np.int64]) -> PanelClosure:
         """Return the results of the panels at indices."""
+        arrays: list[Any] = [*self[:-1]]
         reasons = tuple(self.reasons[k] for k in indices)
-        scale, factor, u, mean_u, share_used = (values[indices] for values in self[:5])
-        return PanelClosure(
-            scale, factor, u, mean_u, share_used, self.state[indices], self.time[indices], reasons
-        )
-
-
-class _PanelResult(NamedTuple):
-    # Row of a `PanelClosure` for a panel, with its warnings.
-    scale: Floats
-    factor: Floats
-    u: Floats
-    mean_u: Floats
-    used: Floats
-    state: int
-    notes: tuple[str, ...]
-    reason: str
+        return PanelClosure._make([*(values[indices] for values in arrays), reasons])
 
 
 def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -> PanelClosure:
@@ -146,27 +132,20 @@ def judge_panels(panels: tuple[Mapping[str, Any], ...], context: PanelContext) -
 
     Warns PaintWarning: A panel shows a fault; one warning a panel.
     """
-    parts = []
+    rows = []
     for panel in panels:
-        part = _judge(panel, context)
-        if part.notes:
-            warnings.warn(
-                PaintWarning(f"{panel['name']}: {'; '.join(part.notes)}", code="panel-doubtful"), stacklevel=2
-            )
-        parts.append(part)
-    return PanelClosure(
-        np.array([part.scale for part in parts]),
-        np.array([part.factor for part in parts]),
-        np.array([part.u for part in parts]),
-        np.array([part.mean_u for part in parts]),
-        np.array([part.used for part in parts]),
-        np.array([part.state for part in parts], np.uint8),
-        np.array([panel["time"] for panel in panels], "datetime64[ns]"),
-        tuple(part.reason for part in parts),
-    )
+        notes, *row = _judge(panel, context)
+        if notes:
+            text = f"{panel['name']}: {'; '.join(notes)}"
+            warnings.warn(PaintWarning(text, code="panel-doubtful"), stacklevel=2)
+        rows.append(row)
+    *spectra, states, reasons = zip(*rows, strict=True)
+    time = np.array([panel["time"] for panel in panels], "datetime64[ns]")
+    return PanelClosure._make([*map(np.array, spectra), np.array(states, np.uint8), time, reasons])
 
 
-def _judge(panel: Mapping[str, Any], context: PanelContext) -> _PanelResult:
+def _judge(panel: Mapping[str, Any], context: PanelContext) -> tuple[Any, ...]:
+    # Return the texts of a warning, and the row of a `PanelClosure`, without the time.
     observed = np.asarray(panel["observed"], np.float64)
     expected = np.asarray(panel["reflectance"], np.float64)
     is_valid = np.isfinite(observed)
@@ -258,7 +237,7 @@ def _judge(panel: Mapping[str, Any], context: PanelContext) -> _PanelResult:
         )
     state |= REFUSED if reasons else 0
     share_used = 1.0 - (is_foreign[:, None, :] | ~is_valid).mean(axis=(0, 2))
-    return _PanelResult(scale, factor, u, mean_u, share_used, state, tuple(notes), "; ".join(reasons))
+    return notes, scale, factor, u, mean_u, share_used, state, "; ".join(reasons)
 
 
 def _brightness_and_outliers(observed: Floats, clean: NDArray[np.bool_]) -> tuple[Floats, NDArray[np.bool_]]:
@@ -366,42 +345,27 @@ def _change_by_attitude(
 
     fitted to medians of neighbouring bands, with :math:`w` the direct share of the sky that fits best.
     """
-    best = None
+    best_residual, change, level = np.inf, 0.0, 1.0
     for direct in () if direct_share is None else direct_share:
         is_usable = context.good & np.isfinite(factor) & np.isfinite(direct)
         bands = np.flatnonzero(is_usable)[np.argsort(context.wavelength[is_usable], kind="stable")]
         if bands.size < 5 or np.ptp(direct[bands]) < RULES.least_contrast:
             continue
         groups = np.array_split(bands, min(16, bands.size))
-        direct_medians, factor_medians = (
-            np.array([np.median(spectrum[group]) for group in groups]) for spectrum in (direct, factor)
-        )
-        fit = _LineFit.through(direct_medians, factor_medians)
-        best = fit if best is None or fit.residual < best.residual else best
-    if best is None:
-        return 0.0, 1.0
-    change = best.slope / best.level * best.middle
-    is_lean = (
-        abs(change) >= RULES.least_lean
-        and abs(best.slope) >= RULES.lean_significance * best.slope_u
-        and best.residual <= RULES.lean_misfit * abs(best.slope) * best.spread
-    )
-    return (change if is_lean else 0.0), best.level
-
-
-class _LineFit(NamedTuple):
-    level: float
-    slope: float
-    slope_u: float
-    residual: float  # Standard deviation of the residuals
-    middle: float  # Median and standard deviation of x
-    spread: float
-
-    @classmethod
-    def through(cls, x: Floats, y: Floats) -> _LineFit:
+        x, y = (np.array([np.median(spectrum[group]) for group in groups]) for spectrum in (direct, factor))
+        # straight line, with the standard deviation of its residuals
         spread = float(x.std())
         slope = float(np.mean((x - x.mean()) * (y - y.mean()))) / spread**2
-        level = float(y.mean() - slope * x.mean())
-        residual = float(np.sqrt(((y - level - slope * x) ** 2).sum() / (x.size - 2)))
-        slope_u = residual / (spread * float(np.sqrt(x.size)))
-        return cls(level, slope, slope_u, residual, float(np.median(x)), spread)
+        intercept = float(y.mean() - slope * x.mean())
+        residual = float(np.sqrt(((y - intercept - slope * x) ** 2).sum() / (x.size - 2)))
+        if residual < best_residual:
+            best_residual, level = residual, intercept
+            change = slope / level * float(np.median(x))
+            slope_u = residual / (spread * float(np.sqrt(x.size)))
+            is_lean = (
+                abs(change) >= RULES.least_lean
+                and abs(slope) >= RULES.lean_significance * slope_u
+                and residual <= RULES.lean_misfit * abs(slope) * spread
+            )
+            change = change if is_lean else 0.0
+    return change, level

@@ -181,10 +181,9 @@ def panel_inputs(
                 )
     problems.raise_if_any()
     names = [name for name in _STATED if name in dataset.variables]
-    stated = {name: slabs.small(array) for name, array in require(dataset, names, "panels").items()}
     return {
         "panels": [_inputs_of_panel(dataset, panel, reflectance) for panel in panels],
-        "stated": stated,
+        "stated": {name: slabs.small(array) for name, array in require(dataset, names, "panels").items()},
         "has_scale": dataset.attrs.get("absolute_scale") != "unknown",
     }
 
@@ -213,31 +212,23 @@ def _inputs_of_panel(
         "name": f"the panel at lines {min(lines)} to {max(lines)}",
     }
     if "counts" in dataset.variables:
-        highest = reflectance(region.assign(counts=_highest_counts(region)), tilt=panel.tilt)
-        inputs["ceiling"] = highest["reflectance"].isel(columns).data
+        # reflectance of the highest unsaturated counts; masked elements, which receive no light, and elements
+        # without a limit keep their counts
+        counts = region["counts"]
+        limit = np.ceil(region["saturation_count"].astype(np.float64) - SATURATION_MARGIN_COUNTS) - 1.0
+        keep_counts = np.isnan(limit)
+        if "masked" in region.variables:
+            keep_counts = keep_counts | region["masked"]
+        highest = xr.where(keep_counts, counts, limit).transpose(*counts.dims).astype(counts.dtype)
+        brightest = reflectance(region.assign(counts=highest.assign_attrs(counts.attrs)), tilt=panel.tilt)
+        inputs["ceiling"] = brightest["reflectance"].isel(columns).data
     return inputs
-
-
-def _highest_counts(region: xr.Dataset) -> xr.DataArray:
-    counts = region["counts"]
-    highest_unsaturated = (
-        np.ceil(region["saturation_count"].astype(np.float64) - SATURATION_MARGIN_COUNTS) - 1.0
-    )
-    # keep the counts of masked elements, which receive no light, and of elements without a limit
-    keep_counts = np.isnan(highest_unsaturated)
-    if "masked" in region.variables:
-        keep_counts = keep_counts | region["masked"]
-    highest = xr.where(keep_counts, counts, highest_unsaturated).transpose(*counts.dims)
-    labelled_counts: xr.DataArray = highest.astype(counts.dtype).assign_attrs(counts.attrs)
-    return labelled_counts
 
 
 def closure_variables(plan: Any, panels: int, bands: int, lines: int) -> dict[str, xr.DataArray]:
     """Return the results of a plan's panels as variables, lazily."""
-    flag_attrs = {"flag_masks": 1 << np.arange(len(PANEL_STATES), dtype=np.uint8)}
-    attrs: dict[str, dict[str, Any]] = {
-        "panel_state": {**flag_attrs, "flag_meanings": " ".join(PANEL_STATES)}
-    }
+    masks = 1 << np.arange(len(PANEL_STATES), dtype=np.uint8)
+    attrs = {"panel_state": {"flag_masks": masks, "flag_meanings": " ".join(PANEL_STATES)}}
     variables = {}
     for name in (*CLOSURE, "panel_weight", "panel_scale_u"):
         spec = VARIABLES[name]

@@ -23,7 +23,7 @@ from .line_inputs import plan_inputs
 from .panels import declared_panels, declared_scale
 from .plan_cache import PLANS, Entry, Origin
 from .planning import make_plan
-from .slabs import Plan, calibrate_lines
+from .slabs import NO_CUBE, Plan, calibrate_lines
 from .spectral_axis import bands_at
 
 Place = int | slice
@@ -32,7 +32,6 @@ Place = int | slice
 BLOCK_LINES = 2 * CHUNK_LINES
 
 _NO_QUALITY = np.empty((0, 0), np.uint16)
-_NO_CUBE = np.empty((0, 0, 0), np.float32)
 
 
 @takes_quantities(wavelength="nm")
@@ -130,11 +129,14 @@ def _entry_of(line: xr.Dataset) -> Entry:
     if entry is None:
         (values,) = dask.compute(inputs, scheduler=scheduler_in_force())
         entry = Entry(Origin(line, options), make_plan(shape, dtype.str, np.zeros(1, np.int64), **values))
-    small_names = [name for name in line.coords if set(line[name].dims) <= set(CUBE) and line[name].ndim < 2]
-    smile = {"wavelength_shift"} & set(line.coords)
+    # small coordinates and the smile
+    coords = {
+        name: line[name]
+        for name in line.coords
+        if name == "wavelength_shift" or (set(line[name].dims) <= set(CUBE) and line[name].ndim < 2)
+    }
+    entry.labels = line[[]].assign_coords(coords).compute(scheduler=scheduler_in_force())
     attributes = {**applied(inputs["cube"]), "panel": "; ".join(map(str, scale_panels))}
-    labels = line[[]].assign_coords({name: line[name] for name in {*small_names, *smile}})
-    entry.labels = labels.compute(scheduler=scheduler_in_force())
     entry.labels.attrs = {name: text for name, text in attributes.items() if text}
     PLANS.add(entry)
     return entry
@@ -161,13 +163,17 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
     )
     cubes, flags = [], []
     samples = sizes[BAND] * sizes[CROSS_TRACK]
-    for numbers in _blocks(np.arange(sizes[ALONG_TRACK])[lines], samples // max(1, plan.gain.size)):
+    # blocks of lines that share storage chunks; small parts of lines are read in longer blocks
+    numbers_of_lines = np.arange(sizes[ALONG_TRACK])[lines]
+    first = numbers_of_lines.min(initial=sizes[ALONG_TRACK]) // CHUNK_LINES * CHUNK_LINES
+    block = (numbers_of_lines - first) // (BLOCK_LINES * max(1, samples // max(1, plan.gain.size)))
+    for numbers in np.split(numbers_of_lines, np.flatnonzero(np.diff(block)) + 1):
         rows_read = _range_of(numbers)
         counts = np.ascontiguousarray(_read_part(cube, (rows_read, *ranges_read)))
         if counts.dtype != np.uint16:
             counts = counts.astype(np.float32, copy=False)
         quality = np.empty(counts.shape[::2], np.uint16) if is_flagged else _NO_QUALITY
-        outputs = SlabOutputs(np.empty(counts.shape, np.float32), quality, _NO_CUBE, _NO_CUBE)
+        outputs = SlabOutputs(np.empty(counts.shape, np.float32), quality, NO_CUBE, NO_CUBE)
         calibrate_lines(plan, counts, rows_read.start, outputs)
         rows = slice(None) if isinstance(lines, slice) else numbers - rows_read.start
         cubes.append(outputs.cube[rows][:, selected[0]][:, :, selected[1]])
@@ -177,13 +183,12 @@ def _calibrated(line: xr.Dataset, entry: Entry, chosen: dict[str, Any]) -> xr.Da
     values = schema.label(xr.DataArray(_joined(cubes), dims=CUBE), "reflectance", **labels.attrs)
     products = {"reflectance": values.variable}
     if is_flagged:
-        earlier_quality = None
+        earlier = None
         if "quality" in line.variables:
             stored = schema.require(line, ["quality"], "reflectance")["quality"]
-            earlier_quality = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable.compute(
-                scheduler=scheduler_in_force()
-            )
-        merged = merged_quality("reflectance", _joined(flags), earlier_quality, anew=is_from_counts)
+            part = stored.isel({ALONG_TRACK: lines, CROSS_TRACK: columns}).variable
+            earlier = part.compute(scheduler=scheduler_in_force())
+        merged = merged_quality("reflectance", _joined(flags), earlier, anew=is_from_counts)
         products["quality"] = merged.variable
     return labels.assign(products).assign_attrs(line.attrs)
 
@@ -196,14 +201,6 @@ def _range_of(positions: Any) -> slice:
 
 def _joined(blocks: list[Array]) -> Array:
     return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-
-
-def _blocks(numbers: Array, times: int) -> list[Array]:
-    # Split numbers of lines into blocks that share storage chunks, of `times` the usual number of lines.
-    if not numbers.size:
-        return [np.zeros(0, np.int64)]
-    block = (numbers - numbers.min() // CHUNK_LINES * CHUNK_LINES) // (BLOCK_LINES * max(1, times))
-    return np.split(numbers, np.flatnonzero(np.diff(block)) + 1)
 
 
 def _part_of_plan(plan: Plan, bands: Any, columns: slice) -> Plan:

@@ -35,7 +35,7 @@ MAX_PENDING_PLANS = 16
 
 class _VariableState:
     def __init__(self, variable: xr.Variable) -> None:
-        self.layout = _layout(variable)
+        self.layout = (variable.dims, variable.shape, variable.dtype)
         self.attrs = dict(variable.attrs)
         self.values = None if _is_lazy(variable) else np.array(variable.values)
         data = variable._data
@@ -47,7 +47,8 @@ class _VariableState:
             self.source = lambda: data
 
     def matches(self, variable: xr.Variable) -> bool:
-        if self.layout != _layout(variable) or not xr.core.utils.dict_equiv(self.attrs, variable.attrs):
+        layout = (variable.dims, variable.shape, variable.dtype)
+        if self.layout != layout or not xr.core.utils.dict_equiv(self.attrs, variable.attrs):
             return False
         if self.values is None:
             data = variable._data
@@ -61,14 +62,6 @@ class _VariableState:
         # compare bytes: NaN equals NaN, and the sign of zero matters
         stored, current = (np.ascontiguousarray(a).reshape(-1).view(np.uint8) for a in (self.values, values))
         return bool(np.array_equal(stored, current))
-
-    @property
-    def nbytes(self) -> int:
-        return 0 if self.values is None else self.values.nbytes
-
-
-def _layout(variable: xr.Variable) -> tuple[Any, ...]:
-    return variable.dims, variable.shape, variable.dtype
 
 
 def _is_lazy(variable: xr.Variable) -> bool:
@@ -86,7 +79,8 @@ class Origin:
         self._states = {name: _VariableState(variable) for name, variable in _small(line).items()}
         self._attrs = dict(line.attrs)
         self._options = (*options, "counts" in line.variables)
-        self.nbytes = sum(state.nbytes for state in self._states.values())
+        copies = (state.values for state in self._states.values())
+        self.nbytes = sum(values.nbytes for values in copies if values is not None)
 
     def is_of(self, line: xr.Dataset, options: tuple[Any, ...]) -> bool:
         """Return whether a line with these options gives the same plan."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -132,7 +132,22 @@ def _split(
     # Return the diffuse fraction (sample, band), None where unknown, and the number of the sky state
     # (sample,).
     if "diffuse_fraction" in light:
-        return _split_of_lines(light, stamps, wavelength.size)
+        fraction = np.atleast_2d(np.asarray(light["diffuse_fraction"], np.float64))
+        time = np.asarray(light["time"]).astype("datetime64[ns]")
+        # one row per sample, or one row for all samples
+        rows = np.minimum(np.arange(stamps.size), len(fraction) - 1)
+        if len(fraction) == time.size:  # the line nearest to every sample
+            lines = np.flatnonzero(~np.isnat(time))
+            if not lines.size:
+                return None, np.zeros(stamps.size, np.int8)
+            # float64 seconds resolve stamps of a flight to a microsecond
+            line_seconds, sample_seconds = (
+                (moments - time[lines[0]]) / np.timedelta64(1, "s") for moments in (time[lines], stamps)
+            )
+            rows = lines[np.abs(line_seconds[:, None] - sample_seconds).argmin(axis=0)]
+        state = np.asarray(light.get("sky_state", SKY_STATES.index("overcast"))).ravel()
+        state = state[rows] if state.size == len(fraction) else np.broadcast_to(state[:1], rows.shape)
+        return np.broadcast_to(fraction, (len(fraction), wavelength.size))[rows], state
     channels = xr.Variable(
         IRRADIANCE_WAVELENGTH, light["irradiance_wavelength"], VARIABLES[IRRADIANCE_WAVELENGTH].attrs
     )
@@ -151,26 +166,6 @@ def _split(
     except SchemaError:  # a record without channels in the compared intervals
         return None, np.zeros(stamps.size, np.int8)
     return split["diffuse_fraction"].values.astype(np.float64), split["sky_state"].values
-
-
-def _split_of_lines(light: Mapping[str, Any], stamps: Array, bands: int) -> tuple[Floats | None, Array]:
-    # Return fraction and state of the line nearest to every sample; None if no line has a time.
-    fraction = np.atleast_2d(np.asarray(light["diffuse_fraction"], np.float64))
-    time = np.asarray(light["time"]).astype("datetime64[ns]")
-    if len(fraction) == time.size:
-        lines = np.flatnonzero(~np.isnat(time))
-        if not lines.size:
-            return None, np.zeros(stamps.size, np.int8)
-        # float64 seconds resolve stamps of a flight to a microsecond
-        line_seconds, sample_seconds = (
-            (moments - time[lines[0]]) / np.timedelta64(1, "s") for moments in (time[lines], stamps)
-        )
-        rows = lines[np.abs(line_seconds[:, None] - sample_seconds).argmin(axis=0)]
-    else:  # one row per sample, or one row for all samples
-        rows = np.minimum(np.arange(stamps.size), len(fraction) - 1)
-    state = np.asarray(light.get("sky_state", SKY_STATES.index("overcast"))).ravel()
-    state = state[rows] if state.size == len(fraction) else np.broadcast_to(state[:1], rows.shape)
-    return np.broadcast_to(fraction, (len(fraction), bands))[rows], state
 
 
 NOISE_MARGIN_SD = 5.0
@@ -254,16 +249,16 @@ def make_plan(
         series, neighbours, misfit = _illuminate(cube, light, time, smile, tilt)
         line_flags |= neighbours.flags
     # scale by panels
-    scale, panel_result = np.ones(bands), _PanelResult()
+    scale, closure, panel_weights, panel_u = np.ones(bands), None, None, None
     if panel is not None:
         if "factor" in panel:  # panels that were measured before
             is_refused = (np.asarray(panel["state"]) & REFUSED) != 0
-            scale, weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), is_refused)
-            panel_result = _PanelResult(None, weights, np.asarray(panel["scale_u"], np.float64))
+            scale, panel_weights = scale_of_factors(panel["factor"], np.asarray(panel["weight"]), is_refused)
+            panel_u = np.asarray(panel["scale_u"], np.float64)
         else:
-            scale, panel_result = _panel_scale(panel, cube, light, good, lines)
-        if uncertain is not None and panel_result.u is not None:
-            uncertain = {**uncertain, "panel_u": float(np.nanmax(panel_result.u))}
+            scale, closure, panel_weights, panel_u = _panel_scale(panel, cube, light, good, lines)
+        if uncertain is not None:
+            uncertain = {**uncertain, "panel_u": float(np.nanmax(panel_u))}
     # margin below the dark that noise explains, for good elements only
     read_noise = np.asarray(cube.get("read_noise", DEFAULT_READ_NOISE_COUNTS), np.float64)
     margin = NOISE_MARGIN_SD * np.sqrt(read_noise**2 + QUANTISATION_VARIANCE_COUNT2)
@@ -281,9 +276,9 @@ def make_plan(
         gain=gain,
         rate=np.where(line_flags & Quality.NO_DATA, np.nan, 1.0 / exposure),
         scale=scale,
-        closure=panel_result.closure,
-        panel_weights=panel_result.weights,
-        panel_u=panel_result.u,
+        closure=closure,
+        panel_weights=panel_weights,
+        panel_u=panel_u,
         series=series,
         lines=neighbours,
         misfit=misfit,
@@ -442,7 +437,19 @@ def _darks_in_exposure(dark: Array, dark_exposure: Floats, exposure: Floats) -> 
             mend="take a dark at the line's exposure, or darks at two exposures, for bias and rate",
             code="dark-exposure-differs",
         )
-    _check_extrapolation(dark_exposure, exposure)
+    # lines beyond the exposures of the darks
+    below, above = dark_exposure.min() - exposure.min(), exposure.max() - dark_exposure.max()
+    spans = max(below, above) / np.ptp(dark_exposure)
+    if spans > TRUSTED_DARK_SPANS * (1.0 + SAME_EXPOSURE_SHARE):
+        farthest = exposure.max() if above >= below else exposure.min()
+        text = (
+            f"darks at {dark_exposure.min() * 1e3:g} to {dark_exposure.max() * 1e3:g} ms are extrapolated to "
+            f"{farthest * 1e3:g} ms, {spans:.1f} times the interval between them"
+        )
+        mend, code = "take a dark at the line's exposure", "dark-exposure-differs"
+        if spans > MAX_DARK_SPANS:
+            raise SchemaError(text, expected=f"at most {MAX_DARK_SPANS:g}", mend=mend, code=code)
+        warnings.warn(PaintWarning(f"{text}: {mend}", code=code), stacklevel=2)
     centred = dark_exposure - dark_exposure.mean()
     rate = np.tensordot(centred, dark, axes=(0, 0)) / (centred @ centred)
     shortest, longest = exposure.min(), exposure.max()
@@ -455,30 +462,6 @@ def _darks_in_exposure(dark: Array, dark_exposure: Floats, exposure: Floats) -> 
     if longest == shortest:
         return fitted[:1], index, np.zeros(exposure.size, np.float32)
     return fitted, index, ((exposure - shortest) / (longest - shortest)).astype(np.float32)
-
-
-def _check_extrapolation(dark_exposure: Floats, exposure: Floats) -> None:
-    # Warn of lines beyond the exposures of the darks; raise SchemaError for lines far beyond.
-    below, above = dark_exposure.min() - exposure.min(), exposure.max() - dark_exposure.max()
-    spans = max(below, above) / np.ptp(dark_exposure)
-    if spans <= TRUSTED_DARK_SPANS * (1.0 + SAME_EXPOSURE_SHARE):
-        return
-    farthest = exposure.max() if above >= below else exposure.min()
-    text = (
-        f"darks at {dark_exposure.min() * 1e3:g} to {dark_exposure.max() * 1e3:g} ms are extrapolated to "
-        f"{farthest * 1e3:g} ms, {spans:.1f} times the interval between them"
-    )
-    if spans > MAX_DARK_SPANS:
-        raise SchemaError(
-            f"{text}",
-            expected=f"at most {MAX_DARK_SPANS:g}",
-            mend="take a dark at the line's exposure",
-            code="dark-exposure-differs",
-        )
-    warnings.warn(
-        PaintWarning(f"{text}: take a dark at the line's exposure", code="dark-exposure-differs"),
-        stacklevel=2,
-    )
 
 
 def _saturation_limit(cube: Mapping[str, Any], dtype: np.dtype[Any]) -> Array:
@@ -565,20 +548,15 @@ def _levels(spectra: Floats, channels: Floats) -> Floats:
     )
 
 
-class _PanelResult(NamedTuple):
-    closure: PanelClosure | None = None
-    weights: Floats | None = None
-    u: Floats | None = None
-
-
 def _panel_scale(
     inputs: Mapping[str, Any],
     cube: Mapping[str, Any],
     light: Mapping[str, Any] | None,
     good: Array,
     lines: int,
-) -> tuple[Floats, _PanelResult]:
-    # Return the scale by panels in the form of a `Plan`; `inputs` as of `panels.panel_inputs`.
+) -> tuple[Floats, PanelClosure, Floats | None, Floats]:
+    # Return the scale by panels in the form of a `Plan`, with results, weights and uncertainties (line,);
+    # `inputs` as of `panels.panel_inputs`.
     # combined uncertainty of gain and irradiance, as stated or by default
     wavelength = np.asarray(cube["wavelength"], np.float64)
     stated = {name: np.asarray(value, np.float64) for name, value in inputs["stated"].items()}
@@ -590,35 +568,25 @@ def _panel_scale(
     line_u = np.broadcast_to(np.hypot(gain, record), wavelength.shape)
     # factor of every panel
     time = np.asarray(cube["time"]).astype("datetime64[ns]")
-    panels = [{**panel, **_time_and_direct_share(panel, cube, light, time)} for panel in inputs["panels"]]
+    is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))
+    panels = []
+    for panel in inputs["panels"]:
+        stamps = time[slice(*panel["lines"])]
+        stamps = stamps[~np.isnat(stamps)]
+        if not stamps.size:
+            raise TimeError(f"{panel['name']}: its lines have no time", code="time-missing")
+        middle_time, share = stamps[0] + (stamps[-1] - stamps[0]) // 2, None
+        if light is not None and is_located:
+            share = direct_share({**light, "time": time}, middle_time, wavelength, _mean_position(cube))
+        panels.append({**panel, "time": middle_time, "direct_share": share})
     closure = judge_panels(tuple(panels), PanelContext(wavelength, good, line_u, inputs["has_scale"]))
     if not inputs["refuses"]:
-        return np.ones(good.size), _PanelResult(closure, u=np.full(lines, np.nan))
+        return np.ones(good.size), closure, None, np.full(lines, np.nan)
     # scale of all lines, from a single panel or interpolated between several
     usable = usable_panels(closure)
     declared_u = max(float(panels[k]["uncertainty"]) for k in usable)
     if usable.size == 1:
         noise = float(np.nanmedian(closure.mean_u[usable[0]]))
-        return closure.scale[usable[0]], _PanelResult(closure, u=np.full(lines, np.hypot(declared_u, noise)))
+        return closure.scale[usable[0]], closure, None, np.full(lines, np.hypot(declared_u, noise))
     scale, weights, u = panel_correction(closure.at(usable), time)
-    return scale, _PanelResult(closure, weights, np.hypot(declared_u, u))
-
-
-def _time_and_direct_share(
-    panel: Mapping[str, Any], cube: Mapping[str, Any], light: Mapping[str, Any] | None, time: Array
-) -> dict[str, Any]:
-    stamps = time[slice(*panel["lines"])]
-    stamps = stamps[~np.isnat(stamps)]
-    if not stamps.size:
-        raise TimeError(f"{panel['name']}: its lines have no time", code="time-missing")
-    middle_time = stamps[0] + (stamps[-1] - stamps[0]) // 2
-    share = None
-    is_located = all(name in cube and np.isfinite(cube[name]).any() for name in ("latitude", "longitude"))
-    if light is not None and is_located:
-        share = direct_share(
-            {**light, "time": time},
-            middle_time,
-            np.asarray(cube["wavelength"], np.float64),
-            _mean_position(cube),
-        )
-    return {"time": middle_time, "direct_share": share}
+    return scale, closure, weights, np.hypot(declared_u, u)

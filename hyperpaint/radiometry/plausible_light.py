@@ -58,8 +58,15 @@ class LightLevel(NamedTuple):
 
 def light_level(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamps: Array) -> LightLevel:
     """Return the brightness of the spectra (sample, channel) that light a line, at its place and time."""
-    zenith = _highest_sun(cube, stamps)
-    clear = _clear_median(zenith, channels) if zenith <= RULES.max_zenith else math.nan
+    # smallest zenith angle of the sun; NaN where the position is unknown
+    zenith = clear = math.nan
+    coordinates = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
+    if all(np.isfinite(degrees).any() for degrees in coordinates) and stamps.size:
+        position = [float(degrees[np.isfinite(degrees)].mean()) for degrees in coordinates]
+        zenith = float(np.min(solar_position(stamps, *position)[0]))
+    if zenith <= RULES.max_zenith:
+        nm = channels[(channels >= 300.0) & (channels <= 2500.0)][:: max(1, channels.size // 200)]
+        clear = brightest_median(nm, np.asarray(sum(ClearSky(zenith).irradiance(nm)))[None])
     return LightLevel(brightest_median(channels, np.asarray(spectra, np.float64)), zenith, clear)
 
 
@@ -94,20 +101,6 @@ def check_light(cube: Mapping[str, Any], spectra: Array, channels: Floats, stamp
     if is_doubtful:
         text = f"{found}, {comparison}; check its units, its time, and the line's place"
         warnings.warn(PaintWarning(text, code="irradiance-level"), stacklevel=2)
-
-
-def _highest_sun(cube: Mapping[str, Any], stamps: Array) -> float:
-    # Return the smallest zenith angle of the sun [degree]; NaN where the position is unknown.
-    coordinates = [np.asarray(cube.get(name, np.nan), np.float64) for name in ("latitude", "longitude")]
-    if not all(np.isfinite(degrees).any() for degrees in coordinates) or not stamps.size:
-        return math.nan
-    latitude, longitude = (float(degrees[np.isfinite(degrees)].mean()) for degrees in coordinates)
-    return float(np.min(solar_position(stamps, latitude, longitude)[0]))
-
-
-def _clear_median(zenith: float, channels: Floats) -> float:
-    wavelengths = channels[(channels >= 300.0) & (channels <= 2500.0)][:: max(1, channels.size // 200)]
-    return brightest_median(wavelengths, np.asarray(sum(ClearSky(zenith).irradiance(wavelengths)))[None])
 
 
 def warn_of_lost_bands(spectra: Array, channels: Floats, matched: Floats, wavelength: Floats) -> None:

@@ -229,24 +229,19 @@ def line_chunked(cube: xr.DataArray) -> xr.DataArray:
         line_bytes = cube.sizes[CUBE[1]] * cube.sizes[CUBE[2]] * np.dtype(np.float32).itemsize
         lines = lines_a_task(line_bytes, CHUNK_LINES)
         if cube.variable._in_memory:
-            return cube.copy(data=_in_slabs(cube.values, lines))
+            # views with a random name: dask would hash the values, which takes longer than calibrating them
+            values, name = cube.values, f"lines-{uuid.uuid4().hex}"
+            starts = range(0, max(len(values), 1), lines)
+            views = {(name, n, 0, 0): values[start : start + lines] for n, start in enumerate(starts)}
+            chunks = (tuple(map(len, views.values())), *((size,) for size in values.shape[1:]))
+            return cube.copy(data=da.Array(views, name, chunks, meta=values[:0]))
         return cube.chunk({CUBE[0]: lines, CUBE[1]: -1, CUBE[2]: -1})
     if any(len(cube.variable.chunksizes[dim]) > 1 for dim in CUBE[1:]):
         return cube.chunk({CUBE[1]: -1, CUBE[2]: -1})
     return cube
 
 
-def _in_slabs(values: Array, lines: int) -> da.Array:
-    # Return values (line, band, column) in memory as a dask array of views.
-    # Its name is random: dask would hash the values, which takes longer than calibrating them.
-    name = f"lines-{uuid.uuid4().hex}"
-    starts = range(0, max(len(values), 1), lines)
-    slabs = {(name, number, 0, 0): values[start : start + lines] for number, start in enumerate(starts)}
-    chunks = (tuple(map(len, slabs.values())), *((size,) for size in values.shape[1:]))
-    return da.Array(slabs, name, chunks, meta=values[:0])
-
-
-_NO_CUBE = np.empty((0, 0, 0), np.float32)
+NO_CUBE = np.empty((0, 0, 0), np.float32)
 
 
 def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> None:
@@ -290,26 +285,21 @@ def calibrate_lines(plan: Plan, counts: Array, start: int, out: SlabOutputs) -> 
 
         stray = plan.stray._replace(smear=plan.stray.smear[lines])
         subtract_stray_light(counts, calibration, light, stray, rounding(plan.cleared_bits), out)
-    if not is_integer and out.quality.size:
-        _flag_floats(plan, counts, lines, out.quality)
-
-
-def _flag_floats(plan: Plan, counts: Array, lines: slice, quality: Array) -> None:
     # Flag pixels without counts, and pixels whose counts are means that may include a saturated reading.
     # One of two or more readings may be saturated where their mean is halfway from the dark to the limit.
     # All bands of a pixel are judged together, since a mean can be an integer.
     is_flaggable = np.isfinite(plan.noise_margin)
-    if not is_flaggable.any():  # radiance
+    if is_integer or not out.quality.size or not is_flaggable.any():  # none of radiance
         return
-    for line, (row, number) in enumerate(zip(counts, range(lines.start, lines.stop), strict=False)):
+    for quality, row, number in zip(out.quality, counts, range(lines.start, lines.stop), strict=True):
         if plan.line_flags[number] & Quality.NO_DATA:
             continue
-        quality[line, (np.isnan(row) & is_flaggable).any(axis=0)] |= np.uint16(Quality.NO_DATA)
+        quality[(np.isnan(row) & is_flaggable).any(axis=0)] |= np.uint16(Quality.NO_DATA)
         is_mean = ((np.rint(row) != row) & np.isfinite(row) & is_flaggable).any(axis=0)
         if is_mean.any():
             halfway = 0.5 * (plan.dark[plan.dark_index[number]] + plan.saturation_limit)
             may_be_saturated = is_mean & ((row >= halfway) & is_flaggable).any(axis=0)
-            quality[line, may_be_saturated] |= np.uint16(Quality.SATURATED)
+            quality[may_be_saturated] |= np.uint16(Quality.SATURATED)
             if may_be_saturated.any():
                 plan.warning_of_means  # noqa: B018
 
@@ -322,7 +312,7 @@ def run_slab(counts: Array, plan: Plan, block_id: tuple[int, ...]) -> tuple[Arra
     is_certain = plan.error_terms is None
     cube = np.empty(counts.shape, np.float32)
     quality = np.empty((counts.shape[0], counts.shape[2]), np.uint16)
-    cubes = (_NO_CUBE, _NO_CUBE) if is_certain else (np.empty_like(cube), np.empty_like(cube))
+    cubes = (NO_CUBE, NO_CUBE) if is_certain else (np.empty_like(cube), np.empty_like(cube))
     out = SlabOutputs(cube, quality, *cubes)
     calibrate_lines(plan, np.ascontiguousarray(counts), int(plan.starts[block_id[0]]), out)
     return out[:2] if is_certain else tuple(out)

@@ -266,30 +266,25 @@ def smooth(
     if schema.BAND not in dataset.dims:
         dataset = schema.rename_to_roles(dataset)
     problems = Problems("cannot smooth", SchemaError)
+    sizes = dict(dataset["reflectance"].sizes) if "reflectance" in dataset else {schema.BAND: window}
+    bands, orders = sizes.get(schema.BAND, window), f"0 to {window - 2} for a window of {window}"
     if "reflectance" not in dataset.variables:
-        problems.add(
-            "'reflectance' is missing", mend="call .paint.reflectance() first", code="variable-missing"
-        )
+        mend = "call .paint.reflectance() first"
+        problems.add("'reflectance' is missing", mend=mend, code="variable-missing")
     one_of(method, METHODS, "method", problems=problems)
-    if window < 3 or window % 2 == 0:
-        problems.add(
-            f"window {window}", expected="an odd number of bands, 3 or more", code="value-out-of-range"
-        )
-    bands = dataset["reflectance"].sizes.get(schema.BAND) if "reflectance" in dataset else window
-    if bands is None:
-        problems.add(
-            f"'reflectance' has dims {dataset['reflectance'].dims}",
-            expected="a dim 'band'",
-            code="dim-missing",
-        )
-    elif window > bands:
-        problems.add(f"window {window} is wider than the {bands} bands", code="value-out-of-range")
-    if method == "savitzky-golay" and not 0 <= order < window - 1:
-        problems.add(
-            f"order {order}",
-            expected=f"0 to {window - 2} for a window of {window}",
-            code="value-out-of-range",
-        )
+    for is_valid, found, expected, code in (
+        (
+            window >= 3 and window % 2 == 1,
+            f"window {window}",
+            "an odd number of bands, 3 or more",
+            "value-out-of-range",
+        ),
+        (schema.BAND in sizes, f"'reflectance' has dims {tuple(sizes)}", "a dim 'band'", "dim-missing"),
+        (window <= bands, f"window {window} is wider than the {bands} bands", "", "value-out-of-range"),
+        (method == "box" or 0 <= order < window - 1, f"order {order}", orders, "value-out-of-range"),
+    ):
+        if not is_valid:
+            problems.add(found, expected=expected, code=code)
     problems.raise_if_any()
     array = convert(dataset["reflectance"], "1")
     is_cube = set(schema.CUBE) == set(array.dims)
@@ -327,20 +322,12 @@ def smoothing_matrix(good: Array, options: Mapping[str, Any]) -> Array:
     return np.asarray(filtered["reflectance"].values.T)
 
 
-class WindowPolynomials(NamedTuple):
-    """Weights of the values in each band's window for its smoothed value."""
-
-    first: Array  #: (band,) int64: first band of the window
-    weights: Array  #: (band, width) float32
-    fallback: Array  #: (band, width, width) float32: row ``k`` has the weights without the ``k``-th value
-
-
 def _filter(
     values: Array,
     good: Array | None = None,
     *,
     window: int,
-    polynomials: WindowPolynomials | None = None,
+    polynomials: tuple[Array, Array, Array] | None = None,
     is_cube: bool,
 ) -> Array:
     from hyperpaint.kernels.spectral_axis import average_slab, filter_slab
@@ -356,13 +343,16 @@ def _filter(
     if polynomials is None:
         average_slab(filtered, window, out)
     else:
-        filter_slab(filtered, polynomials.weights, polynomials.first, polynomials.fallback, out)
+        first, weights, fallback = polynomials
+        filter_slab(filtered, weights, first, fallback, out)
     if is_bad is not None:
         out[:, is_bad] = spectra[:, is_bad]
     return out.reshape(values.shape)
 
 
-def _window_polynomials(window: int, order: int, bands: int) -> WindowPolynomials:
+def _window_polynomials(window: int, order: int, bands: int) -> tuple[Array, Array, Array]:
+    # Return the first band of each band's window (band,) int64, the weights of its values (band, width)
+    # float32, and (band, width, width) float32, whose row k has the weights without the k-th value.
     first = np.clip(np.arange(bands) - window // 2, 0, bands - window)
     centres = np.arange(bands) - first
     position = np.arange(window)
@@ -372,9 +362,7 @@ def _window_polynomials(window: int, order: int, bands: int) -> WindowPolynomial
         for gap in position:
             is_used = position != gap
             gap_weights[centre, gap, is_used] = _polynomial_weights(position[is_used] - centre, order)
-    return WindowPolynomials(
-        first, complete_weights[centres].astype(np.float32), gap_weights[centres].astype(np.float32)
-    )
+    return first, complete_weights[centres].astype(np.float32), gap_weights[centres].astype(np.float32)
 
 
 def _polynomial_weights(distance: Array, order: int) -> Array:

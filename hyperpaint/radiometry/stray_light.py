@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperpaint.base.arrays import Array, Bools, Floats, Ints
+from hyperpaint.base.arrays import Array, Floats, Ints
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.kernels.arguments import StrayLight
 
@@ -58,19 +58,15 @@ def inverse_of(matrix: Floats, name: str) -> Floats:
 
 def check_stray_light(cube: Mapping[str, Any], bands: int, exposure: Floats, problems: Problems) -> None:
     """Add problems of stray light that does not fit the bands of a cube, or is too large to subtract."""
-    if STRAY in cube and np.shape(cube[STRAY]) != (bands, bands):
-        problems.add(
-            f"{STRAY!r} has {np.shape(cube[STRAY])[1]} bands, this line {bands}",
-            mend="select bands after computing reflectance, or drop the variable",
-            code="bands-selected",
-        )
+    shape = np.shape(cube[STRAY]) if STRAY in cube else (bands, bands)
     shifted_bands = cube.get("shifted_bands") or bands
-    if shifted_bands != bands:
-        problems.add(
-            f"{SHIFT_TIME!r} belongs to {shifted_bands} bands, this line has {bands}",
-            mend="select bands after computing reflectance, or drop the variable",
-            code="bands-selected",
-        )
+    for is_valid, found in (
+        (shape == (bands, bands), f"{STRAY!r} has {shape[1]} bands, this line {bands}"),
+        (shifted_bands == bands, f"{SHIFT_TIME!r} belongs to {shifted_bands} bands, this line has {bands}"),
+    ):
+        if not is_valid:
+            mend = "select bands after computing reflectance, or drop the variable"
+            problems.add(found, mend=mend, code="bands-selected")
     relative = float(cube.get(STRAY_U, 0.0))
     if not 0.0 <= relative < 1.0:
         problems.add(
@@ -97,13 +93,39 @@ def stray_light_of(cube: Mapping[str, Any], exposure: Floats, gain: Array, maske
     bands = len(gain)
     band_terms, source_terms = np.zeros((bands, 0)), np.zeros((0, bands))
     if STRAY in cube:
-        band_terms, source_terms = _terms(np.asarray(cube[STRAY], np.float64))
+        # `1 - (1 + D)^{-1}` as a product (band, term), (term, band), of the fewest sufficient terms
+        residual = np.eye(bands) - inverse_of(np.asarray(cube[STRAY], np.float64), STRAY)
+        left, size, right = np.linalg.svd(residual)
+        for term in range(len(size) + 1):
+            if np.abs(residual).sum(axis=1).max() <= MAX_TRUNCATED:
+                break
+            residual -= np.outer(left[:, term] * size[term], right[term])
+        band_terms, source_terms = left[:, :term] * size[:term], right[:term]
+    # column, band and replacement band of every bad element; -1 without a replacement
+    is_bad, is_masked = np.isnan(gain), np.zeros(gain.shape, bool)
+    is_masked[tuple(masked.T)] = True
+    replacements = []
+    for band, column in np.argwhere(is_bad):
+        good_bands, nearest = np.flatnonzero(~is_bad[:, column]), -1
+        if good_bands.size and not is_masked[band, column]:
+            nearest = int(good_bands[np.argmin(np.abs(good_bands - band))])
+        replacements.append((column, band, nearest))
+    # gains relative to their trend along the columns, a parabola, which is caused by smile, and so belongs to
+    # the light
+    position = np.linspace(-1.0, 1.0, gain.shape[1])
+    terms = np.stack([np.ones_like(position), position, position * position], axis=1)
+    level = np.ones(gain.shape)
+    for row, values in zip(level, gain.astype(np.float64), strict=True):
+        is_finite = np.isfinite(values)
+        if is_finite.sum() > terms.shape[1]:
+            trend = terms @ np.linalg.lstsq(terms[is_finite], values[is_finite], rcond=None)[0]
+            row[is_finite] = (values / trend)[is_finite]
     return StrayLight(
         _padded(band_terms, 1),
         _padded(_padded(source_terms, 0), 1),
         smear_of(float(cube.get(SHIFT_TIME, 0.0)), exposure, bands).astype(np.float32),
-        _replacements(np.isnan(gain), masked),
-        _element_levels(gain),
+        np.array(replacements, np.int64).reshape(-1, 3),
+        np.asarray(np.where(level > 0.0, level, 1.0), np.float32),
         np.float32(cube.get(STRAY_U, 0.0)),
     )
 
@@ -119,58 +141,14 @@ def smear_of(shift_time: float, exposure: Any, bands: int) -> Any:
 
 def described(cube: Mapping[Any, Any]) -> str | None:
     """Return the description of the subtracted light for an attribute; None for nothing."""
-    parts = []
-    if STRAY in cube:
-        parts.append("scattered light by the matrix of the calibration")
-    if SHIFT_TIME in cube:
-        parts.append("smear by the time in which a frame is shifted")
-    return ", ".join(parts) or None
-
-
-def _terms(matrix: Floats) -> tuple[Array, Array]:
-    # Return `1 - (1 + D)^{-1}` as a product (band, term), (term, band), of the fewest sufficient terms.
-    residual = np.eye(len(matrix)) - inverse_of(matrix, STRAY)
-    left, size, right = np.linalg.svd(residual)
-    for term in range(len(size) + 1):
-        if np.abs(residual).sum(axis=1).max() <= MAX_TRUNCATED:
-            break
-        residual -= np.outer(left[:, term] * size[term], right[term])
-    return left[:, :term] * size[:term], right[:term]
+    descriptions = {
+        STRAY: "scattered light by the matrix of the calibration",
+        SHIFT_TIME: "smear by the time in which a frame is shifted",
+    }
+    return ", ".join(text for name, text in descriptions.items() if name in cube) or None
 
 
 def _padded(values: Array, axis: int) -> Array:
     pad = [(0, 0)] * values.ndim
     pad[axis] = (0, -values.shape[axis] % _PAD)
     return np.ascontiguousarray(np.pad(values, pad), np.float32)
-
-
-def _replacements(is_bad: Bools, masked: Ints) -> Ints:
-    # Return column, band and replacement band of every bad element (n, 3); -1 without a replacement.
-    is_good = ~is_bad
-    is_masked = np.zeros(is_bad.shape, bool)
-    is_masked[tuple(masked.T)] = True
-    rows = []
-    for band, column in np.argwhere(is_bad):
-        good_bands = np.flatnonzero(is_good[:, column])
-        nearest = (
-            int(good_bands[np.argmin(np.abs(good_bands - band))])
-            if good_bands.size and not is_masked[band, column]
-            else -1
-        )
-        rows.append((column, band, nearest))
-    return np.array(rows, np.int64).reshape(-1, 3)
-
-
-def _element_levels(gain: Array) -> Array:
-    # Return gains relative to their trend along the columns (band, column) [1].
-    # The trend, a parabola, is caused by smile, and so belongs to the light.
-    position = np.linspace(-1.0, 1.0, gain.shape[1])
-    terms = np.stack([np.ones_like(position), position, position * position], axis=1)
-    level = np.ones(gain.shape)
-    for row, band in zip(level, gain.astype(np.float64), strict=True):
-        is_finite = np.isfinite(band)
-        if is_finite.sum() > terms.shape[1]:
-            row[is_finite] = (
-                band / (terms @ np.linalg.lstsq(terms[is_finite], band[is_finite], rcond=None)[0])
-            )[is_finite]
-    return np.asarray(np.where(level > 0.0, level, 1.0), np.float32)

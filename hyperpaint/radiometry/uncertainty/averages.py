@@ -106,8 +106,7 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     cubes = [region[name].transpose(*other_dims, *mean_dims).values.astype(np.float64) for name in names]
     shape = cubes[0].shape[: len(other_dims)]
     value, random, systematic = (cube.reshape(-1, *cube.shape[len(other_dims) :]) for cube in cubes)
-    pixels = tuple(range(1, value.ndim))
-    is_valid = np.isfinite(value)
+    is_valid, pixels = np.isfinite(value), tuple(range(1, value.ndim))
     n = is_valid.sum(axis=pixels)
     divisor = np.where(n > 0, n, np.nan)
     mean, mean_square, mean_systematic = (
@@ -118,19 +117,16 @@ def mean_uncertainty(region: xr.Dataset, dims: Sequence[str] | str | None = None
     if region[names[2]].attrs.get("components") == NONE_KNOWN or not np.nan_to_num(systematic).any():
         mean_systematic = np.full_like(mean_systematic, np.nan)
     n_effective = np.array([effective_number(plane) for plane in value])
+    mean_random = np.sqrt(mean_square / np.where(n > 0, n_effective, np.nan))
+    if errors is not None:
+        mean_random, mean_systematic = np.where(n > 0, errors.u_random, np.nan), errors.u_systematic
     estimates = {
         "mean": (mean, "Mean reflectance"),
         "n": (n, "Pixels"),
         "n_eff": (n_effective, "Independent pixels"),
-        "u_random": (
-            np.sqrt(mean_square / np.where(n > 0, n_effective, np.nan)),
-            "Random uncertainty of the mean",
-        ),
+        "u_random": (mean_random, "Random uncertainty of the mean"),
         "u_systematic": (mean_systematic, "Systematic uncertainty of the mean"),
     }
-    if errors is not None:
-        estimates["u_random"] = (np.where(n > 0, errors.u_random, np.nan), estimates["u_random"][1])
-        estimates["u_systematic"] = (errors.u_systematic, estimates["u_systematic"][1])
     coords = {name: c for name, c in region["reflectance"].coords.items() if set(c.dims) <= set(other_dims)}
     result = xr.Dataset(
         {
@@ -159,8 +155,7 @@ def _errors_of(region: xr.Dataset, mean_dims: Sequence[str], cubes: Sequence[Flo
     # Return the errors of the mean by source; None where they cannot be separated.
     if set(mean_dims) != {ALONG_TRACK, CROSS_TRACK} or set(region["reflectance"].dims) != set(schema.CUBE):
         return None
-    line = line_errors(region)
-    if line is None:
+    if (line := line_errors(region)) is None:
         return None
     order = [mean_dims.index(dim) for dim in (ALONG_TRACK, CROSS_TRACK)]
     value, random = (cube.transpose(0, *(1 + axis for axis in order)) for cube in cubes[:2])

@@ -77,10 +77,6 @@ COMPONENTS = {
     "stray light": ("stray_light_u",),
 }
 
-_COMMON = {
-    "gain": "radiance_gain_u_systematic",
-    "linearity": "linearity_u",
-}
 MAX_HARMONICS = 20
 
 
@@ -142,6 +138,8 @@ def line_errors(line: xr.Dataset) -> LineErrors | None:
 
 
 def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
+    from hyperpaint.radiometry.planning import dark_weights
+
     shape = (line.sizes[BAND], line.sizes[CROSS_TRACK])
     attrs = line[UNCERTAINTIES[1]].attrs
 
@@ -151,7 +149,8 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
     is_integer = bool(line[UNCERTAINTIES[0]].attrs[WHOLE_COUNTS])
     floor = of("read_noise") ** 2 + (QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0)
     masked = attrs.get(MASKED, masked_elements(line) if "masked" in line.variables else 0)
-    sources = {name: of(variable) for name, variable in _COMMON.items() if variable in values}
+    common = {name: COMPONENTS[name][0] for name in ("gain", "linearity")}
+    sources = {name: of(variable) for name, variable in common.items() if variable in values}
     if "irradiance_u_systematic" in values:
         channels = line[schema.IRRADIANCE_WAVELENGTH].values
         band_values = at_bands(values["irradiance_u_systematic"], channels, line["wavelength"].values)
@@ -160,6 +159,11 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         sources["panel"] = np.full(shape, float(np.nanmean(line["panel_scale_u"].values)))
     elif PANEL_U in attrs:
         sources["panel"] = np.broadcast_to(element_rows(attrs[PANEL_U], shape), shape)
+    # weights of the darks in every line
+    names = ("time", "dark_time", "dark_exposure_time")
+    times = {name: line[name].values for name in names if name in line.variables}
+    count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
+    exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), line.sizes[ALONG_TRACK])
     wavelength = line["wavelength"].values.astype(np.float64)
     wavelength_u = np.broadcast_to(np.asarray(values.get("wavelength_u", 0.0), np.float64), shape[:1])
     return LineErrors(
@@ -168,7 +172,7 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         is_integer=is_integer,
         read_noise=of("read_noise"),
         dark=of("dark_counts_u_random"),
-        dark_weights=_dark_weights(line),
+        dark_weights=dark_weights(times, count, exposure),
         gain_of_elements=of("radiance_gain_u_random"),
         common=sources,
         dark_offset=of("dark_counts_u_systematic"),
@@ -180,17 +184,6 @@ def _line_errors(line: xr.Dataset, values: Mapping[str, Any]) -> LineErrors:
         light=_light_errors(line) if "irradiance_u_random" in values or wavelength_u.any() else None,
         stray_light=_stray_light_errors(line),
     )
-
-
-def _dark_weights(line: xr.Dataset) -> Floats:
-    # Return the weight of every dark in every line (line, dark).
-    from hyperpaint.radiometry.planning import dark_weights
-
-    names = ("time", "dark_time", "dark_exposure_time")
-    darks = {name: line[name].values for name in names if name in line.variables}
-    count = line.sizes["dark_time"] if "dark_time" in line["dark_counts"].dims else 1
-    exposure = np.broadcast_to(line["exposure_time"].values.astype(np.float64), line.sizes[ALONG_TRACK])
-    return dark_weights(darks, count, exposure)
 
 
 def _stray_light_errors(line: xr.Dataset) -> Floats | None:
@@ -221,9 +214,8 @@ def _light_errors(line: xr.Dataset) -> LightErrors:
     neighbours = line_light(
         line["time"].values, arrays[schema.IRRADIANCE_TIME], levels, np.inf, clock_uncertainty=0.0
     )
-    noise = matched_noise(arrays)
     weight = np.nan_to_num(neighbours.weight)
-    return LightErrors(neighbours.before, neighbours.after, weight, noise.level, noise.covariance)
+    return LightErrors(neighbours.before, neighbours.after, weight, *matched_noise(arrays))
 
 
 def rounding_variance(variance: Array) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -27,17 +27,11 @@ MAX_INTERVALS = 2.5
 SD_PER_MEDIAN_DEVIATION = 1.4826
 
 
-class MatchedNoise(NamedTuple):
-    """A record's mean spectrum and the noise of one of its samples, matched to bands."""
+def matched_noise(arrays: Mapping[str, Any]) -> tuple[Floats, Floats]:
+    """Return the irradiance of the bands and the noise of one sample of it, from a line's small variables.
 
-    level: Floats  #: (band,) float64 [W m-2 nm-1]
-    covariance: Floats  #: (band, band) float64: relative to the level [1]
-
-
-def matched_noise(arrays: Mapping[str, Any]) -> MatchedNoise:
-    """Return the noise of one irradiance sample in the bands, from a line's small variables by name.
-
-    Zero without ``irradiance_u_random``.
+    The first is the mean of the record (band,) [W m-2 nm-1], the second a covariance (band, band) relative to
+    it [1]. Zero without ``irradiance_u_random``.
     """
     record = arrays["irradiance"]
     sample_numbers = np.linspace(0, len(record) - 1, min(len(record), MAX_MEAN_SPECTRA)).astype(np.intp)
@@ -60,7 +54,7 @@ def matched_noise(arrays: Mapping[str, Any]) -> MatchedNoise:
         )
     level = matched[0, 0]
     relative = np.nan_to_num(matched[1:, 0] / np.where(level > 0, level, np.nan))
-    return MatchedNoise(level, relative.T @ relative)
+    return level, relative.T @ relative
 
 
 def at_bands(values: Any, channels: Any, wavelength: Any) -> Floats:

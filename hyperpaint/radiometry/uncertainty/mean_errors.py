@@ -163,7 +163,14 @@ class RegionSums:
         level, per_count = mean(self._value_sums), self._per_count_sums.sum(axis=0)
         dark = line.dark[:, columns]
         covariances = {"noise": independent(self._variance_sums)}
-        dark_variance = (self._per_count_sums**2).sum(axis=0) * dark**2 + self._rounded(per_count)
+        dark_variance = (self._per_count_sums**2).sum(axis=0) * dark**2
+        if line.is_integer:
+            # rounding, in sums over the lines of a column
+            read = line.read_noise[:, columns] ** 2
+            with np.errstate(invalid="ignore", divide="ignore"):
+                counts = np.nan_to_num(np.maximum(self._value_sums, 0.0) / per_count)
+            with_shot = rounding_variance(read + counts * line.per_electron[:, columns])
+            dark_variance += per_count**2 * (rounding_variance(read) * (dark > 0) + with_shot)
         if dark_variance.any():
             covariances["mean dark"] = independent(dark_variance)
         if line.gain_of_elements.any():
@@ -203,19 +210,6 @@ class RegionSums:
         names = tuple(name for name in FORMS if name in sizes)
         total = np.sum(list(covariances.values()), axis=0)
         return MeanErrors(names, np.array([sizes[name] for name in names]), *_sd_and_correlation(total))
-
-    def _rounded(self, per_count: Floats) -> Floats:
-        # Return the variance of rounding in sums over the lines of a column (band, column).
-        if not self._line.is_integer:
-            return np.zeros_like(per_count)
-        line, columns = self._line, self._columns
-        read = line.read_noise[:, columns] ** 2
-        with np.errstate(invalid="ignore", divide="ignore"):
-            counts = np.nan_to_num(np.maximum(self._value_sums, 0.0) / per_count)
-        shot = counts * line.per_electron[:, columns]
-        return per_count**2 * (
-            rounding_variance(read) * (line.dark[:, columns] > 0) + rounding_variance(read + shot)
-        )
 
 
 def _averaging_matrix(bands: int, columns: Array, axis: NominalAxis | None) -> sparse.csr_array:

@@ -198,8 +198,13 @@ def _line_points(dataset: xr.Dataset, repeated: bool) -> tuple[_VariancePoints, 
     cube[~has_time] = np.nan
     is_integer = np.issubdtype(counts.dtype, np.integer)
     block_cube = cube.reshape(len(starts), BLOCK_LINES, *cube.shape[1:])
-    points = _repeated_points(block_cube) if repeated else _block_points(block_cube)
-    source = "repeated frames" if repeated else "blocks of a flight, texture taken out over bands"
+    if repeated:
+        variance = _by_band(block_cube.var(axis=1, ddof=1, dtype=np.float64))
+        signal, freedom = _by_band(block_cube.mean(axis=1, dtype=np.float64)), BLOCK_LINES - 1.0
+        points = _VariancePoints(variance, signal, np.ones_like(signal), np.full((1, 1), freedom))
+        source = "repeated frames"
+    else:
+        points, source = _block_points(block_cube), "blocks of a flight, texture taken out over bands"
     quantisation = QUANTISATION_VARIANCE_COUNT2 if is_integer else 0.0
     return points, quantisation, f"{len(starts)} x {BLOCK_LINES} lines: {source}"
 
@@ -222,13 +227,6 @@ def _by_band(array: Array) -> Array:
     return np.moveaxis(array, 1, 2).reshape(-1, array.shape[1])
 
 
-def _repeated_points(cube: Array) -> _VariancePoints:
-    # Return variances (block x column, band) of frames (block, frame, band, column) of a scene.
-    variance = cube.var(axis=1, ddof=1, dtype=np.float64)
-    variance, signal = _by_band(variance), _by_band(cube.mean(axis=1, dtype=np.float64))
-    return _VariancePoints(variance, signal, np.ones_like(signal), np.full((1, 1), cube.shape[1] - 1.0))
-
-
 def _block_points(cube: Array) -> _VariancePoints:
     # Return variances (block x column, band) of bands relative to their neighbours.
     # `cube` is (block, line, band, column). Bands whose signal is uncertain by noise are left out.
@@ -238,7 +236,12 @@ def _block_points(cube: Array) -> _VariancePoints:
         total = np.nansum(np.where(np.isfinite(mean)[:, None], cube, np.nan), axis=2)
         is_even = np.abs(total / total.mean(axis=1, keepdims=True) - 1.0).max(axis=1) < MAX_TEXTURE
     mean[~(is_even[:, None] & (mean > 0))] = np.nan
-    mean[mean < MIN_SIGNAL_SD * _dark_noise(cube, mean)] = np.nan
+    # spread of a count in the darkest tenth of the samples [count]
+    valid, dark_noise = np.isfinite(mean), 0.0
+    if valid.any():
+        is_darkest = valid & (mean <= np.quantile(mean[valid], 0.1))
+        dark_noise = float(np.sqrt(np.median(cube.var(axis=1, ddof=1)[is_darkest])))
+    mean[mean < MIN_SIGNAL_SD * dark_noise] = np.nan
     # contrast of a band with its neighbours, relative to their signals
     relative = (cube - mean[:, None]) / mean[:, None]
     mean_inside = mean[:, 1:-1]
@@ -260,28 +263,11 @@ def _block_points(cube: Array) -> _VariancePoints:
     return _VariancePoints(variances, signals, floors, np.full((1, 1), freedom))
 
 
-def _dark_noise(cube: Array, mean: Array) -> float:
-    # Return the spread of a count in the darkest tenth of the samples [count].
-    is_valid = np.isfinite(mean)
-    if not is_valid.any():
-        return 0.0
-    is_darkest = is_valid & (mean <= np.quantile(mean[is_valid], 0.1))
-    return float(np.sqrt(np.median(cube.var(axis=1, ddof=1)[is_darkest])))
-
-
 # --- fitting the line
 
 
-@dataclass(frozen=True)
-class _Transfer:
-    # Slope and intercept of the photon transfer, their covariance, and the points of the fit
-    slope: float
-    height: float
-    covariance: Floats
-    is_used: Bools
-
-
-def _fit_transfer(points: _VariancePoints) -> _Transfer:
+def _fit_transfer(points: _VariancePoints) -> tuple[float, float, Floats, Bools]:
+    # Return slope and intercept of the photon transfer, their covariance, and which points are used.
     from scipy.stats import chi2
 
     is_valid = np.isfinite(points.variance) & np.isfinite(points.by_signal)
@@ -326,7 +312,7 @@ def _fit_transfer(points: _VariancePoints) -> _Transfer:
             mend="take a line with dark and bright surfaces, or repeated frames of several levels",
             code="electrons-uncertain",
         )
-    return _Transfer(slope, height, covariance, is_used)
+    return slope, height, covariance, is_used
 
 
 def _first_guess(points: _VariancePoints, valid: Bools, freedom: Floats) -> tuple[float, float]:
@@ -373,59 +359,49 @@ def _solve_with_jackknife(
         scaled, *_ = np.linalg.lstsq(matrix / np.outer(scale, scale), vector / scale, rcond=None)
         return np.asarray(scaled / scale)
 
-    is_integer = solution(None)
+    slope, height = solution(None).tolist()
     others = np.stack([solution(i) for i in range(_JACKKNIFE_GROUPS)])
     departure = others - others.mean(axis=0)
-    return (
-        float(is_integer[0]),
-        float(is_integer[1]),
-        (_JACKKNIFE_GROUPS - 1) / _JACKKNIFE_GROUPS * departure.T @ departure,
-    )
+    return slope, height, (_JACKKNIFE_GROUPS - 1) / _JACKKNIFE_GROUPS * departure.T @ departure
 
 
-def _labelled(transfer: _Transfer, points: _VariancePoints, quantisation: float, source: str) -> xr.Dataset:
-    signal, variance, expected = _binned_curve(transfer, points)
+def _labelled(
+    transfer: tuple[float, float, Floats, Bools], points: _VariancePoints, quantisation: float, source: str
+) -> xr.Dataset:
+    slope, height, covariance, is_used = transfer
+    # mean signals, variances and fitted variances in bins with equal numbers of points
+    a, b, v = (array[is_used] for array in (points.by_signal, points.by_floor, points.variance))
+    order = np.argsort(a / b, kind="stable")
+    bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))
+    signal, variance = (np.array([(values[i] / b[i]).mean() for i in bins]) for values in (a, v))
+    expected = np.maximum(slope * signal + height, 1e-9)
     misfit = float(np.max(np.abs(variance / expected - 1.0)))
-    misfit_sd = np.sqrt(4.0 / (float(points.freedom.mean()) * transfer.is_used.sum() / variance.size))
+    misfit_sd = np.sqrt(4.0 / (float(points.freedom.mean()) * is_used.sum() / variance.size))
     if misfit > MAX_MISFIT + 4.0 * misfit_sd:
         text = (
             f"variances depart from a straight line by up to {misfit:.0%}: the scene is not homogeneous "
             "within blocks, or the light flickers; check 'transfer_variance'"
         )
         warnings.warn(PaintWarning(text, code="transfer-misfit"), stacklevel=3)
-    noise = float(np.sqrt(max(transfer.height - quantisation, 0.0)))
+    noise = float(np.sqrt(max(height - quantisation, 0.0)))
     # at zero noise, only the variance has an uncertainty
-    noise_u = float(np.sqrt(transfer.covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
-    limit = float(transfer.covariance[1, 1]) ** 0.25
+    noise_u = float(np.sqrt(covariance[1, 1])) / (2.0 * noise) if noise > 0 else np.nan
+    limit = float(covariance[1, 1]) ** 0.25
     values = {
-        "electrons_per_count": 1.0 / transfer.slope,
+        "electrons_per_count": 1.0 / slope,
         "read_noise": noise,
-        "electrons_per_count_u": float(np.sqrt(transfer.covariance[0, 0])) / transfer.slope**2,
+        "electrons_per_count_u": float(np.sqrt(covariance[0, 0])) / slope**2,
         "read_noise_u": float(np.nanmin([noise_u, limit])),
     }
     estimate = xr.Dataset()
     for name, value in values.items():
-        array = xr.DataArray(np.float32(value))
         base = name.removesuffix("_u")
-        estimate[name] = schema.label(array, base)
+        estimate[name] = schema.label(xr.DataArray(np.float32(value)), base)
         if name != base:
             estimate[name].attrs["long_name"] = f"Standard uncertainty of {base}"
-    estimate["transfer_variance"] = (
-        "transfer_signal",
-        variance,
-        {"units": "count2", "long_name": "Variance of a count"},
-    )
+    dim, attrs = "transfer_signal", {"units": "count2", "long_name": "Variance of a count"}
+    estimate["transfer_variance"] = (dim, variance, attrs)
     attrs = {"units": "count", "long_name": "Counts above the dark"}
-    estimate = estimate.assign_coords(transfer_signal=("transfer_signal", signal, attrs))
-    estimate.attrs["noise_source"] = f"photon transfer, {source}; {int(transfer.is_used.sum())} variances"
-    return estimate
-
-
-def _binned_curve(transfer: _Transfer, points: _VariancePoints) -> tuple[Floats, Floats, Floats]:
-    # Return mean signals, variances and fitted variances in bins with equal numbers of points.
-    a, b, v = (array[transfer.is_used] for array in (points.by_signal, points.by_floor, points.variance))
-    order = np.argsort(a / b, kind="stable")
-    bins = np.array_split(order, min(_BINS, max(1, order.size // 50)))
-    x = np.array([(a[i] / b[i]).mean() for i in bins])
-    y = np.array([(v[i] / b[i]).mean() for i in bins])
-    return x, y, np.maximum(transfer.slope * x + transfer.height, 1e-9)
+    return estimate.assign_coords({dim: (dim, signal, attrs)}).assign_attrs(
+        noise_source=f"photon transfer, {source}; {int(is_used.sum())} variances"
+    )

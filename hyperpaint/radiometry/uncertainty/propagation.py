@@ -81,35 +81,26 @@ def with_uncertainty(result: xr.Dataset, cubes: tuple[Any, ...], uncertain: dict
     an element's gain and dark are common to all lines only; treated as common to all samples they are never
     underestimated. `hyperpaint.radiometry.mean_uncertainty` treats them exactly.
     """
+    random = [name for name in NOISE if name in uncertain]
     systematic = [name for name in SYSTEMATIC if name in uncertain]
-    if "panel_u" in uncertain:
-        systematic = [
-            n for n in systematic if n not in ("radiance_gain_u_systematic", "irradiance_u_systematic")
-        ]
-        systematic.append("panel")
-    components = {
-        "reflectance_u_random": [name for name in NOISE if name in uncertain],
-        "reflectance_u_systematic": systematic,
-    }
-    extra_attrs: dict[str, dict[str, Any]] = {
-        "reflectance_u_random": {WHOLE_COUNTS: int(np.issubdtype(result["counts"].dtype, np.integer))},
-        "reflectance_u_systematic": {},
-    }
+    of_inputs: dict[str, Any] = {}
     if "masked" in result.variables and result["masked"].chunks is None:
-        extra_attrs["reflectance_u_systematic"][MASKED] = masked_elements(result)
+        of_inputs[MASKED] = masked_elements(result)
     if "panel_u" in uncertain:
-        extra_attrs["reflectance_u_systematic"][PANEL_U] = np.asarray(
-            uncertain["panel_u"], np.float64
-        ).tolist()
-    for name, cube in zip(UNCERTAINTIES, cubes, strict=True):
+        replaced = ("radiance_gain_u_systematic", "irradiance_u_systematic")
+        systematic = [*(name for name in systematic if name not in replaced), "panel"]
+        of_inputs[PANEL_U] = np.asarray(uncertain["panel_u"], np.float64).tolist()
+    is_integer = int(np.issubdtype(result["counts"].dtype, np.integer))
+    details = ((random, {WHOLE_COUNTS: is_integer}), (systematic, of_inputs))
+    for name, cube, (components, extra) in zip(UNCERTAINTIES, cubes, details, strict=True):
         attrs = {
             "pdf_shape": "gaussian",
             "err_corr_1_dim": list(schema.CUBE),
             "err_corr_1_form": name.rpartition("_")[2],
             "err_corr_1_units": [],
             "err_corr_1_params": [],
-            "components": ", ".join(components[name]) or NONE_KNOWN,
-            **extra_attrs[name],
+            "components": ", ".join(components) or NONE_KNOWN,
+            **extra,
         }
         result[name] = schema.label(xr.DataArray(cube, dims=schema.CUBE), name, **attrs)
     result["reflectance"].attrs["unc_comps"] = list(UNCERTAINTIES)
@@ -165,8 +156,8 @@ def error_terms(
             irradiance_u = at_bands(irradiance_u, light["irradiance_wavelength"], cube["wavelength"])[:, None]
         squares += [of("radiance_gain_u_systematic") ** 2, irradiance_u.reshape(-1, 1) ** 2]
     if "irradiance_u_random" in uncertain and light is not None:
-        matched = matched_noise({**cube, **light, "irradiance_u_random": uncertain["irradiance_u_random"]})
-        squares.append(INTERPOLATED * np.diag(matched.covariance)[:, None])
+        arrays = {**cube, **light, "irradiance_u_random": uncertain["irradiance_u_random"]}
+        squares.append(INTERPOLATED * np.diag(matched_noise(arrays)[1])[:, None])
     offset = np.sqrt(dark_variance)
     wavelength_u = np.broadcast_to(np.asarray(uncertain.get("wavelength_u", 0.0), np.float64), len(bad))
     slope = np.empty((0, 4), np.float32)
