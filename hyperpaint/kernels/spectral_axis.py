@@ -28,7 +28,9 @@ def average_slab(values: Array, width: int, out: Array) -> None:
 
     Windows are cut at the ends; NaN bands are left out of the mean, and stay NaN themselves.
 
-    Notes ----- The bands are cut into blocks as wide as a window, so that a window is the end of one block
+    Notes
+    -----
+    The bands are cut into blocks as wide as a window, so that a window is the end of one block
     and the beginning of the next [1]_: three additions a value, whatever the width. There is no subtraction,
     which would let a large value affect bands beyond its windows.
 

@@ -85,7 +85,9 @@ def write_geotiff(
     MissingExtraError
         rasterio is not installed.
 
-    Notes ----- Floats are float32 (positions such as ``east`` and ``glt_line`` float64), unknown samples NaN;
+    Notes
+    -----
+    Floats are float32 (positions such as ``east`` and ``glt_line`` float64), unknown samples NaN;
     integers keep their type. The wavelength is the description of a band, and a tag.
 
     Examples
