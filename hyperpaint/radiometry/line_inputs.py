@@ -71,7 +71,7 @@ def refuse_calibration(dataset: xr.Dataset, *, needs_scale: bool) -> None:
     if needs_scale and dataset.attrs.get("absolute_scale") == "unknown":
         raise SchemaError(
             "the gain of this line has no absolute scale (attribute absolute_scale 'unknown')",
-            mend="pass it one by hyperpaint.calibration.anchor_to_radiance, or pass panel= to reflectance",
+            mend="compute it with hyperpaint.calibration.anchor_to_radiance, or pass panel= to reflectance",
             code="scale-unknown",
         )
 

@@ -186,7 +186,7 @@ class Plan:
     def warning_of_means(self) -> str:
         """Warn, once per line, of counts that are means; return the text."""
         text = (
-            "counts are no whole numbers: means of several readings may hide a saturated one; pixels "
+            "counts are not whole numbers: means of several readings may hide a saturated one; pixels "
             "above half of the range are flagged 'saturated'; average reflectance instead of counts"
         )
         warnings.warn(PaintWarning(text, code="counts-averaged"), stacklevel=2)

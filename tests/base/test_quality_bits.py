@@ -12,7 +12,7 @@ from support.strategies import START, flight, values
 from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry.counts_to_reflectance import radiance, reflectance
 
-pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 
 
 def test_from_radiance_keeps_every_flag_that_was_set() -> None:

@@ -42,7 +42,7 @@ def test_stray_light_of_the_sweep_mends_a_flight(share: float) -> None:
     assert error["swept"] < 0.3 * share
 
 
-@pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+@pytest.mark.filterwarnings("ignore:.*counts-averaged")
 @pytest.mark.parametrize("share", [0.01, 0.03])
 def test_reflectance_is_freed_of_wings_by_the_sweep_that_holds_them(share: float) -> None:
     """By default, by gain and matrix of one calibration, against a camera without wings."""

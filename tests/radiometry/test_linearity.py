@@ -18,7 +18,7 @@ from hyperpaint.radiometry.linear_counts import Linearity
 from hyperpaint.simulation import simulate_line, simulate_sweep
 
 # exact signals, which no converter rounds
-pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 
 FULL = 4095.0
 TABLE = (np.array([0.0, 900.0, 2500.0, FULL]), np.array([0.0, 905.0, 2600.0, 4400.0]))

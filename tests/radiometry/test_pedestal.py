@@ -14,7 +14,7 @@ from hyperpaint.io.flightline.calibration_store import calibration_parts, check_
 from hyperpaint.simulation import simulate_line
 
 # exact signals, which no converter rounds
-pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 
 COLUMNS, COVERED = 24, 4
 CAMERA: dict[str, Any] = {"lines": 40, "bands": 60, "columns": COLUMNS, "masked_columns": COVERED, "seed": 4}

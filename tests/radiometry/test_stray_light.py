@@ -17,7 +17,7 @@ from hyperpaint.simulation import simulate_line, simulate_sweep
 from hyperpaint.simulation.optics import stray_light_wings
 
 # exact signals, which no converter rounds
-pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 
 BANDS = 24
 CAMERA: dict[str, Any] = {"lines": 12, "bands": BANDS, "columns": 150, "noise": False, "quantise": False}

@@ -21,7 +21,7 @@ from hyperpaint.base.schema import Quality
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
 # exact signals, which no converter rounds
-pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 
 
 def _line(dtype: Any = np.uint16) -> xr.Dataset:

@@ -28,7 +28,7 @@ SYSTEMATIC = {
 
 # ---------------------------------------------------------------------------------------------- coverage
 
-pytestmark = pytest.mark.filterwarnings("ignore:counts are no whole numbers")
+pytestmark = pytest.mark.filterwarnings("ignore:.*counts-averaged")
 
 
 def test_random_part_covers_one_collect() -> None:
