@@ -197,7 +197,7 @@ class FormatError(PaintError, ValueError):
     >>> import hyperpaint as hp
     >>> hp.regions.regions_from({"type": "Feature"})
     Traceback (most recent call last):
-    hyperpaint.base.errors.FormatError: these regions: no regions can be made of it:
+    hyperpaint.base.errors.FormatError: these regions cannot be read as regions:
       feature 0: no property 'name', which names the paint [region-name-missing]
     """
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard, TypeVar
 
 import numpy as np
+import xarray as xr
 
 from .errors import PaintError, Problems, SchemaError
 from .units import takes_quantities
@@ -34,13 +35,15 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value is a finite number; bool, NaN and infinity are not.
+    """Return whether a value is a finite number, or an array of one without dims; bool and NaN are not.
 
     Examples
     --------
     >>> is_number(3), is_number(True), is_number("3"), is_number(float("nan")), is_number(10**400)
     (True, False, False, False, False)
     """
+    if isinstance(value, np.ndarray | xr.DataArray) and value.ndim == 0:
+        value = value.item()
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         return False
     try:

@@ -764,8 +764,8 @@ def read_channels(
 def without_unknown(channels: Floats32, channel: Ints) -> tuple[Floats32, Ints]:
     """Return a line in channels, and the channel of every band, without channels that most pixels lack.
 
-    A channel that is dead in all pixels would leave no segment with a complete spectrum. If most pixels lack
-    every channel, all are retained.
+    A channel that is dead in all pixels would leave no segment with a complete spectrum. If no channel
+    would remain, all are retained.
     """
     with_data, with_value = 0, np.zeros(channels.shape[2], np.int64)
     for _, block in line_blocks(channels):

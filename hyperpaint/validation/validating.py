@@ -302,7 +302,7 @@ def _limits(tolerance: Any) -> dict[str, float]:
     limits = dict(tolerance) if isinstance(tolerance, Mapping) else dict(limits)
     problems = Problems("tolerance= cannot be used", SchemaError)
     for name, limit in limits.items():
-        one_of(name, (RELATIVE, FLOOR, *STATISTICS), "limit", problems=problems)
+        one_of(name, (RELATIVE, FLOOR, *STATISTICS), "statistic", problems=problems)
         if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0.0:
             problems.add(f"{name}: {limit!r}", expected="a number from 0 on", code="value-out-of-range")
     if not limits:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import (
@@ -20,6 +21,7 @@ from hyperpaint.base.facts import (
     declared,
     documented,
     fact,
+    is_number,
 )
 from hyperpaint.simulation.settings import SimulationSettings
 
@@ -138,3 +140,8 @@ def test_shared_parameters_are_described() -> None:
 @pytest.mark.parametrize("page", PAGES)
 def test_pages_have_the_keys_of_the_facts(page: str) -> None:
     assert (DOCS / page).read_text(encoding="utf-8") == with_tables(page)
+
+
+def test_a_number_may_be_an_array_without_dims() -> None:
+    assert is_number(np.array(0.04)) and is_number(xr.DataArray(37.25)) and is_number(np.float32(1.0))
+    assert not is_number(np.array([0.04])) and not is_number(np.array(True)) and not is_number(np.array("1"))

@@ -309,7 +309,7 @@ def _extended_ends(measured_range: tuple[float, float], choices: Choices) -> tup
         return False, False
     low, high = choices.wavelength_range
     measured_low, measured_high = measured_range
-    extends_low, extends_high = low < measured_low, high > measured_high
+    extends_low, extends_high = bool(low < measured_low), bool(high > measured_high)
     if low >= measured_high or high <= measured_low:
         raise PaintProblemError(
             f"measured {measured_low:g} to {measured_high:g} nm, outside {low:g} to {high:g} nm",

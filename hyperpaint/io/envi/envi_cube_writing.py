@@ -138,7 +138,8 @@ def _stored_cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -
     # Return the array (line, sample, band) in its stored dtype, still lazy.
     cube = product_of(dataset, variable)
     name = str(cube.name)
-    one_of(dtype or "float32", ("float32", "uint16"), "dtype")
+    if dtype is not None:
+        one_of(dtype, ("float32", "uint16"), "dtype")
     if dtype == "uint16" and cube.dtype.kind == "f":
         if name != "reflectance":
             raise SchemaError(

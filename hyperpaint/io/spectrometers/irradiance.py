@@ -102,8 +102,8 @@ def open_irradiance(
         Length of the averaging window [s]. By default from the file (integration time times the spectra
         averaged), else 0.
     clock_uncertainty_s
-        Largest remaining difference between the clocks of camera and spectrometer [s]. Without it they are
-        not checked; see `hyperpaint.light.synchrony`.
+        Largest remaining difference between the clocks of camera and spectrometer [s]. By default up to
+        40 s are assumed; see `hyperpaint.light.synchrony`.
 
     Returns
     -------

@@ -136,7 +136,7 @@ def _factor(headings: Sequence[str], column: int, path: Path) -> float:
     percent = next((heading for heading in headings if _PERCENT.search(" ".join(heading.split()))), None)
     if column == 1 and not units and percent is not None:
         raise FormatError(
-            f"{path}: {percent[:60]!r} contains percent, but not for which column",
+            f"{path}: {percent[:60]!r} contains percent, but does not state the column",
             mend=("write [%] or [1] after the name of the values, such as 'wavelength [nm],reflectance [%]'"),
             code="units-ambiguous",
         )

@@ -218,7 +218,7 @@ def _is_behind_bonnet(runs: list[_Run], number: int, frame: _Frame) -> bool:
 
 def _level_place(car: Footprint, runs: list[_Run], number: int, frame: _Frame) -> tuple[float, float]:
     # Position along the car where a roof is level, and its maximum error [pixel].
-    # A window longer than a windscreen contains a sunroof: then the roof is level at this window's edge.
+    # A window longer than `min_sunroof` contains a sunroof: then the roof is level at this window's edge.
     # Where less than a tail follows, as behind the bed of a pickup, it is no sunroof.
     run, car_length = runs[number], frame.length
     centre = 0.5 * (run.start + run.stop)

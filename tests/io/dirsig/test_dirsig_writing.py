@@ -339,7 +339,9 @@ def test_nothing_is_extrapolated_unasked(tmp_path: Path) -> None:
     paints = library()
     with pytest.raises(SchemaError, match="wavelength-uncovered"):
         hp.write_dirsig(paints, tmp_path / "out", wavelength_range=(380, 1100))
-    made = hp.write_dirsig(paints, tmp_path / "out", wavelength_range=(380, 1100), extrapolate=True)
+    made = hp.write_dirsig(
+        paints, tmp_path / "out", wavelength_range=(np.float32(380), np.int64(1100)), extrapolate=True
+    )
     _, micrometres, emissivity = strict_ems(tmp_path / "out/emissivity/paint_0.ems")
     assert (micrometres[0], micrometres[-1], len(micrometres)) == (0.38, 1.1, BANDS + 2)
     np.testing.assert_array_equal(emissivity[:, [0, -1]], emissivity[:, [1, -2]])
