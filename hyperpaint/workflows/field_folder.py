@@ -329,7 +329,7 @@ def _surveyed_heights(path: Path) -> npt.NDArray[np.float64]:
     if len(columns) != 1 or len(rows) < 2:
         raise FormatError(
             f"{len(columns)} columns of heights above the ellipsoid in {max(len(rows) - 1, 0)} rows",
-            expected="one column such as ellipsoidal_height_m (above sea level differs by tens of metres)",
+            expected="one column such as ellipsoidal_height_m (heights above sea level differ)",
             code="height-column-missing",
         )
     try:

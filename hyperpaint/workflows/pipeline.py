@@ -120,7 +120,7 @@ def kept_groups(
             if not is_from_run:
                 state = f"not written by {command}, or written by hyperpaint 0.2 or older"
             elif numerics not in (None, NUMERICS_VERSION):
-                state = f"from version {numerics} of the numerics, present is {NUMERICS_VERSION}"
+                state = f"from version {numerics} of the numerics; this is version {NUMERICS_VERSION}"
             problems.add(
                 f"/{name} exists, {state}",
                 mend="pass overwrite=True to replace it",

@@ -258,7 +258,8 @@ def run(
 def _with_options(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
     problems = Problems("cannot render", SchemaError)
     if samples is not None:
-        SCHEMA["sampling"]["samples"].note(problems, as_argument("samples", samples), samples)
+        if SCHEMA["sampling"]["samples"].note(problems, as_argument("samples", samples), samples):
+            samples = int(samples)  # a number of numpy would give another digest
         file = dataclasses.replace(file, sampling={**file.sampling, "samples": samples})
     if to is not None:
         SCHEMA["output"]["product"].note(problems, as_argument("to", to), to)

@@ -142,6 +142,12 @@ def test_pages_have_the_keys_of_the_facts(page: str) -> None:
     assert (DOCS / page).read_text(encoding="utf-8") == with_tables(page)
 
 
-def test_a_number_may_be_an_array_without_dims() -> None:
-    assert is_number(np.array(0.04)) and is_number(xr.DataArray(37.25)) and is_number(np.float32(1.0))
-    assert not is_number(np.array([0.04])) and not is_number(np.array(True)) and not is_number(np.array("1"))
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        *((value, True) for value in (np.array(0.04), xr.DataArray(37.25), np.float32(1.0))),
+        *((value, False) for value in (np.array([0.04]), np.array(True), np.array("1"))),
+    ],
+)
+def test_a_number_may_be_an_array_without_dims(value: Any, expected: bool) -> None:
+    assert is_number(value) is expected

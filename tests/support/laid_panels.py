@@ -58,8 +58,8 @@ class Laid:
 class _OverPanels(PlanFlight):
     laid: tuple[Laid, ...] = ()
 
-    def _seen(self, line: int, surface: Any, factors: Any, mirrored: Any) -> Any:
-        seen = super()._seen(line, surface, factors, mirrored)
+    def _element_radiance(self, line: int, surface: Any, factors: Any, mirrored: Any) -> Any:
+        seen = super()._element_radiance(line, surface, factors, mirrored)
         zenith, azimuth = np.radians(self.settings.sun)
         sky = np.array([np.sin(zenith) * np.sin(azimuth), np.sin(zenith) * np.cos(azimuth), np.cos(zenith)])
         for laid in self.laid:

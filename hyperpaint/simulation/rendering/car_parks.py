@@ -13,7 +13,7 @@ few overlapping blobs and turned any way around facing outwards. Leaves are Lamb
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -325,11 +325,14 @@ def car_park(
     >>> sorted({one.kind for one in park.instances})
     ['car', 'ground', 'panel']
     """
-    values = {
+    values: dict[str, Any] = {
         "length": length, "width": width, "rows": rows, "occupancy": occupancy, "paints": paints,
         "fleet": fleet, "types": types, "seed": seed, "neighbours": neighbours, "panels": panels,
         "islands": islands, "line_width": line_width, "leaves": leaves, "margin": margin,
     }  # fmt: skip
+    for key in ("paints", "types", "neighbours"):  # any collection of names, such as an array
+        if isinstance(values[key], Collection) and not isinstance(values[key], str):
+            values[key] = list(values[key])
     problems = Problems("the car park cannot be laid out", SchemaError)
     note_car_park_faults(values, problems)
     problems.raise_if_any()

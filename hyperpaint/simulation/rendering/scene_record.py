@@ -55,6 +55,7 @@ class TraceSettings:
         most=MOST_SAMPLES,
     )
     depth: int = fact(4, "maximum number of reflections of a ray", least=1, most=32)
+    seed: int = fact(0, "seed of the random numbers for the rays", least=0, most=MAX_SEED)
     slots: int | None = fact(
         None,
         "maximum number of light paths that are stored per pixel; by default from the number of suns, skies "
@@ -63,7 +64,8 @@ class TraceSettings:
         least=1,
         most=_MAX_SLOTS,
     )
-    seed: int = fact(0, "seed of the random numbers for the rays", least=0, most=MAX_SEED)
+    overcast: bool = False
+    clear: bool = True
     sun_radius: float = fact(
         0.267,
         "angular radius of the sun",
@@ -73,8 +75,6 @@ class TraceSettings:
         least=0.0,
         most=45.0,
     )
-    overcast: bool = False
-    clear: bool = True
 
     def __post_init__(self) -> None:
         problems = Problems("the scene cannot be traced", SchemaError)
