@@ -47,7 +47,7 @@ class Calibrate:
 
         plan = dataclasses.replace(self.plans[smile], cleared_bits=cleared_bits, error_terms=terms)
         if linearity is not None:
-            plan = dataclasses.replace(plan, detector=linearity.as_kernel_takes_it(65535.0))
+            plan = dataclasses.replace(plan, detector=linearity.detector_model(65535.0))
         none = np.empty((0, 0, 0), np.float32)
         cubes = (none, none) if terms is None else (self.u_random, self.u_systematic)
         calibrate_lines(plan, self.counts, 0, SlabOutputs(self.out, quality, *cubes))

@@ -146,10 +146,11 @@ def _with_windows(alignment: xr.Dataset) -> xr.Dataset:
     for kind, names, present, code in (
         ("", _VARIABLES, alignment.variables, "variable-missing"),
         ("dim ", (BAND, CROSS_TRACK), alignment.dims, "dim-missing"),
-        ("attribute ", (_WINDOW,), alignment.attrs, "attribute-missing"),
     ):
         for name in (name for name in names if name not in present):
             problems.add(f"{kind}{name!r} is missing", code=code)
+    if _WINDOW not in alignment.attrs:
+        problems.add(f"attribute {_WINDOW!r} is missing", code="attribute-missing")
     problems.raise_if_any()
     windows = alignment if _WINDOW in alignment.dims else alignment.expand_dims(_WINDOW)
     for name in _VARIABLES[:5]:

@@ -278,7 +278,7 @@ def responses_table(
 ) -> tuple[Floats, Floats, Floats]:
     """Return shifts (shift,) [nm], and the logarithm (shift, width, band) of a spectrum matched to bands.
 
-    Widths are relative to the declared ones of the spectrometer; otherwise as `irradiance_table`. The third
+    Widths are relative to the declared ones of the spectrometer; otherwise as `table_of_bands`. The third
     result are the weights (band, channel) of the channels at the middle shift and the declared width.
     """
     shifts = _shift_nodes(limits)

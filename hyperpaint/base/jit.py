@@ -13,6 +13,7 @@ from numba import types
 from numba.core.caching import FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.cpu import CPUTargetOptions
 from numba.core.errors import NumbaError
 from numba.core.registry import CPUDispatcher
@@ -72,6 +73,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 class _Kernel(CPUDispatcher):  # type: ignore[misc]
     _warned: ClassVar = False
 
+    @global_compiler_lock  # type: ignore[untyped-decorator]
     def compile(self, sig: Any) -> Any:
         try:
             self._cache = _Cache(self.py_func)  # not on import: most kernels are never called from Python

@@ -173,7 +173,7 @@ MAX_WIDTH_DEVIATION = 0.3
 
 
 def line_wavelengths(lamp_lines: LampLines, wavelength_map: WavelengthMap, slope_shift: Floats) -> Floats:
-    """Return the wavelength of the lamp lines' centres in the map (step, cross_track) [nm], less the pull."""
+    """Return mapped wavelengths of lamp line centres (step, cross_track) [nm], less the slope shift."""
     wavelength = (
         wavelength_map.at(np.nan_to_num(lamp_lines.centre), np.arange(lamp_lines.centre.shape[1]))
         - slope_shift[:, None]

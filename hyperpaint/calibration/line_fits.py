@@ -167,19 +167,19 @@ def find_line(net: Floats, raw: Floats, bad: Bools, saturation: Floats | None) -
     if columns >= 5:
         levels = np.median(np.lib.stride_tricks.sliding_window_view(levels, 5), axis=1)
     brightest = float(levels.max(initial=0.0))
-    is_valid = np.flatnonzero(light > LIT * brightest)
-    if not brightest > 0 or not is_valid.size:
+    lit_columns = np.flatnonzero(light > LIT * brightest)
+    if not brightest > 0 or not lit_columns.size:
         return None
     out_of_band = _mean(
-        np.where(np.isfinite(outside), outside, np.nan)[:, is_valid] / light[is_valid], axis=1
+        np.where(np.isfinite(outside), outside, np.nan)[:, lit_columns] / light[lit_columns], axis=1
     )
     return Window(
-        columns=is_valid,
-        first=first[is_valid],
-        values=values[is_valid],
-        background=background[is_valid],
-        background_variance=variance[is_valid],
-        saturated=is_saturated[is_valid],
+        columns=lit_columns,
+        first=first[lit_columns],
+        values=values[lit_columns],
+        background=background[lit_columns],
+        background_variance=variance[lit_columns],
+        saturated=is_saturated[lit_columns],
         beam=light / brightest,
         out_of_band=np.where(np.isfinite(out_of_band), out_of_band, 0.0),
         band=peak,

@@ -214,7 +214,7 @@ def fit_steps(
     tick: Tick,
     first: tuple[WavelengthMap, list[Fits | None]] | None = None,
 ) -> tuple[LampLines, list[Fits | None]]:
-    """Return fits of the lamp lines, and by step.
+    """Return the lamp lines of all steps, and the fits of every step (None for a step without a line).
 
     Without ``first``, the monochromator's line is not deconvolved: such fits give the centres. With a
     wavelength map and first fits, they are fits of the camera's response convolved with that line.

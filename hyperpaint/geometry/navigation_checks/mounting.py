@@ -213,8 +213,9 @@ def solve_boresight(
         )
     names = _checked_names((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
+    forward, right, down = map(float, lever_arm)
     sights = _sightings(
-        lines, control_points, navigation, tuple(map(float, lever_arm)), camera, convention, crs, start
+        lines, control_points, navigation, (forward, right, down), camera, convention, crs, start
     )
     free = [PARAMETERS.index(name) for name in names]
     white = [sight.whitening(start) for sight in sights]

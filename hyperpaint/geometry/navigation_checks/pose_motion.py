@@ -201,8 +201,8 @@ def setting_of(
         np.interp(observed.centres, np.arange(right_tangents.size), values)
         for values in (right_tangents, forward_tangents, np.gradient(right_tangents))
     )
-    arm, turn = tuple(map(float, lever_arm)), tuple(map(float, boresight))
-    view = View(look_right, look_forward, step, turn, arm, float(ground))
+    (forward, right, down), (roll, pitch, heading) = (map(float, mount) for mount in (lever_arm, boresight))
+    view = View(look_right, look_forward, step, (roll, pitch, heading), (forward, right, down), float(ground))
     # poses as recorded, whatever their units
     source, dim = (part, ALONG_TRACK) if navigation is None else (navigation, NAVIGATION_TIME)
     line_times = require(part, ["time"], "a check of navigation")["time"].values

@@ -139,7 +139,7 @@ def _stored_cube(dataset: xr.Dataset, variable: str | None, dtype: str | None) -
     cube = product_of(dataset, variable)
     name = str(cube.name)
     if dtype is not None:
-        one_of(dtype, ("float32", "uint16"), "dtype")
+        one_of(str(dtype), ("float32", "uint16"), "dtype")
     if dtype == "uint16" and cube.dtype.kind == "f":
         if name != "reflectance":
             raise SchemaError(
