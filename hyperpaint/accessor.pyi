@@ -102,7 +102,7 @@ class PaintAccessor:
         progress: Progress | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """In-flight spectral calibration: smile and FWHM of every column from the daylight's own lines."""
+        """In-flight spectral calibration: smile and FWHM of every column from lines of the daylight."""
     def apply_alignment(
         self, alignment: xr.Dataset, *, degree: int = 2, fwhm: bool = True, dims: Dims | None = None
     ) -> PaintDataset:
@@ -120,7 +120,7 @@ class PaintAccessor:
         progress: Progress | bool | None = None,
         dims: Dims | None = None,
     ) -> SceneModel:
-        """Survey a whole line, and return the scene model that flags use."""
+        """Survey a flight line, and return the scene model that flags use."""
     def flag(
         self,
         model: SceneModel | xr.Dataset | None = None,
@@ -186,7 +186,7 @@ class PaintAccessor:
         interpolation: Interpolation = "linear",
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Add the ground position of every pixel, and the direction it is seen from."""
+        """Add the ground position of every pixel, and the direction from there to the camera."""
     def orthorectify(
         self,
         gsd: float | None = None,
@@ -202,7 +202,7 @@ class PaintAccessor:
         dims: Dims | None = None,
         **location: Any,
     ) -> PaintDataset:
-        """Return a flight line as a map of square cells, with the place of every cell in the line."""
+        """Return a flight line as a map of square cells, with the position in the line of every cell."""
     def propose_regions(
         self,
         model: SceneModel | xr.Dataset | None = None,
@@ -241,7 +241,7 @@ class PaintAccessor:
         progress: Progress | None = None,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Make a paint library: one signature a region, with spread, uncertainty and provenance."""
+        """Return a paint library: one signature a region, with spread, uncertainty and provenance."""
     def detect(
         self,
         library: xr.Dataset,
@@ -256,7 +256,7 @@ class PaintAccessor:
         shrinkage: float = 0.0,
         dims: Dims | None = None,
     ) -> PaintDataset:
-        """Look for the paints of a library in a flight line, at a stated rate of false alarms."""
+        """Search a flight line for the paints of a library, at a given rate of false alarms."""
     def rgb(
         self,
         *,

@@ -36,7 +36,7 @@ def run(*words: str) -> str:
 
 
 def test_the_number_of_options() -> None:
-    assert len(NAMES) == 23
+    assert len(NAMES) == 22
     assert sum(len(options_of(name)) for name in NAMES) <= 200
 
 

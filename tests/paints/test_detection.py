@@ -461,7 +461,7 @@ def test_command_takes_regions_of_its_line_alone(red: xr.Dataset, tmp_path: Any)
     assert result.exit_code == 0, result.output
     assert "1 of 2 regions are of other flight lines" in result.output
     assert "car" in result.output.splitlines()[-1]
-    assert "as a paint explains them: 0 of the pixels" in result.output
+    assert "because a paint explains them: 0 of the pixels" in result.output
     clear = np.zeros((96, 40), bool)
     clear[30:] = True
     ours = make_line(red).paint.detect(red, false_alarm_rate=0.01, background=clear)

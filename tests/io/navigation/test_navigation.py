@@ -102,7 +102,7 @@ def test_variant_b_takes_utc_from_gps_time(tmp_path: Path) -> None:
     made = line_times(Path("raw_0"), 2, Timing(frame_index=index, nav=nav, gps_time=gps_time, stamp="mid"))
     start = np.datetime64("2021-07-23T22:00:01.241", "ns")
     assert (made.time - start).tolist() == [0, 7_000_000]
-    np.testing.assert_allclose(made.place["altitude"], [60.5, 64.0])
+    np.testing.assert_allclose(made.pose["altitude"], [60.5, 64.0])
     assert read_gps_time(gps_time).daily
 
 
@@ -286,9 +286,9 @@ def test_gaps_of_the_navigation_have_no_place_but_time(tmp_path: Path) -> None:
     )
     made = line_times(Path("raw_0"), 3, timing)
     assert not np.isnat(made.time).any()
-    assert np.isnan(made.place["latitude"]).tolist() == [False, True, False]
+    assert np.isnan(made.pose["latitude"]).tolist() == [False, True, False]
     wide = Timing(**{**timing.__dict__, "max_gap_s": 0.3})
-    assert not np.isnan(line_times(Path("raw_0"), 3, wide).place["latitude"]).any()
+    assert not np.isnan(line_times(Path("raw_0"), 3, wide).pose["latitude"]).any()
 
 
 def test_lines_outside_the_record_have_no_time(tmp_path: Path) -> None:
@@ -307,7 +307,7 @@ def test_without_navigation_lines_follow_the_frame_period() -> None:
     made = line_times(Path("raw_100"), 3, timing, 0.005)
     assert made.frame.tolist() == [100, 101, 102]
     assert ((made.time - T0) / MS).tolist() == [-2.5, 4.5, 11.5]
-    assert made.place == {}
+    assert made.pose == {}
 
 
 def test_without_navigation_the_stamps_of_the_frames_are_used(tmp_path: Path) -> None:

@@ -457,7 +457,7 @@ def test_files_of_no_known_kind_are_refused(tmp_path: Path) -> None:
 def test_info_tells_what_navigation_is(tmp_path: Path) -> None:
     text = describe_path(write_sbet(tmp_path / "flight.sbet", [5.0, 6.0], altitude=150.0))
     assert "Applanix SBET" in text
-    assert "5 to 6 s of a GPS week: give week= or date=" in text
+    assert "5 to 6 s of a GPS week: pass week= or date=" in text
     text = describe_path(write_lcf(tmp_path / "line.lcf", [1.3e9]))
     assert "right wing up" in text
     assert "2021-03-17T07:06:40.000" in text
