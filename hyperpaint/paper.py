@@ -138,7 +138,7 @@ def electrons(
     Parameters
     ----------
     flux
-        phi [W]
+        Radiant flux phi [W].
     exposure
         t [s]
     wavelength
@@ -178,7 +178,7 @@ def electrons(
 def spectral_responsivity(
     counts: Amount, dark: Amount, flux: Amount, exposure: Amount, *, variant: Variant = "corrected"
 ) -> Any:
-    """Return the responsivity of the camera, eq. 3.
+    """Return the responsivity of the camera, equation 3 of the paper.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def spectral_responsivity(
     flux
         phi [W]
     exposure
-        t [s]; not used as printed.
+        t [s]; the equation as printed lacks it.
     variant
         Corrected, ``R = (DC - D) / (phi t)``; as printed, ``R = (DC - D) / phi``, which grows with exposure.
 

@@ -107,10 +107,15 @@ class ClearSky:
 
     Notes
     -----
-    With :math:`t_{dir}, t_{dif}` of SPECTRL2's scattering half (`hyperpaint.light.sun.scattered_light`),
+    Transmittances :math:`t_{dir}, t_{dif}` by scattering are those of SPECTRL2
+    (`hyperpaint.light.sun.scattered_light`). Gases transmit :math:`T_{gas}`:
 
     .. math:: E_{dir} = E_0 t_{dir} T_{gas}, \quad E_{dif} = E_0 t_{dif} T_{gas}, \quad
               T_{gas} = e^{-k_{O_3} c_{O_3} m_{O_3} - (\tau_{mix} + w \tau_{H_2O}) m}
+
+    with the absorption :math:`k_{O_3}`, column :math:`c_{O_3}` and air mass :math:`m_{O_3}` of ozone, the
+    optical depths :math:`\tau` of mixed gases and of the water of ASTM G173 at air mass 1, ``water`` w, and
+    the air mass m.
 
     ASTM G173-03; R. E. Bird and C. Riordan, J. Climate Appl. Meteor. 25, 87 (1986),
     doi:10.1175/1520-0450(1986)025<0087:SSSMFD>2.0.CO;2.

@@ -143,17 +143,18 @@ def find_exposure(
             continue
         if value is not None:
             stated[source] = value
-    words = ", ".join(f"{source} {value * 1e3:g} ms" for source, value in stated.items())
+    stated_text = ", ".join(f"{source} {value * 1e3:g} ms" for source, value in stated.items())
     if argument is not None:
         if any(not np.allclose(argument, value, rtol=1e-6, atol=0) for value in stated.values()):
-            message = f"exposure_time {argument.flat[0] * 1e3:g} ms is used; {words}"
+            message = f"exposure_time {argument.flat[0] * 1e3:g} ms is used; {stated_text}"
             warnings.warn(PaintWarning(f"{name}: {message}", code="exposure-conflict"), stacklevel=4)
         return argument, "given"
     if stated:
         source, value = next(iter(stated.items()))
         if len(set(stated.values())) > 1:
             warnings.warn(
-                PaintWarning(f"{name}: {words}; the first is used", code="exposure-conflict"), stacklevel=4
+                PaintWarning(f"{name}: {stated_text}; the first is used", code="exposure-conflict"),
+                stacklevel=4,
             )
         return np.array(value), source
     # with an unreadable header, the exposure is not a problem of its own

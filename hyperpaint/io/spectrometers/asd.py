@@ -49,7 +49,7 @@ _TEXT_SUFFIXES = (".txt", ".tsv", ".csv")
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """One spectrum in one quantity, from any kind of file."""
+    """A spectrum of one quantity (such as radiance), from a binary or text file."""
 
     source: str  # file name, with the column if the file holds several spectra
     wavelength: Floats  # (wavelength) [nm], float64
@@ -58,12 +58,12 @@ class Spectrum:
     local_time: dt.datetime | None = None
     utc_offset_h: float | None = None
     averaging_s: float | None = None
-    dark_utc: dt.datetime | None = None  # as in `AsdFile`
+    dark_utc: dt.datetime | None = None  # UTC of the last dark measurement
     gps: AsdGps | None = None
     # (wavelength), True at channels of a detector that the file flags as saturated
     saturated: npt.NDArray[np.bool_] | None = None
     path: Path | None = None
-    # White panel whose reflectance scales the spectrum; empty where reflectance is relative
+    # Name of the white panel whose known reflectance scales the spectrum; empty for relative reflectance
     panel: str = ""
 
 

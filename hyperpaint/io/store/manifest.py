@@ -254,6 +254,7 @@ def store_state(location: Location, groups: Iterable[str] | None = None) -> Stor
     # groups that differ from the manifest
     mend = "write it again" + (", or run its command with --overwrite" if manifest.command else "")
     for name, entry in manifest.groups.items():
+        # an unfinished write may be changing its groups: those are not faults
         if (
             entry.content
             and contents(name) not in manifest.allowed(name)

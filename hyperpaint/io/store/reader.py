@@ -124,7 +124,7 @@ def is_complete(path: str | os.PathLike[str], group: str | None = None) -> bool:
     try:
         location, name = place_of(path)[0] or Location.of(path), clean_group(group)
         manifest = Manifest.read(location)
-        if manifest is None or not manifest.allowed(name):
+        if manifest is None or not manifest.allowed(name):  # the manifest does not list the group
             return False
         check_entry(location, name, manifest)
     except StoreError:
