@@ -206,7 +206,7 @@ def test_bad_calls_are_one_message(stored: Path, references: Path, tmp_path: Pat
         (stored, *reference, "--pairs", poem): "as a list of paints",
         (stored, *reference, "--panel", poem): "used as a spectrum",
         (stored, *reference, "--tolerance", "much"): "'much', expected a number of RMSE",
-        (stored, *reference, "--tolerance", "colour=1"): "limit='colour', expected one of",
+        (stored, *reference, "--tolerance", "colour=1"): "statistic='colour', expected one of",
         (stored, *reference, "--part", "red"): "part-unreadable",
         (stored, *reference, "--part", "=400-500"): "part-unreadable",
         (stored, *reference, "--out", tmp_path / "t.xlsx"): "suffix-unknown",

@@ -108,7 +108,7 @@ def test_other_numerics_are_said_and_computed_on_request(
     report = hp.verify(store)
     assert report.ok
     assert report.notes == ("made by numerics 1, this is 7: --overwrite computes it again",)
-    with pytest.raises(hp.StoreError, match=r"version 1 of the numerics,.*store-ex"):
+    with pytest.raises(hp.StoreError, match=r"version 1 of the numerics;.*store-ex"):
         process(collect, store)
     assert process(collect, store, overwrite=True).written == LINES
     assert hp.verify(store).notes == ()
