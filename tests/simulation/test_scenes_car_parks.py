@@ -245,3 +245,11 @@ def test_problems_of_a_park_are_listed() -> None:
         car_park(rows=9)
     with pytest.raises(SchemaError, match=r"11.*car-park-too-narrow"):
         car_park(width=8.0)
+
+
+@pytest.mark.parametrize("names", [np.array(["red", "blue"]), dict.fromkeys(("red", "blue")).keys()])
+def test_paints_are_any_collection_of_names(names: object) -> None:
+    park = car_park(length=10.0, width=16.0, neighbours=(), paints=names)  # type: ignore[arg-type]
+    expected = car_park(length=10.0, width=16.0, neighbours=(), paints=["red", "blue"])
+    np.testing.assert_array_equal(park.faces, expected.faces)
+    assert park.materials == expected.materials
