@@ -175,6 +175,8 @@ def test_what_cannot_be_is_refused() -> None:
     nowhere = points.assign(height=points.height.where(points.height > 1e9))
     with pytest.raises(SchemaError, match="not-finite"):
         solved(flown, nowhere)
+    with pytest.raises(ValueError, match="unpack"):  # one number would be taken for all three axes
+        solved(flown, points, lever_arm=(0.5,))
 
 
 @pytest.mark.parametrize("late", [-1.0, -0.3, 0.7])
