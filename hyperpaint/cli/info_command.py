@@ -182,7 +182,7 @@ def _regions(path: Path) -> Facts:
 
 
 def _asd(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd_binary import read_asd
+    from hyperpaint.io.spectrometers.asd import read_asd
 
     file = read_asd(path)
     yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
@@ -201,7 +201,7 @@ def _asd(path: Path) -> Facts:
 
 
 def _svc(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.svc_layout import error_bits, overlap_of, pair, position_of, read_svc
+    from hyperpaint.io.spectrometers.svc import error_bits, overlap_of, pair, position_of, read_svc
 
     file = read_svc(path)
     overlap = overlap_of(file.header)
@@ -223,19 +223,20 @@ def _svc(path: Path) -> Facts:
 
 
 def _asd_text(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd_text import read_asd_text
+    from hyperpaint.io.spectrometers.asd import read_asd_text
 
     text = read_asd_text(path)
     yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
     likely = text.likely_quantity
     yield "holds", f"{likely} (a guess from the plot range)" if likely else "unknown units"
     yield "wavelength", range_of(text.wavelength, "nm")
-    yield "saved", "" if text.local_time is None else f"{text.local_time} by the logging PC (zone unknown)"
-    yield "exposure", "" if text.integration_ms is None else f"{text.integration_ms:g} ms"
+    local_time, integration_ms = (text.preamble.get(key) for key in ("local_time", "integration_ms"))
+    yield "saved", "" if local_time is None else f"{local_time} by the logging PC (zone unknown)"
+    yield "exposure", "" if integration_ms is None else f"{integration_ms:g} ms"
 
 
 def _irradiance_csv(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
+    from hyperpaint.io.spectrometers.irradiance import read_irradiance_csv
 
     series: Any = read_irradiance_csv(path)
     shape = np.shape(series.values)

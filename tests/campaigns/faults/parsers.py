@@ -94,13 +94,13 @@ def _asd(path: Path) -> None:
 
 
 def _asd_layout(path: Path) -> None:
-    from hyperpaint.io.spectrometers.asd_binary import read_asd
+    from hyperpaint.io.spectrometers.asd import read_asd
 
     read_asd(path)
 
 
 def _asd_text(path: Path) -> None:
-    from hyperpaint.io.spectrometers.asd_text import read_asd_text
+    from hyperpaint.io.spectrometers.asd import read_asd_text
 
     read_asd_text(path)
 
@@ -113,7 +113,7 @@ def _svc(path: Path) -> None:
 
 
 def _irradiance_csv(path: Path) -> None:
-    from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
+    from hyperpaint.io.spectrometers.irradiance import read_irradiance_csv
 
     read_irradiance_csv(path)
 

@@ -109,7 +109,7 @@ def _gap(folder: Path, rng: random.Random) -> None:
 
 def _spoil(path: Path, change: Callable[[Any], None], flag: int = 0) -> None:
     """Change the spectrum of a binary file, and set bits of its saturation flags."""
-    from hyperpaint.io.spectrometers.asd_binary import read_asd
+    from hyperpaint.io.spectrometers.asd import read_asd
 
     data, count = bytearray(path.read_bytes()), len(read_asd(path).spectrum)
     (code,) = struct.unpack_from("<b", data, 199)

@@ -13,9 +13,7 @@ from hypothesis import given, settings, strategies as st
 from support.refusals import refusal
 
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
-from hyperpaint.io.spectrometers.asd import find_files, open_asd
-from hyperpaint.io.spectrometers.asd_binary import Cursor, read_asd
-from hyperpaint.io.spectrometers.asd_text import read_asd_text
+from hyperpaint.io.spectrometers.asd import Cursor, find_files, open_asd, read_asd, read_asd_text
 
 GRID = np.arange(350.0, 1051.0)
 COUNTS = 1000.0 + np.arange(len(GRID)) * 3.0

@@ -17,8 +17,7 @@ from hyperpaint.base.errors import (
     TimeError,
     UnitsError,
 )
-from hyperpaint.io.spectrometers.irradiance import open_irradiance
-from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
+from hyperpaint.io.spectrometers.irradiance import open_irradiance, read_irradiance_csv
 from hyperpaint.io.store import to_store
 
 GRID = np.arange(350.0, 1051.0)

@@ -19,8 +19,7 @@ import hyperpaint as hp
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, TimeError
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.cli.info_command import describe_path
-from hyperpaint.io.spectrometers.svc import SVC_JOINS, open_svc
-from hyperpaint.io.spectrometers.svc_layout import is_svc, position_of, read_svc
+from hyperpaint.io.spectrometers.svc import SVC_JOINS, dialect_of, open_svc, position_of, read_svc
 from hyperpaint.simulation.instruments import svc_wavelengths, write_svc
 
 VENDORS = conversion_factor("1e-10 W cm-2 sr-1 nm-1", "W m-2 sr-1 nm-1")
@@ -355,7 +354,7 @@ def test_declared_or_not_a_huge_table_is_refused_early(tmp_path) -> None:
 
 @pytest.mark.parametrize("head", [b"", b"as7\0", b"/***", b"Spectra Vista", b"\xff\xfe/***"])
 def test_what_is_no_sig_file(head) -> None:
-    assert not is_svc(head)
+    assert dialect_of(head) is None
 
 
 def test_metadata_that_cannot_be_read_is_missing_and_said(write) -> None:

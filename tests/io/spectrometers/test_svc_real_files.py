@@ -14,8 +14,7 @@ from support.svc_texts import german
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.base.units import conversion_factor
 from hyperpaint.cli.info_command import describe_path
-from hyperpaint.io.spectrometers.svc import open_svc
-from hyperpaint.io.spectrometers.svc_layout import read_svc
+from hyperpaint.io.spectrometers.svc import open_svc, read_svc
 
 pytestmark = pytest.mark.real_data
 
