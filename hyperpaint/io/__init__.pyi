@@ -5,7 +5,7 @@ from .flightline.line_table import write_line_table as write_line_table
 from .library.specification import check_library as check_library, declare_library as declare_library
 from .maps.geotiff import write_geotiff as write_geotiff
 from .navigation.control_points import read_control_points as read_control_points
-from .skies.sky_table import (
+from .skies import (
     read_sixs as read_sixs,
     read_sky_csv as read_sky_csv,
     read_tape7 as read_tape7,

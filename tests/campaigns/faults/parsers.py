@@ -125,19 +125,19 @@ def _irradiance(path: Path) -> None:
 
 
 def _uvspec(path: Path) -> None:
-    from hyperpaint.io.skies.sky_table import read_uvspec
+    from hyperpaint.io.skies import read_uvspec
 
     read_uvspec(path, sun_zenith=60.0, units="mW m-2 nm-1", directions=5)
 
 
 def _tape7(path: Path) -> None:
-    from hyperpaint.io.skies.sky_table import read_tape7
+    from hyperpaint.io.skies import read_tape7
 
     read_tape7(path, sun_zenith=60.0, ground=0.3)
 
 
 def _sixs(path: Path) -> None:
-    from hyperpaint.io.skies.sky_table import read_sixs
+    from hyperpaint.io.skies import read_sixs
 
     other = path.with_name("other.txt")
     other.write_text(sixs_text(0.65))
@@ -145,7 +145,7 @@ def _sixs(path: Path) -> None:
 
 
 def _sky_csv(path: Path) -> None:
-    from hyperpaint.io.skies.sky_table import read_sky_csv
+    from hyperpaint.io.skies import read_sky_csv
 
     read_sky_csv(path)
 

@@ -1,4 +1,7 @@
-"""Checked dataset of irradiance and sky radiance at the ground, and its CSV reader."""
+"""Sun and sky by other programs: libRadtran, MODTRAN, 6S, CSV; each gives the Dataset of `sky_dataset`.
+
+Columns, marks and words of each format stand in tables above its reader.
+"""
 
 from __future__ import annotations
 
@@ -12,27 +15,29 @@ import numpy as np
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.errors import FormatError, Problems, SchemaError
+from hyperpaint.base.errors import FormatError, Problem, Problems, SchemaError
 from hyperpaint.base.units import conversion_factor, takes_quantities
-from hyperpaint.io.files.reading import number, numbers, read_limited_text
+from hyperpaint.io.files.reading import number, numbers, read_limited_text, refuse
 
 # Largest file of a sky model [byte].
 MAX_SKY_BYTES = 64 << 20
 
-_COLUMNS = {
-    "wavelength": "nm",
-    "zenith": "degree",
-    "azimuth": "degree",
-    "radiance": "W m-2 sr-1 nm-1",
-    "direct_normal": "W m-2 nm-1",
-    "diffuse": "W m-2 nm-1",
-}
+_IRRADIANCE, _RADIANCE = "W m-2 nm-1", "W m-2 sr-1 nm-1"
 
 
 def sky_lines(path: str | Path) -> list[str]:
     """Return the lines of a text file, at most `MAX_SKY_BYTES`; raises `FormatError`."""
     content = read_limited_text(Path(path), MAX_SKY_BYTES, "the output of a model of the atmosphere")
     return content.decode("utf-8", "replace").splitlines()
+
+
+def _cosine(sun_zenith: float) -> float:
+    # Return the cosine of the sun's zenith angle [degree]; refuse a sun that is not above the horizon.
+    if not 0.0 <= sun_zenith < 90.0:
+        raise SchemaError(
+            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
+        )
+    return float(np.cos(np.radians(sun_zenith)))
 
 
 def sky_dataset(
@@ -69,39 +74,61 @@ def sky_dataset(
     """
     problems = Problems(f"{source}: light at the ground cannot be used", FormatError)
     order = np.argsort(wavelength, kind="stable")
-    if wavelength.size < 2 or not (np.diff(wavelength[order]) > 0.0).all():
-        problems.add(
-            "wavelengths are fewer than two, or repeated",
-            expected="two or more different wavelengths",
-            code="wavelength-repeated",
-        )
     arrays = {"direct_normal": direct_normal, "diffuse": diffuse}
     if radiance is not None:
         arrays["sky_radiance"] = radiance[2]
-    for name, values in {"wavelength": wavelength, **arrays}.items():
-        if not (np.isfinite(values).all() and (values >= 0.0).all()):
-            problems.add(
-                f"{name} has values that are negative or not finite",
-                expected="finite values, 0 or above",
-                code="value-out-of-range",
+    checks = (
+        (
+            wavelength.size < 2 or not (np.diff(wavelength[order]) > 0.0).all(),
+            Problem(
+                "wavelengths are fewer than two, or repeated",
+                expected="two or more different wavelengths",
+                code="wavelength-repeated",
+            ),
+        ),
+        *(
+            (
+                not (np.isfinite(values).all() and (values >= 0.0).all()),
+                Problem(
+                    f"{name} has values that are negative or not finite",
+                    expected="finite values, 0 or above",
+                    code="value-out-of-range",
+                ),
             )
-    if radiance is not None and not all(np.isfinite(angles).all() for angles in radiance[:2]):
-        problems.add("directions of the sky have angles that are not finite", code="not-finite")
+            for name, values in {"wavelength": wavelength, **arrays}.items()
+        ),
+        (
+            radiance is not None and not all(np.isfinite(angles).all() for angles in radiance[:2]),
+            Problem("directions of the sky have angles that are not finite", code="not-finite"),
+        ),
+    )
+    problems.extend(problem for is_wrong, problem in checks if is_wrong)
     problems.raise_if_any()
-    units = {"units": "W m-2 nm-1"}
     light = xr.Dataset(
-        {name: ("wavelength", arrays[name][order], units) for name in ("direct_normal", "diffuse")},
+        {name: ("wavelength", arrays[name][order], {"units": _IRRADIANCE}) for name in list(arrays)[:2]},
         {"wavelength": ("wavelength", wavelength[order], {"units": "nm"})},
         {"source": source},
     )
     if radiance is not None:
         dims = ("wavelength", "sky_zenith", "sky_azimuth")
-        light["sky_radiance"] = (dims, radiance[2][order], {"units": "W m-2 sr-1 nm-1"})
-        degree = {"units": "degree"}
-        light = light.assign_coords(
-            sky_zenith=("sky_zenith", radiance[0], degree), sky_azimuth=("sky_azimuth", radiance[1], degree)
-        )
+        light["sky_radiance"] = (dims, radiance[2][order], {"units": _RADIANCE})
+        angles = {
+            dim: (dim, angle, {"units": "degree"}) for dim, angle in zip(dims[1:], radiance, strict=False)
+        }
+        light = light.assign_coords(angles)
     return light
+
+
+#: Columns of a CSV table and their units; those without directions, and those of a radiance.
+_COLUMNS = {
+    "wavelength": "nm",
+    "direct_normal": _IRRADIANCE,
+    "diffuse": _IRRADIANCE,
+    "zenith": "degree",
+    "azimuth": "degree",
+    "radiance": _RADIANCE,
+}
+_PLAIN_COLUMNS = 3
 
 
 def read_sky_csv(path: str | Path) -> xr.Dataset:
@@ -139,23 +166,26 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         raise FormatError(f"{path}: not a CSV table: {error}", code="text-unreadable") from error
     problems = Problems(f"{path}: not a table of a sky", FormatError)
     names = [cell.split("[")[0].strip() for cell in rows[0]] if rows else []
-    required = {"wavelength", "direct_normal", "diffuse"}
     has_directions = "radiance" in names
-    required |= {"zenith", "azimuth", "radiance"} if has_directions else set()
-    if required - set(names):
-        problems.add(
-            f"columns {sorted(required - set(names))} are missing, found {names}", code="column-missing"
-        )
-    if len(set(names)) < len(names):
-        problems.add(f"columns {names}: some are repeated", code="column-repeated")
+    missing = sorted(set(list(_COLUMNS)[: None if has_directions else _PLAIN_COLUMNS]) - set(names))
     ragged_rows = [number for number, row in enumerate(rows) if len(row) != len(names)]
-    if ragged_rows or len(rows) < 2:
-        found = (
-            f"row {ragged_rows[0] + 1} of {len(rows[ragged_rows[0]])} cells"
-            if ragged_rows
-            else "no row below the headings"
-        )
-        problems.add(found, expected=f"rows of {len(names)}", code="length-mismatch")
+    found = (
+        f"row {ragged_rows[0] + 1} of {len(rows[ragged_rows[0]])} cells"
+        if ragged_rows
+        else "no row below the headings"
+    )
+    checks = (
+        (missing, Problem(f"columns {missing} are missing, found {names}", code="column-missing")),
+        (
+            len(set(names)) < len(names),
+            Problem(f"columns {names}: some are repeated", code="column-repeated"),
+        ),
+        (
+            ragged_rows or len(rows) < 2,
+            Problem(found, expected=f"rows of {len(names)}", code="length-mismatch"),
+        ),
+    )
+    problems.extend(problem for is_wrong, problem in checks if is_wrong)
     problems.raise_if_any()
     try:
         table = np.array(rows[1:], np.float64)
@@ -171,34 +201,35 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         ) from error
     with np.errstate(over="ignore", invalid="ignore"):  # checked below
         table = table * factors
-    if not np.isfinite(table).all():
-        row_number = int(np.flatnonzero(~np.isfinite(table).all(axis=1))[0])
-        raise FormatError(
-            f"{path}: row {row_number + 2} {rows[row_number + 1]}",
-            expected="finite numbers",
-            code="not-finite",
-        )
+    wrong_rows = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    first = int(wrong_rows[0]) if wrong_rows.size else 0
+    infinite = Problem(f"row {first + 2} {rows[first + 1]}", expected="finite numbers", code="not-finite")
+    refuse(str(path), (wrong_rows.size, infinite))
     columns = dict(zip(names, table.T, strict=True))
-    wavelength, first_rows = np.unique(columns["wavelength"], return_index=True)
-    light = columns["direct_normal"][first_rows], columns["diffuse"][first_rows]
     if not has_directions:
-        return sky_dataset(str(path), columns["wavelength"], columns["direct_normal"], columns["diffuse"])
+        return sky_dataset(str(path), *(columns[name] for name in list(_COLUMNS)[:_PLAIN_COLUMNS]))
+    axes = ("wavelength", "zenith", "azimuth")
+    wavelength, first_rows = np.unique(columns["wavelength"], return_index=True)
     zenith, azimuth = np.unique(columns["zenith"]), np.unique(columns["azimuth"])
     shape = wavelength.size, zenith.size, azimuth.size
-    order = np.lexsort((columns["azimuth"], columns["zenith"], columns["wavelength"]))
-    is_grid = math.prod(shape) == order.size  # checked first: a grid of scattered directions would be huge
-    if is_grid:
-        grid = np.stack(np.meshgrid(wavelength, zenith, azimuth, indexing="ij")).reshape(3, -1)
-        sorted_directions = np.stack([columns[name][order] for name in ("wavelength", "zenith", "azimuth")])
-        is_grid = np.array_equal(sorted_directions, grid)
-    if not is_grid:
-        raise FormatError(
-            f"{path}: {order.size} rows",
-            expected=f"every direction once at every wavelength, {shape}",
-            code="grid-mismatch",
-        )
+    order = np.lexsort([columns[name] for name in reversed(axes)])
+    # the number is checked first: a grid of scattered directions would be huge
+    is_grid = math.prod(shape) == order.size and np.array_equal(
+        np.stack([columns[name][order] for name in axes]),
+        np.stack(np.meshgrid(wavelength, zenith, azimuth, indexing="ij")).reshape(3, -1),
+    )
+    scattered = Problem(
+        f"{order.size} rows",
+        expected=f"every direction once at every wavelength, {shape}",
+        code="grid-mismatch",
+    )
+    refuse(str(path), (not is_grid, scattered))
     return sky_dataset(
-        str(path), wavelength, *light, (zenith, azimuth, columns["radiance"][order].reshape(shape))
+        str(path),
+        wavelength,
+        columns["direct_normal"][first_rows],
+        columns["diffuse"][first_rows],
+        (zenith, azimuth, columns["radiance"][order].reshape(shape)),
     )
 
 
@@ -264,14 +295,14 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
     >>> light.wavelength.values.round(), light.direct_normal.values.round(2), light.diffuse.values.round(2)
     (array([450., 850.]), array([1.59, 0.92]), array([0.3 , 0.04]))
     """
-    if not 0.0 <= sun_zenith < 90.0 or not 0.0 < ground <= 1.0:
-        raise SchemaError(
-            f"sun_zenith is {sun_zenith!r} and ground {ground!r}",
-            expected="0 to below 90 degrees and 0 to 1",
-            code="value-out-of-range",
-        )
+    cosine = _cosine(sun_zenith)
+    if not 0.0 < ground <= 1.0:
+        raise SchemaError(f"ground {ground!r}", expected="above 0, at most 1", code="value-out-of-range")
     lines = sky_lines(path)
-    name_line, names = next(((n, _names(line)) for n, line in enumerate(lines) if "FREQ" in line), (0, []))
+    name_line, heading = next(((n, line) for n, line in enumerate(lines) if "FREQ" in line), (0, ""))
+    for name in _TWO_WORDS:
+        heading = heading.replace(name, name.replace(" ", "_"))
+    names = heading.split()
     if not set(_TAPE7_COLUMNS) <= set(names):
         raise FormatError(
             f"{path}: no line of names with {', '.join(_TAPE7_COLUMNS)}",
@@ -307,14 +338,8 @@ def read_tape7(path: str | Path, *, sun_zenith: float, ground: float) -> xr.Data
         diffuse = np.where(
             np.abs(total - direct) <= 1e-5 * total, 0.0, total - direct
         )  # rounding of the file
-        normal, wavelength = direct / np.cos(np.radians(sun_zenith)), 1e7 / wavenumber
+        normal, wavelength = direct / cosine, 1e7 / wavenumber
     return sky_dataset(str(path), wavelength, normal, diffuse)
-
-
-def _names(line: str) -> list[str]:
-    for name in _TWO_WORDS:
-        line = line.replace(name, name.replace(" ", "_"))
-    return line.split()
 
 
 # ----------------------------------------------------------------------------------------------------------
@@ -368,54 +393,62 @@ def read_uvspec(
     >>> light.direct_normal.values.round(2), light.diffuse.values.round(2)
     (array([1.  , 0.84]), array([0.18, 0.04]))
     """
-    if not 0.0 <= sun_zenith < 90.0:
-        raise SchemaError(
-            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
-        )
-    factor = conversion_factor(units, "W m-2 nm-1")
-    rows = [numbers(line.split()) for line in sky_lines(path) if line.strip() and not line.startswith("#")]
+    cosine, factor = _cosine(sun_zenith), conversion_factor(units, _IRRADIANCE)
+    lines = [line for line in sky_lines(path) if line.strip() and not line.startswith("#")]
+    rows = [numbers(line.split()) or [] for line in lines]
     step = 1 if directions == 0 else 2 + directions
-    if not rows or len(rows) % step or any(row is None for row in rows):
-        raise FormatError(
-            f"{path}: {len(rows)} lines",
-            expected=f"{step} lines of numbers for each wavelength",
-            mend="pass the number of umu in the input of uvspec as directions=; write one output level "
-            "(zout)",
-            code="length-mismatch",
-        )
-    flux = [row or [] for row in rows[::step]]
-    if any(len(row) != _UVSPEC_COLUMNS for row in flux):
-        raise FormatError(
-            f"{path}: a line of {next(len(row) for row in flux if len(row) != _UVSPEC_COLUMNS)} numbers",
-            expected=f"{_UVSPEC_COLUMNS}: lambda edir edn eup uavgdir uavgdn uavgup",
-            mend="run uvspec with rte_solver disort and without output_user",
-            code="model-output-wrong",
-        )
-    table = np.array(flux, np.float64)
-    light = table[:, 0], factor * table[:, 1] / np.cos(np.radians(sun_zenith)), factor * table[:, 2]
+    blocks = [rows[start : start + step] for start in range(0, len(rows), step)]
+    width = next((len(block[0]) for block in blocks if len(block[0]) != _UVSPEC_COLUMNS), _UVSPEC_COLUMNS)
+    refuse(
+        str(path),
+        (
+            not rows or len(rows) % step or [] in rows,
+            Problem(
+                f"{len(rows)} lines",
+                expected=f"{step} lines of numbers for each wavelength",
+                mend=(
+                    "pass the number of umu in the input of uvspec as directions=; write one output level "
+                    "(zout)"
+                ),
+                code="length-mismatch",
+            ),
+        ),
+        (
+            width != _UVSPEC_COLUMNS,
+            Problem(
+                f"a line of {width} numbers",
+                expected=f"{_UVSPEC_COLUMNS}: lambda edir edn eup uavgdir uavgdn uavgup",
+                mend="run uvspec with rte_solver disort and without output_user",
+                code="model-output-wrong",
+            ),
+        ),
+    )
+    table = np.array([block[0] for block in blocks], np.float64)
+    light = table[:, 0], factor * table[:, 1] / cosine, factor * table[:, 2]
     if not directions:
         return sky_dataset(str(path), *light)
-    blocks = [[row or [] for row in rows[start + 1 : start + step]] for start in range(0, len(rows), step)]
-    azimuths = blocks[0][0]
-    if any(
-        block[0] != azimuths or {len(row) for row in block[1:]} != {len(azimuths) + 2} for block in blocks
-    ):
-        raise FormatError(
-            f"{path}: blocks of radiance differ",
-            expected=f"a line of phi and {directions} of umu u0u uu",
-            code="grid-mismatch",
-        )
-    radiance = np.array([block[1:] for block in blocks], np.float64)
-    cosine = radiance[0, :, 0]
-    if (radiance[:, :, 0] != cosine).any() or not (-1.0 <= cosine.min() < 0.0):
-        raise FormatError(
-            f"{path}: umu {cosine.tolist()}",
-            expected="the same at all wavelengths, some from -1 to 0",
-            code="grid-mismatch",
-        )
-    sky_directions = np.flatnonzero(cosine < 0.0)[::-1]  # from the zenith downwards
-    sky_directions = sky_directions[np.argsort(-cosine[sky_directions])[::-1]]
-    zenith = np.degrees(np.arccos(-cosine[sky_directions]))
+    # a line of azimuths, and lines of umu, u0u and the radiance at every azimuth
+    azimuths = blocks[0][1]
+    differ = Problem(
+        "blocks of radiance differ",
+        expected=f"a line of phi and {directions} of umu u0u uu",
+        code="grid-mismatch",
+    )
+    are_alike = all(
+        block[1] == azimuths and {len(row) for row in block[2:]} == {len(azimuths) + 2} for block in blocks
+    )
+    refuse(str(path), (not are_alike, differ))
+    radiance = np.array([block[2:] for block in blocks], np.float64)
+    upward = radiance[0, :, 0]
+    wrong = Problem(
+        f"umu {upward.tolist()}",
+        expected="the same at all wavelengths, some from -1 to 0",
+        code="grid-mismatch",
+    )
+    refuse(str(path), ((radiance[:, :, 0] != upward).any() or not -1.0 <= upward.min() < 0.0, wrong))
+    sky_directions = np.flatnonzero(upward < 0.0)[::-1]  # from the zenith downwards
+    sky_directions = sky_directions[np.argsort(-upward[sky_directions])[::-1]]
+    zenith = np.degrees(np.arccos(-upward[sky_directions]))
     from_sun = (np.array(azimuths) - sun_azimuth) % 360.0
     return sky_dataset(str(path), *light, (zenith, from_sun, factor * radiance[:, sky_directions, 2:]))
 
@@ -424,6 +457,8 @@ def read_uvspec(
 # Output of 6S: one monochromatic run per wavelength.
 
 
+#: Words above the row of irradiances on level ground [W m-2 micron-1]: direct, atmosphere, environment.
+_SIXS_HEADING = "direct solar irr."
 _WAVELENGTH = re.compile(r"monochromatic calculation at wl\s*[:=]\s*([0-9.]+)\s*micron")
 
 
@@ -466,40 +501,43 @@ def read_sixs(paths: Sequence[str | Path], *, sun_zenith: float) -> xr.Dataset:
     >>> light.direct_normal.values.round(3), light.diffuse.values.round(3)
     (array([1. , 1.4]), array([0.184, 0.104]))
     """
-    if not 0.0 <= sun_zenith < 90.0:
-        raise SchemaError(
-            f"sun_zenith is {sun_zenith!r}", expected="0 to below 90 degrees", code="value-out-of-range"
+    cosine = _cosine(sun_zenith)
+    table = []
+    for path in paths:
+        lines = sky_lines(path)
+        wavelength = next((match[1] for line in lines if (match := _WAVELENGTH.search(line))), "")
+        heading = next((n for n, line in enumerate(lines[:-1]) if _SIXS_HEADING in line), len(lines))
+        micron, row = number(wavelength), (lines[heading + 1 :] or [""])[0]
+        values = numbers(row.replace("*", " ").split())
+        refuse(
+            str(path),
+            (
+                not wavelength or heading == len(lines),
+                Problem(
+                    "not a monochromatic run of 6S with irradiance at ground level",
+                    mend="run 6S with a single wavelength (IWAVE -1) per file",
+                    code="model-output-wrong",
+                ),
+            ),
+            (
+                micron is None,
+                Problem(
+                    f"a wavelength of {wavelength[:60]!r}",
+                    expected="a number [micron]",
+                    code="number-unreadable",
+                ),
+            ),
+            (
+                len(values or ()) != 3,
+                Problem(
+                    f"line {heading + 2}: {row[:60]!r}",
+                    expected="three irradiances",
+                    code="number-unreadable",
+                ),
+            ),
         )
-    rows = np.array([_run(path) for path in paths], np.float64).reshape(-1, 4)
-    micron, direct, diffuse, environment = rows.T
+        table.append([micron, *(values or ())])
+    micrometres, direct, diffuse, environment = np.array(table, np.float64).reshape(-1, 4).T
     per_nm = 1e-3
-    direct_normal = per_nm * direct / np.cos(np.radians(sun_zenith))
-    return sky_dataset("6S", 1000.0 * micron, direct_normal, per_nm * (diffuse + environment))
-
-
-def _run(path: str | Path) -> tuple[float, ...]:
-    # Return wavelength [micron] and the three irradiances [W m-2 micron-1].
-    lines = sky_lines(path)
-    wavelength = next((match[1] for line in lines if (match := _WAVELENGTH.search(line))), None)
-    heading_line = next((n for n, line in enumerate(lines[:-1]) if "direct solar irr." in line), None)
-    if wavelength is None or heading_line is None:
-        raise FormatError(
-            f"{path}: not a monochromatic run of 6S with irradiance at ground level",
-            mend="run 6S with a single wavelength (IWAVE -1) per file",
-            code="model-output-wrong",
-        )
-    micron = number(wavelength)
-    if micron is None:
-        raise FormatError(
-            f"{path}: a wavelength of {wavelength[:60]!r}",
-            expected="a number [micron]",
-            code="number-unreadable",
-        )
-    values = numbers(lines[heading_line + 1].replace("*", " ").split())
-    if values is None or len(values) != 3:
-        raise FormatError(
-            f"{path}: line {heading_line + 2}: {lines[heading_line + 1][:60]!r}",
-            expected="three irradiances",
-            code="number-unreadable",
-        )
-    return micron, *values
+    direct_normal = per_nm * direct / cosine
+    return sky_dataset("6S", 1000.0 * micrometres, direct_normal, per_nm * (diffuse + environment))
