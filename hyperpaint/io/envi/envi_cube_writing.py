@@ -33,12 +33,12 @@ from hyperpaint.io.maps.map_grids import (
     storable,
 )
 
-from .envi_grammar import FILE_AXES, braced
+from .envi_header import DTYPES, FILE_AXES, braced
 
 Interleave = Literal["bil", "bip", "bsq"]
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq")
-_CODES = {"uint8": 1, "int16": 2, "int32": 3, "float32": 4, "float64": 5, "uint16": 12, "uint32": 13}
+_CODES = {np.dtype(name).name: code for code, name in DTYPES.items()}
 _SCALE = 10_000
 _IGNORE = 65_535
 # Size of the pieces in which an array in memory is written [byte].

@@ -13,6 +13,7 @@ import json
 import os
 import re
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,7 @@ from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file
 
 from .envi_array import EnviArray, Scaling
-from .envi_grammar import FILE_AXES
-from .envi_header import EnviHeader, read_header
+from .envi_header import FILE_AXES, EnviHeader, read_header
 
 _DATA_SUFFIXES = (".img", ".dat", ".raw", ".bil", ".bip", ".bsq", ".bin", ".sli")
 _LEVEL = re.compile(r"(?:^|,)\s*(radiance|reflectance|counts)\s*(?=$|[\],\[])", re.IGNORECASE)
@@ -52,44 +52,41 @@ def find_pair(path: str | os.PathLike[str]) -> tuple[Path, Path]:
     path = input_path(path, "an ENVI header, or the data file beside it")
     if not path.is_file():
         raise FileNotFoundError(f"no such file: {str(path)!r}")
-    if path.suffix.lower() == ".hdr":
-        bare_path = path.with_suffix("")
-        suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
-        candidates = _existing([bare_path]) or _existing(
-            [Path(f"{bare_path}{suffix}") for suffix in suffixes]
-        )
-        if not candidates:
+
+    def existing(suffixes: Iterable[str], *stems: Path) -> list[Path]:
+        # the files among the names; two spellings of one file count once
+        files: list[Path] = []
+        for name in (Path(f"{stem}{suffix}") for stem in stems for suffix in suffixes):
+            if is_plain_file(name) and not any(name.samefile(other) for other in files):
+                files.append(name)
+        return files
+
+    bare_path = path.with_suffix("")
+    if path.suffix.lower() != ".hdr":
+        headers = existing((".hdr", ".HDR"), path, bare_path)
+        if not headers:
             raise FormatError(
-                f"ENVI header {str(path)!r} has no data file beside it",
-                expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
-                code="data-file-missing",
+                f"ENVI data file {str(path)!r} has no header beside it",
+                expected=f"{path.name + '.hdr'!r} or {path.stem + '.hdr'!r}",
+                code="header-missing",
             )
-        if len(candidates) > 1:
-            names = ", ".join(repr(candidate.name) for candidate in candidates)
-            raise FormatError(
-                f"ENVI header {str(path)!r} could belong to {names}",
-                mend="open the data file you mean",
-                code="data-file-ambiguous",
-            )
-        return path, candidates[0]
-    header = _existing([Path(f"{path}{suffix}") for suffix in (".hdr", ".HDR")])
-    header = header or _existing([path.with_suffix(suffix) for suffix in (".hdr", ".HDR")])
-    if not header:
+        return headers[0], path
+    suffixes = [suffix for lower in _DATA_SUFFIXES for suffix in (lower, lower.upper())]
+    candidates = existing([""], bare_path) or existing(suffixes, bare_path)
+    if not candidates:
         raise FormatError(
-            f"ENVI data file {str(path)!r} has no header beside it",
-            expected=f"{path.name + '.hdr'!r} or {path.stem + '.hdr'!r}",
-            code="header-missing",
+            f"ENVI header {str(path)!r} has no data file beside it",
+            expected=f"{bare_path.name!r}, with no suffix or with one of {' '.join(_DATA_SUFFIXES)}",
+            code="data-file-missing",
         )
-    return header[0], path
-
-
-def _existing(candidates: list[Path]) -> list[Path]:
-    # Return the candidates that are files; two spellings of one file count once.
-    files: list[Path] = []
-    for path in candidates:
-        if is_plain_file(path) and not any(path.samefile(other) for other in files):
-            files.append(path)
-    return files
+    if len(candidates) > 1:
+        names = ", ".join(repr(candidate.name) for candidate in candidates)
+        raise FormatError(
+            f"ENVI header {str(path)!r} could belong to {names}",
+            mend="open the data file you mean",
+            code="data-file-ambiguous",
+        )
+    return path, candidates[0]
 
 
 def open_envi(

@@ -25,8 +25,13 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaEr
 from hyperpaint.base.input_files import open_input, read_limited
 from hyperpaint.base.schema import BAND, SIGNATURE
 from hyperpaint.io.envi.envi_cubes import find_pair
-from hyperpaint.io.envi.envi_grammar import bare, braced
-from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, EnviHeader, read_header
+from hyperpaint.io.envi.envi_header import (
+    MAX_LIBRARY_HEADER_BYTES,
+    EnviHeader,
+    bare,
+    braced,
+    read_header,
+)
 from hyperpaint.io.files.publishing import published_files
 from hyperpaint.io.files.reading import unique_names
 
