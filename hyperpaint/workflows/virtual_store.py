@@ -16,7 +16,7 @@ import xarray as xr
 from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.envi.envi_cubes import EnviArray
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store.manifest import SETTINGS
 from hyperpaint.io.store.raw_references import (
@@ -258,7 +258,7 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
 
 
 def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
-    from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
+    from hyperpaint.io.envi.envi_cubes import FILE_DIMS, slab_lines, slab_offsets
 
     first_array = arrays[0]
     interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first_array.axes)

@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 from hyperpaint.base.errors import CollectError
 from hyperpaint.io.collect.collect_opening import open_collect
 from hyperpaint.io.collect.collect_toml import read_collect
-from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.envi.envi_cubes import EnviArray
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.simulation.collect import simulate_collect
 

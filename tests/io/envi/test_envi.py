@@ -25,8 +25,7 @@ from support.envi_cubes import CODES, FROM_LBS, toy, write_cube
 from hyperpaint.base import schema
 from hyperpaint.base.errors import FormatError, PaintWarning
 from hyperpaint.io.backends import EnviBackendEntrypoint
-from hyperpaint.io.envi.envi_array import EnviArray
-from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.envi.envi_cubes import EnviArray, open_envi
 
 
 @pytest.fixture
@@ -83,10 +82,10 @@ def _index(size: int) -> st.SearchStrategy[Any]:
 def test_any_index_equals_numpy(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, interleave: str, gap: int
 ) -> None:
-    from hyperpaint.io.envi import envi_array
+    from hyperpaint.io.envi import envi_cubes
 
-    monkeypatch.setattr(envi_array, "_MAX_GAP_BYTES", gap)
-    monkeypatch.setattr(envi_array, "_MAX_BOX_BYTES", 100)
+    monkeypatch.setattr(envi_cubes, "_MAX_GAP_BYTES", gap)
+    monkeypatch.setattr(envi_cubes, "_MAX_BOX_BYTES", 100)
     cube = toy("u2")
     header = write_cube(tmp_path_factory.mktemp("any") / "toy", cube, interleave=interleave, order=">")
     line = open_envi(header)["values"]
