@@ -203,8 +203,13 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         table = table * factors
     wrong_rows = np.flatnonzero(~np.isfinite(table).all(axis=1))
     first = int(wrong_rows[0]) if wrong_rows.size else 0
-    infinite = Problem(f"row {first + 2} {rows[first + 1]}", expected="finite numbers", code="not-finite")
-    refuse(str(path), (wrong_rows.size, infinite))
+    refuse(
+        str(path),
+        (
+            wrong_rows.size,
+            Problem(f"row {first + 2} {rows[first + 1]}", expected="finite numbers", code="not-finite"),
+        ),
+    )
     columns = dict(zip(names, table.T, strict=True))
     if not has_directions:
         return sky_dataset(str(path), *(columns[name] for name in list(_COLUMNS)[:_PLAIN_COLUMNS]))
@@ -218,12 +223,17 @@ def read_sky_csv(path: str | Path) -> xr.Dataset:
         np.stack([columns[name][order] for name in axes]),
         np.stack(np.meshgrid(wavelength, zenith, azimuth, indexing="ij")).reshape(3, -1),
     )
-    scattered = Problem(
-        f"{order.size} rows",
-        expected=f"every direction once at every wavelength, {shape}",
-        code="grid-mismatch",
+    refuse(
+        str(path),
+        (
+            not is_grid,
+            Problem(
+                f"{order.size} rows",
+                expected=f"every direction once at every wavelength, {shape}",
+                code="grid-mismatch",
+            ),
+        ),
     )
-    refuse(str(path), (not is_grid, scattered))
     return sky_dataset(
         str(path),
         wavelength,
@@ -440,12 +450,17 @@ def read_uvspec(
     refuse(str(path), (not are_alike, differ))
     radiance = np.array([block[2:] for block in blocks], np.float64)
     upward = radiance[0, :, 0]
-    wrong = Problem(
-        f"umu {upward.tolist()}",
-        expected="the same at all wavelengths, some from -1 to 0",
-        code="grid-mismatch",
+    refuse(
+        str(path),
+        (
+            (radiance[:, :, 0] != upward).any() or not -1.0 <= upward.min() < 0.0,
+            Problem(
+                f"umu {upward.tolist()}",
+                expected="the same at all wavelengths, some from -1 to 0",
+                code="grid-mismatch",
+            ),
+        ),
     )
-    refuse(str(path), ((radiance[:, :, 0] != upward).any() or not -1.0 <= upward.min() < 0.0, wrong))
     sky_directions = np.flatnonzero(upward < 0.0)[::-1]  # from the zenith downwards
     sky_directions = sky_directions[np.argsort(-upward[sky_directions])[::-1]]
     zenith = np.degrees(np.arccos(-upward[sky_directions]))

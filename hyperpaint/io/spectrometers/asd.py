@@ -230,12 +230,22 @@ class Cursor:
                 # a SAFEARRAY: its number of dimensions, and count and lower bound of each
                 item_bytes, *items = piece
                 (dims,) = self.values("H", part)
-                damaged = Problem(f"{part} has an array of {dims} dimensions", code="file-damaged")
-                refuse(self.name, (dims * 8 > self.remaining or dims > 60, damaged))
+                refuse(
+                    self.name,
+                    (
+                        dims * 8 > self.remaining or dims > 60,
+                        Problem(f"{part} has an array of {dims} dimensions", code="file-damaged"),
+                    ),
+                )
                 count = math.prod(self.values("Ii", part)[0] for _ in range(dims)) if dims else 0
                 size = f"{part} declares {count} items, which do not fit into the remaining"
-                damaged = Problem(f"{size} {self.remaining} bytes", code="file-damaged")
-                refuse(self.name, (count * item_bytes > self.remaining, damaged))
+                refuse(
+                    self.name,
+                    (
+                        count * item_bytes > self.remaining,
+                        Problem(f"{size} {self.remaining} bytes", code="file-damaged"),
+                    ),
+                )
                 if not items:
                     self.bytes(item_bytes * count, part)
                 for _ in range(count if items else 0):
@@ -254,8 +264,13 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
     path = Path(path)
     data = read_limited(path, _MAX_BINARY_BYTES, "an ASD spectrometer's file")
     version = _VERSIONS.get(data[:3], 0)
-    foreign = Problem(f"begins with {data[:3]!r}", expected="one of ASD, as2 to as8", code="format-unknown")
-    refuse(path.name, (version == 0, foreign))
+    refuse(
+        path.name,
+        (
+            version == 0,
+            Problem(f"begins with {data[:3]!r}", expected="one of ASD, as2 to as8", code="format-unknown"),
+        ),
+    )
     cursor = Cursor(data, path.name)
     header: dict[str, Any] = {}
     for name, fmt in _HEADER:
@@ -295,10 +310,15 @@ def read_asd(path: str | os.PathLike[str]) -> AsdFile:
     reference, utc_offset_h, description = None, None, ""
     if version >= 2:
         flag, ole_days, _ = cursor.values("Hdd", "the head of the white reference")
-        damaged = Problem(
-            f"white reference flag {flag:#06x}", expected="0x0000 or 0xffff", code="file-damaged"
+        refuse(
+            path.name,
+            (
+                flag not in (0, 0xFFFF),
+                Problem(
+                    f"white reference flag {flag:#06x}", expected="0x0000 or 0xffff", code="file-damaged"
+                ),
+            ),
         )
-        refuse(path.name, (flag not in (0, 0xFFFF), damaged))
         description = cursor.text("the description of the white reference")
         # without a white reference, the file contains zeros or an outdated reference here
         counts = cursor.array(channels, dtype, "the white reference")
@@ -539,8 +559,13 @@ def read_asd_text(path: str | os.PathLike[str]) -> AsdText:
     while names and not names[-1]:  # a separator at the end of the line
         names.pop()
     is_spectrum_per_row = all(cell_number(cell) is not None for cell in names[1:])
-    single = Problem("the table has no column beside 'Wavelength'", mend=again, code="column-missing")
-    refuse(name, (len(names) < 2, single))
+    refuse(
+        name,
+        (
+            len(names) < 2,
+            Problem("the table has no column beside 'Wavelength'", mend=again, code="column-missing"),
+        ),
+    )
     # the rows: lines of another kind, such as ``x2bar``, may precede and follow, but not interrupt them
     labels: list[str] = []
     rows: list[list[float | None]] = []
@@ -711,12 +736,17 @@ def read_spectra(
     def spectra_of(content: AsdFile | AsdText) -> list[Spectrum]:
         if isinstance(content, AsdFile):
             return [_spectrum_of(content, target_quantity, external_files, absolute=absolute)]
-        missing = Problem(
-            "a text export does not contain the panel's reflectance, which absolute= needs",
-            mend="open the binary file",
-            code="option-conflict",
+        refuse(
+            content.name,
+            (
+                absolute,
+                Problem(
+                    "a text export does not contain the panel's reflectance, which absolute= needs",
+                    mend="open the binary file",
+                    code="option-conflict",
+                ),
+            ),
         )
-        refuse(content.name, (absolute, missing))
         integration_ms, averages = (
             content.preamble.get(key) for key in ("integration_ms", "sample_averages")
         )
@@ -755,31 +785,46 @@ def _spectrum_of(
     wavelength, name, reference = file.wavelength, file.name, file.reference
     purpose = f"absolute {quantity}" if absolute else quantity
     kinds = _BLOCKS_BY_QUANTITY.get(purpose, ())
-    no_reference = Problem(
-        "no white reference in the file, so no reflectance",
-        mend="pass quantity='counts', or give files saved after the white reference was taken",
-        code="reference-missing",
+    refuse(
+        name,
+        (
+            quantity == "reflectance" and reference is None,
+            Problem(
+                "no white reference in the file, so no reflectance",
+                mend="pass quantity='counts', or give files saved after the white reference was taken",
+                code="reference-missing",
+            ),
+        ),
     )
-    refuse(name, (quantity == "reflectance" and reference is None, no_reference))
     # values and integration times [ms] of the calibration, and names of its files
     blocks = {
         kind: (block.values, block.integration_ms, block.name) for kind, block in file.calibrations.items()
     }
     for kind, other in external_files.items():
-        grids = Problem(f"wavelengths differ from calibration file {other.name}", code="grid-mismatch")
-        refuse(name, (kind in kinds and not np.array_equal(other.wavelength, wavelength), grids))
+        refuse(
+            name,
+            (
+                kind in kinds and not np.array_equal(other.wavelength, wavelength),
+                Problem(f"wavelengths differ from calibration file {other.name}", code="grid-mismatch"),
+            ),
+        )
         blocks[kind] = (other.spectrum, other.integration_ms, other.name)
     missing = [kind for kind in kinds if kind not in blocks]
     keys = (f"{key!r}: path" for key, kind in _CALIBRATION_KEYS.items() if kind in missing)
-    no_blocks = Problem(
-        f"no calibration block {' and '.join(missing)} in the file, so no {purpose}",
-        mend=(
-            f"pass calibration={{{', '.join(keys)}}} with the files of the instrument (.ill, .raw, .ref), or "
-            "export the spectra as text with the vendor's software"
+    refuse(
+        name,
+        (
+            missing,
+            Problem(
+                f"no calibration block {' and '.join(missing)} in the file, so no {purpose}",
+                mend=(
+                    f"pass calibration={{{', '.join(keys)}}} with the files of the instrument (.ill, .raw, "
+                    ".ref), or export the spectra as text with the vendor's software"
+                ),
+                code="calibration-missing",
+            ),
         ),
-        code="calibration-missing",
     )
-    refuse(name, (missing, no_blocks))
     # saturation flags of the detectors VNIR, SWIR 1 and SWIR 2, whose ends are infinite if they are the last
     ends = [splice if splice > 0 else np.inf for splice in file.splices]
     detector = np.searchsorted([ends[0], max(ends)], wavelength)

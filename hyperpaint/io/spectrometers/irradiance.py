@@ -107,13 +107,18 @@ def read_irradiance_csv(path: str | os.PathLike[str]) -> IrradianceTable:
     name = path.name
     data = read_limited_text(path, _MAX_BYTES, "an irradiance series (a longer one fits Zarr)")
     comma_count = data.count(b",")
-    large = Problem(
-        f"{comma_count} values",
-        expected=f"at most {_MAX_VALUES}",
-        mend="split it into several files, or convert it to Zarr",
-        code="file-too-large",
+    refuse(
+        str(path),
+        (
+            comma_count > _MAX_VALUES,
+            Problem(
+                f"{comma_count} values",
+                expected=f"at most {_MAX_VALUES}",
+                mend="split it into several files, or convert it to Zarr",
+                code="file-too-large",
+            ),
+        ),
     )
-    refuse(str(path), (comma_count > _MAX_VALUES, large))
     text = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").decode("utf-8-sig", errors="replace")
     del data  # to free memory
     comments: dict[str, str] = {}
@@ -582,24 +587,42 @@ def _from_xarray(
 ) -> _Series:
     data = data.to_dataset(name="irradiance") if isinstance(data, xr.DataArray) else data
     names = [str(name) for name in data.data_vars]
-    absent = Problem(f"no variable 'irradiance', only {names}", mend="rename it", code="variable-missing")
-    refuse(origin, ("irradiance" not in names, absent), error=SchemaError)
+    refuse(
+        origin,
+        (
+            "irradiance" not in names,
+            Problem(f"no variable 'irradiance', only {names}", mend="rename it", code="variable-missing"),
+        ),
+        error=SchemaError,
+    )
     array = data["irradiance"]
     axes = [next((n for n in names if n in array.dims and n in array.coords), "") for names in _AXES]
-    dims = Problem(
-        f"'irradiance' has dims {tuple(map(str, array.dims))}",
-        expected=(
-            f"a time and a wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
-            f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
+    refuse(
+        origin,
+        (
+            "" in axes or array.ndim != 2,
+            Problem(
+                f"'irradiance' has dims {tuple(map(str, array.dims))}",
+                expected=(
+                    f"a time and a wavelength with coordinates, named {IRRADIANCE_TIME!r} or 'time', "
+                    f"{IRRADIANCE_WAVELENGTH!r} or 'wavelength'"
+                ),
+                code="dims-wrong",
+            ),
         ),
-        code="dims-wrong",
+        error=SchemaError,
     )
-    refuse(origin, ("" in axes or array.ndim != 2, dims), error=SchemaError)
     time, wavelength = (array[name] for name in axes)
-    not_time = Problem(
-        f"{time.name!r} has dtype {time.dtype}", expected="datetime64 without NaT", code="type-wrong"
+    refuse(
+        origin,
+        (
+            time.dtype.kind != "M" or time.isnull().any(),
+            Problem(
+                f"{time.name!r} has dtype {time.dtype}", expected="datetime64 without NaT", code="type-wrong"
+            ),
+        ),
+        error=TimeError,
     )
-    refuse(origin, (time.dtype.kind != "M" or time.isnull().any(), not_time), error=TimeError)
     if utc_offset_h is not None:
         check_utc_offset(utc_offset_h)
     array = array.transpose(*axes)
@@ -626,12 +649,18 @@ def _from_xarray(
     )
     nanometres = convert(wavelength, "nm", str(wavelength.name)).values.astype(np.float64)
     is_ordered = np.all(np.isfinite(nanometres)) and np.all(np.diff(nanometres) > 0)
-    unordered = Problem(
-        f"{wavelength.name!r} does not increase",
-        mend="sort by it, and remove repeated values",
-        code="wavelength-unordered",
+    refuse(
+        origin,
+        (
+            not is_ordered,
+            Problem(
+                f"{wavelength.name!r} does not increase",
+                mend="sort by it, and remove repeated values",
+                code="wavelength-unordered",
+            ),
+        ),
+        error=SchemaError,
     )
-    refuse(origin, (not is_ordered, unordered), error=SchemaError)
     values = array.values.astype(np.float64)
     sources = [f"sample {number}" for number in range(len(values))]
     if np.isinf(values).any():
@@ -710,10 +739,16 @@ def _dataset(
         error=SchemaError,
     )
     gap_s = series.max_gap_s if max_gap_s is None else max_gap_s
-    single = Problem(
-        "a single irradiance sample has no interval", mend="pass max_gap_s=", code="argument-missing"
+    refuse(
+        series.origin,
+        (
+            gap_s is None and len(times) < 2,
+            Problem(
+                "a single irradiance sample has no interval", mend="pass max_gap_s=", code="argument-missing"
+            ),
+        ),
+        error=TimeError,
     )
-    refuse(series.origin, (gap_s is None and len(times) < 2, single), error=TimeError)
     if gap_s is None:
         gap_s = _GAP_INTERVALS * float(np.median(np.diff(times).astype(np.int64))) / 1e9
     dims = (IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH)

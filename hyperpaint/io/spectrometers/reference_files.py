@@ -39,12 +39,17 @@ def open_references(paths: Sequence[Any]) -> list[xr.Dataset]:
     for path in stores:
         groups = list_groups(path)
         groups_to_open = [g for g in groups if g.startswith(_GROUP)] or [g for g in groups if not g]
-        missing = Problem(
-            "contains neither a library nor references",
-            expected=f"a paint library, or groups {_GROUP}<instrument>",
-            code="library-missing",
+        refuse(
+            str(path),
+            (
+                not groups_to_open,
+                Problem(
+                    "contains neither a library nor references",
+                    expected=f"a paint library, or groups {_GROUP}<instrument>",
+                    code="library-missing",
+                ),
+            ),
         )
-        refuse(str(path), (not groups_to_open, missing))
         datasets += [open_store(path, group) for group in groups_to_open]
 
     def of_folder(files: list[Path]) -> list[Path]:

@@ -173,8 +173,10 @@ def read_svc(path: str | os.PathLike[str]) -> SvcFile:
         )
     # the table: numbers in the columns of the dialect
     size = len(lines) - first_row
-    large = Problem(f"{size} rows", expected=f"at most {_MAX_ROWS}", code="file-too-large")
-    refuse(path.name, (size > _MAX_ROWS, large))
+    refuse(
+        path.name,
+        (size > _MAX_ROWS, Problem(f"{size} rows", expected=f"at most {_MAX_ROWS}", code="file-too-large")),
+    )
     count = max(dialect.columns) + 1
     rows = [
         (
@@ -588,12 +590,17 @@ def _measure(
         values = (file.reference, file.target)[scan_number] * file.scale[quantity]
     handovers = _handovers(file, joins) if trim else ()
     is_used = _trimmed_channels(file, handovers)
-    unordered = Problem(
-        "no channel remains after trimming; detectors are not in order of wavelength",
-        mend="copy the file again",
-        code="wavelength-unordered",
+    refuse(
+        file.name,
+        (
+            not is_used.any(),
+            Problem(
+                "no channel remains after trimming; detectors are not in order of wavelength",
+                mend="copy the file again",
+                code="wavelength-unordered",
+            ),
+        ),
     )
-    refuse(file.name, (not is_used.any(), unordered))
     # number of the detector of each channel: by the steps back in wavelength, or by the joins of the header
     detector = None
     if len(file.starts) > 1:
@@ -611,13 +618,18 @@ def _handovers(file: SvcFile, joins: tuple[float, float] | None) -> tuple[float,
         # the vendor's software may begin the next detector at its first channel, one step above the join
         low = first - float(np.ptp(file.wavelength[start : start + 2]))
         high = last + float(np.ptp(file.wavelength[max(start - 2, 0) : start]))
-        outside = Problem(
-            f"the join at {join:g} nm is outside the overlap of detectors",
-            expected=f"{first:g} to {last:g} nm",
-            mend="pass joins= within the overlaps",
-            code="join-outside-overlap",
+        refuse(
+            file.name,
+            (
+                joins is not None and not low <= join <= high,
+                Problem(
+                    f"the join at {join:g} nm is outside the overlap of detectors",
+                    expected=f"{first:g} to {last:g} nm",
+                    mend="pass joins= within the overlaps",
+                    code="join-outside-overlap",
+                ),
+            ),
         )
-        refuse(file.name, (joins is not None and not low <= join <= high, outside))
         handovers.append(min(max(join, low), high))
     return tuple(handovers)
 
