@@ -39,7 +39,7 @@ from hyperpaint.base.errors import FormatError, PaintWarning, Problem, Problems,
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import input_path, is_plain_file
 from hyperpaint.base.schema import ALONG_TRACK, BAND, CHUNK_LINES, CROSS_TRACK
-from hyperpaint.io.files.reading import decoded_text
+from hyperpaint.io.files.reading import decoded_text, refuse
 
 from .envi_header import FILE_AXES, EnviHeader, parse_header, read_header
 
@@ -367,25 +367,34 @@ def open_envi(
     header_path, data_path = find_pair(path)
     header = read_header(header_path)
     problems = Problems(f"ENVI header {str(header_path)!r} cannot be used", FormatError)
-    if header.is_spectral_library:
-        problems.add(
-            f"file type is {header.fields['file type']!r}: a spectral library",
-            expected="a cube",
-            code="file-type-wrong",
-        )
     has_scale = header.reflectance_scale_factor not in (None, 1.0)
-    if has_scale and _has_gain(header):
-        problems.add(
-            "both 'reflectance scale factor' and band gains or offsets are given",
-            mend="delete those that do not belong to the stored samples",
-            code="scale-conflict",
-        )
-    if has_scale and _level(header) == "radiance":
-        problems.add(
-            "the description says RADIANCE but a 'reflectance scale factor' is given",
-            mend="delete one",
-            code="scale-conflict",
-        )
+    checks = (
+        (
+            header.is_spectral_library,
+            Problem(
+                f"file type is {header.fields.get('file type')!r}: a spectral library",
+                expected="a cube",
+                code="file-type-wrong",
+            ),
+        ),
+        (
+            has_scale and _has_gain(header),
+            Problem(
+                "both 'reflectance scale factor' and band gains or offsets are given",
+                mend="delete those that do not belong to the stored samples",
+                code="scale-conflict",
+            ),
+        ),
+        (
+            has_scale and _level(header) == "radiance",
+            Problem(
+                "the description says RADIANCE but a 'reflectance scale factor' is given",
+                mend="delete one",
+                code="scale-conflict",
+            ),
+        ),
+    )
+    problems.extend(problem for is_wrong, problem in checks if is_wrong)
     problems.raise_if_any()
     status = os.stat(data_path)
     lines = _lines_in_file(header, data_path, status.st_size, keep_whole_lines)
@@ -453,16 +462,16 @@ def open_envi(
                 for axis in "xy"
             )
         coords |= {"y": ("y", y, y_attrs), "x": ("x", x, x_attrs)}
-    line_attrs: dict[str, Any] = {"source": data_path.name, "envi_header": json.dumps(header.fields)}
-    if header.comments:
-        line_attrs["envi_comments"] = json.dumps(header.comments)
-    if header.notes:
-        line_attrs["envi_notes"] = "; ".join(header.notes)
-    if lines != header.lines:
-        line_attrs["lines_declared"] = header.lines
-    for key in ("map info", "coordinate system string"):
-        if header.map_info is not None and key in header.fields:
-            line_attrs[key.replace(" ", "_")] = header.fields[key]
+    map_keys = ("map info", "coordinate system string") if header.map_info is not None else ()
+    line_attrs: dict[str, Any] = {
+        "source": data_path.name,
+        "envi_header": json.dumps(header.fields),
+        "envi_comments": json.dumps(header.comments) if header.comments else "",
+        "envi_notes": "; ".join(header.notes),
+        "lines_declared": header.lines if lines != header.lines else "",
+        **{key.replace(" ", "_"): header.fields.get(key, "") for key in map_keys},
+    }
+    line_attrs = {key: value for key, value in line_attrs.items() if value != ""}
     return xr.Dataset({name: variable}, coords=coords, attrs=line_attrs)
 
 
@@ -522,18 +531,33 @@ def _quantity(
     is_integer, has_gain = header.dtype.kind in "iu", _has_gain(header)
     if quantity is not None:
         one_of(quantity, _QUANTITIES, "quantity", error=FormatError)
-    reason = mend = ""
-    if quantity is not None and declared not in (None, quantity):
-        reason, mend = f"its header says {declared}", "correct the header, or leave quantity= out"
-    elif quantity == "counts" and (not is_integer or has_gain):
-        reason = f"samples are {header.dtype.name}{', with gains' if has_gain else ''}, no counts"
-    elif quantity == "reflectance" and is_integer and not (declared or has_gain):
-        reason = "integers are stored without a scale"
-        mend = "add for example 'reflectance scale factor = 10000' to its header"
-    if reason:
-        raise FormatError(
-            f"{path.name}: quantity={quantity!r}, but {reason}", mend=mend, code="quantity-conflict"
-        )
+    but = f"quantity={quantity!r}, but"
+    refuse(
+        path.name,
+        (
+            quantity is not None and declared not in (None, quantity),
+            Problem(
+                f"{but} its header says {declared}",
+                mend="correct the header, or leave quantity= out",
+                code="quantity-conflict",
+            ),
+        ),
+        (
+            quantity == "counts" and (not is_integer or has_gain),
+            Problem(
+                f"{but} samples are {header.dtype.name}{', with gains' if has_gain else ''}, no counts",
+                code="quantity-conflict",
+            ),
+        ),
+        (
+            quantity == "reflectance" and is_integer and not (declared or has_gain),
+            Problem(
+                f"{but} integers are stored without a scale",
+                mend="add for example 'reflectance scale factor = 10000' to its header",
+                code="quantity-conflict",
+            ),
+        ),
+    )
     if quantity is None and is_integer and not has_gain and header.file_type in _CUBE_TYPES:
         quantity = unsaid
     name = declared or quantity or "values"
@@ -676,22 +700,29 @@ class EnviParser:
         header = parse_header(decoded_text(bytes(store.get(str(header_path)).buffer())), f"{data_url}.hdr")
         size = int(store.head(str(data))["size"])
         expected = header.header_offset + header.lines * header.line_bytes
-        if size != expected:
-            raise FormatError(
-                f"{data_url}: {size} bytes",
-                expected=f"{expected} by its header",
-                mend="copy it again",
-                code="file-size",
-            )
         # by default the divisor nearest to the lines of stored chunks
         divisors = (n for n in range(1, MAX_SLAB_LINES + 1) if header.lines % n == 0)
         lines = self.lines or min(divisors, key=lambda n: abs(n - CHUNK_LINES))
-        if header.lines % lines:
-            raise FormatError(
-                f"{data_url}: {header.lines} lines in chunks of {lines}",
-                expected="a divisor of the lines",
-                code="length-mismatch",
-            )
+        refuse(
+            data_url,
+            (
+                size != expected,
+                Problem(
+                    f"{size} bytes",
+                    expected=f"{expected} by its header",
+                    mend="copy it again",
+                    code="file-size",
+                ),
+            ),
+            (
+                header.lines % lines,
+                Problem(
+                    f"{header.lines} lines in chunks of {lines}",
+                    expected="a divisor of the lines",
+                    code="length-mismatch",
+                ),
+            ),
+        )
         dims = FILE_DIMS[header.interleave]
         sizes = {ALONG_TRACK: header.lines, BAND: header.bands, CROSS_TRACK: header.samples}
         planes = header.bands if header.interleave == "bsq" else 1
