@@ -80,7 +80,10 @@ class Dialect(NamedTuple):
     scale: Mapping[str, float] = {"radiance": 1e-6, "irradiance": 1e-6, "counts": 1.0}
 
 
-DIALECTS = (Dialect(re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.IGNORECASE)),)
+DIALECTS = (
+    # SVC, HR-512i to HR-1024i
+    Dialect(re.compile(rb"(?:\xef\xbb\xbf)?\s*/\*+[^\r\n]{0,80}Spectra Vista", re.IGNORECASE)),
+)
 SUFFIXES = tuple(dict.fromkeys(dialect.suffix for dialect in DIALECTS))
 
 _MAX_BYTES = 4 * 2**20  # a hundred times the size of usual files
