@@ -85,7 +85,7 @@ def test_any_index_equals_numpy(
     header = write_cube(tmp_path_factory.mktemp("any") / "toy", cube, interleave=interleave, order=">")
     line = open_envi(header)["values"]
 
-    @settings(max_examples=60)
+    @settings(max_examples=40)
     @given(st.tuples(*map(_index, _LENGTHS)))
     def check(key: tuple[Any, ...]) -> None:
         expected = cube
