@@ -877,21 +877,22 @@ def _spectrum_of(
 
 def mask_undefined(spectra: Sequence[Spectrum], quantity: str) -> list[Spectrum]:
     """Replace saturated and undefined samples, and spectra of only zeros, by NaN, with a warning."""
-    reasons: dict[str, list[str]] = {}
+    names_by_reason: dict[str, list[str]] = {}
     masked = []
     for spectrum in spectra:
-        is_undefined = ~np.isfinite(spectrum.values)
-        if is_undefined.any():
-            reasons.setdefault("undefined (not finite)", []).append(spectrum.source)
-        if quantity != "counts" and not spectrum.values.any():
-            reasons.setdefault("zero throughout", []).append(spectrum.source)
-            is_undefined[:] = True
+        values, is_counts = spectrum.values, quantity == "counts"
+        is_undefined, nowhere = ~np.isfinite(values), np.zeros(values.shape, bool)
         # saturated counts are kept: users examine them for saturation
-        if quantity != "counts" and spectrum.saturated is not None and spectrum.saturated.any():
-            reasons.setdefault("saturated", []).append(spectrum.source)
-            is_undefined |= spectrum.saturated
-        masked.append(replace(spectrum, values=np.where(is_undefined, np.nan, spectrum.values)))
-    for reason, names in reasons.items():
+        faults = {
+            "undefined (not finite)": is_undefined,
+            "zero throughout": nowhere if is_counts or values.any() else ~nowhere,
+            "saturated": nowhere if is_counts or spectrum.saturated is None else spectrum.saturated,
+        }
+        for reason in (reason for reason, is_faulty in faults.items() if is_faulty.any()):
+            names_by_reason.setdefault(reason, []).append(spectrum.source)
+        is_masked = np.logical_or.reduce(list(faults.values()))
+        masked.append(replace(spectrum, values=np.where(is_masked, np.nan, values)))
+    for reason, names in names_by_reason.items():
         text = (
             f"samples that are {reason} become NaN in {len(names)} of {len(spectra)} spectra: {listed(names)}"
         )

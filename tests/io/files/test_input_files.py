@@ -51,7 +51,9 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "open_library of DIRSIG": (hp.open_library, ".ems"),
     "wavelength= of open_library": (lambda path: hp.open_library("x.txt", wavelength=path), ".txt"),
     "references": (_of("io.spectrometers.reference_files", "read_pairs"), ".csv"),
-    "open_references": (lambda path: _of("io.spectrometers.reference_files", "open_references")([path]), ".sig"),
+    "open_references": (
+        lambda path: _of("io.spectrometers.reference_files", "open_references")([path]), ".sig"
+    ),
     "radcal": (_of("io", "read_radcal"), ".txt"),
     "certificate": (_of("io", "read_certificate"), ".csv"),
     "materials": (_of("io.dirsig", "read_materials"), ".mat"),
@@ -85,7 +87,8 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "light table": (_of("simulation.rendering.measured_light", "read_table"), ".csv"),
     **{f"mesh {suffix}": (_of("simulation.rendering.mesh_files", "read_mesh"), suffix)
        for suffix in (".obj", ".glb", ".ply")},
-    **{f"info{suffix}": (_of("cli.info_command", "describe_path"), suffix) for suffix in (".txt", ".hdr", "")},
+    **{f"info{suffix}": (_of("cli.info_command", "describe_path"), suffix)
+       for suffix in (".txt", ".hdr", "")},
     "simulate_collect": (_of("simulation", "simulate_collect", lines=8, scene="plan"), ""),
     "write_sweep": (_of("simulation", "write_sweep", steps=3, bands=4, columns=4), ".zarr"),
     "store": (hp.open_store, ".zarr"),
