@@ -60,7 +60,7 @@ def read_paints(path: Path) -> dict[str, xr.Dataset] | xr.Dataset:
 
 
 def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
-    from hyperpaint.io.dirsig.material_list import read_materials
+    from hyperpaint.io.dirsig.dirsig_files import read_materials
     from hyperpaint.io.library import open_library
 
     records = _export_records(path.parent)

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.io.dirsig import open_emissivity, read_emissivity
-from hyperpaint.io.dirsig.emissivity_files import ColumnText, emissivity_head
+from hyperpaint.io.dirsig.dirsig_files import ColumnText, emissivity_head
 
 NEW = [
     "2",

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import FormatError
 from hyperpaint.io.dirsig import Section, materials_text, read_materials
-from hyperpaint.io.dirsig.material_list import material_ids, material_names, plain_name
+from hyperpaint.io.dirsig.dirsig_files import material_ids, material_names, plain_name
 
 ENTRY = """MATERIAL_ENTRY {
     ID = a
