@@ -133,7 +133,7 @@ def check_library(library: str | os.PathLike[str] | xr.Dataset) -> LibraryReport
     ['reflectance-range', 'uncertainty']
     """
     if isinstance(library, str | os.PathLike):
-        from .opening import open_library
+        from .library_formats import open_library
 
         source, dataset = os.fspath(library), open_library(library)
     else:

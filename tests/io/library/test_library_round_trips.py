@@ -95,7 +95,7 @@ def test_csv__of_all_curves_says_what_each_row_is(library: xr.Dataset, tmp_path:
         *[("Grün", str(place)) for place in (1, 2, 3, 4)],
     ]
     metadata = json.loads((tmp_path / "paints.csv.json").read_text(encoding="utf-8"))
-    assert metadata["variables"]["make"]["values"] == library["make"].values.tolist()
+    assert metadata["coords"]["make"]["data"] == library["make"].values.tolist()
 
 
 def test_csv__is_a_rectangle_for_pandas_and_excel(library: xr.Dataset, tmp_path: Path) -> None:

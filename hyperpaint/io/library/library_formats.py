@@ -1,48 +1,57 @@
-"""`open_library`: spectral libraries of any format, as paint libraries."""
+"""Formats of spectral libraries: `open_library` by content, `write_library` by name or suffix."""
 
 from __future__ import annotations
 
 import itertools
 import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Array, Floats
-from hyperpaint.base.errors import FormatError, Problems, StoreError
-from hyperpaint.base.facts import is_number
+from hyperpaint.base.arrays import Array, Floats, Progress
+from hyperpaint.base.errors import FormatError, Problems, SchemaError, StoreError
+from hyperpaint.base.facts import documented, is_number
 from hyperpaint.base.input_files import head_of
 from hyperpaint.base.old_names import with_new_names
-from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE
+from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, with_integer_dtypes
+from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.spectrometers.spectrum_files import find_paths
-from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.io.store import list_groups, open_store, to_store
 from hyperpaint.io.store.reader import is_zarr
 
-from .column_quantities import warn_of_light
-from .csv_library import is_csv_library, read_csv_library
-from .ecostress import is_ecostress, read_ecostress
-from .envi_library import read_envi_library
+from .csv_library import is_csv_library, read_csv_library, write_csv_library
+from .envi_library import read_envi_library, write_envi_library
 from .library_spectra import OWN_AXES, library_of, text_column, with_numbers_as_data
-from .parquet_library import is_parquet, read_parquet_library
-from .plain_table import is_usgs, is_usgs_axis, read_plain_table, read_usgs, read_usgs_axis
+from .parquet_library import is_parquet, read_parquet_library, write_parquet_library
+from .records import CENTRE, checked_library, spectral_variables
+from .text_spectra import (
+    is_ecostress,
+    is_usgs,
+    is_usgs_axis,
+    read_ecostress,
+    read_plain_table,
+    read_usgs,
+    read_usgs_axis,
+    warn_of_light,
+)
 
 Path_ = str | os.PathLike[str]
 
 _HEAD_BYTES = 64 * 1024
-_MAX_SHOWN = 20
+_MAX_SHOWN, _MAX_SHOWN_DIFFERENCES = 20, 10
 _ENVI_SUFFIXES = (".hdr", ".sli")
 _TEXT_SUFFIXES = (".txt", ".csv", ".tsv", ".asc")
 _ANCILLARY = ".ancillary.txt"
 _DIGITS = re.compile(r"(\d+)")
+_BAND_COORDINATES = ("wavelength", "fwhm", "good")
 
 
-@dataclass(frozen=True, eq=False)
-class _Options:
+class _Options(NamedTuple):
     # Axes, scale and quantity from the caller
     wavelength: Floats | None
     fwhm: Floats | None
@@ -51,7 +60,7 @@ class _Options:
 
     def refuse_for(self, path: Path_) -> None:
         # Raise if there is an option, for a file that hyperpaint wrote with its axes and scale
-        if self.wavelength is not None or self.fwhm is not None or self.scale is not None:
+        if any(option is not None for option in self[:3]):
             raise FormatError(OWN_AXES.format(path), code="option-conflict")
 
 
@@ -137,7 +146,23 @@ def open_library(
             mend="leave quantity= out",
             code="choice-unknown",
         )
-    options = _Options(_axis(wavelength, "wavelength"), _axis(fwhm, "fwhm"), scale, quantity is not None)
+    axes: dict[str, Floats | None] = {}
+    for name, argument in (("wavelength", wavelength), ("fwhm", fwhm)):
+        if argument is None or isinstance(argument, str | os.PathLike):
+            axes[name] = None if argument is None else read_usgs_axis(Path(argument))[0]
+            continue
+        try:
+            values = np.asarray(argument, np.float64)
+        except (TypeError, ValueError):
+            values = np.empty(0)
+        if values.ndim != 1 or not values.size or not np.isfinite(values).all():
+            raise FormatError(
+                f"{name}= is {str(argument)[:60]!r}",
+                expected="a finite number for every band [nm], or a file",
+                code="value-out-of-range",
+            )
+        axes[name] = values
+    options = _Options(**axes, scale=scale, is_reflectance=quantity is not None)
     if is_zarr(path):
         options.refuse_for(str(path))
         return _read_store(path)
@@ -160,25 +185,6 @@ def open_library(
                 break
     problems.raise_if_any()
     return _joined(opened)
-
-
-def _axis(argument: Path_ | Any | None, name: str) -> Floats | None:
-    # Wavelengths or bandwidths from numbers or a file
-    if argument is None:
-        return None
-    if isinstance(argument, str | os.PathLike):
-        return read_usgs_axis(Path(argument))[0]
-    try:
-        values = np.asarray(argument, np.float64)
-    except (TypeError, ValueError):
-        values = np.empty(0)
-    if values.ndim != 1 or not values.size or not np.isfinite(values).all():
-        raise FormatError(
-            f"{name}= is {str(argument)[:60]!r}",
-            expected="a finite number for every band [nm], or a file",
-            code="value-out-of-range",
-        )
-    return values
 
 
 # --- which files -------------------------------------------------------------------------------------------
@@ -222,50 +228,43 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
     if not path.is_file():
         fault = "not a regular file" if os.path.lexists(path) else "no such file"
         raise FormatError(f"{path}: {fault}", expected="a spectral library", code="file-not-found")
+    suffix = path.suffix.lower()
+    nm, fwhm, scale, is_reflectance = options
     try:
-        return _by_content(path, options)
+        head = _head(path)
+        if suffix == ".ems":
+            from hyperpaint.io.dirsig import open_emissivity
+
+            return open_emissivity(path)
+        # formats of hyperpaint
+        for is_form, read_own in (
+            (is_parquet(head_of(path, 4)), read_parquet_library),
+            (suffix not in _ENVI_SUFFIXES and is_csv_library(head), read_csv_library),
+        ):
+            if is_form:
+                options.refuse_for(path)
+                return read_own(path)
+        # formats of other programs, and ENVI of hyperpaint
+        if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
+            library = read_envi_library(path, scale=scale, wavelength=nm, fwhm=fwhm)
+        elif is_usgs(head):
+            library = library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=fwhm))
+        else:
+            spectra = (
+                read_ecostress(path, scale=scale, wavelength=nm)
+                if is_ecostress(head)
+                else read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=is_reflectance)
+            )
+            library = library_of(spectra if fwhm is None else replace(spectra, fwhm=fwhm))
+    except StoreError:
+        raise
     except OSError as error:
-        if isinstance(error, StoreError):
-            raise
         raise FormatError(
             f"{path}: cannot be read ({error.strerror or error})", code="file-unreadable"
         ) from error
-
-
-def _by_content(path: Path, options: _Options) -> xr.Dataset:
-    suffix, head = path.suffix.lower(), _head(path)
-    if suffix == ".ems":
-        from hyperpaint.io.dirsig import open_emissivity
-
-        return open_emissivity(path)
-    if is_parquet(head_of(path, 4)):
-        options.refuse_for(path)
-        return read_parquet_library(path)
-    if suffix not in _ENVI_SUFFIXES and is_csv_library(head):
-        options.refuse_for(path)
-        return read_csv_library(path)
-    library = _foreign(path, suffix, head, options)
-    if not options.is_reflectance and "hyperpaint" not in str(library.attrs.get("format", "")):
+    if not is_reflectance and "hyperpaint" not in str(library.attrs.get("format", "")):
         warn_of_light(library["wavelength"].values, library["reflectance"].values, path.name)
     return library
-
-
-def _foreign(path: Path, suffix: str, head: str, options: _Options) -> xr.Dataset:
-    # Open a library of another program, or one of hyperpaint in ENVI format
-    nm, scale = options.wavelength, options.scale
-    if suffix in _ENVI_SUFFIXES or (suffix not in _TEXT_SUFFIXES and path.with_suffix(".hdr").is_file()):
-        return read_envi_library(path, scale=scale, wavelength=nm, fwhm=options.fwhm)
-    if is_usgs(head):
-        return library_of(read_usgs(path, scale=scale, wavelength=nm, fwhm=options.fwhm))
-    if is_ecostress(head):
-        spectra = read_ecostress(path, scale=scale, wavelength=nm)
-    else:
-        spectra = read_plain_table(path, scale=scale, wavelength=nm, is_reflectance=options.is_reflectance)
-    return library_of(spectra if options.fwhm is None else replace(spectra, fwhm=options.fwhm))
-
-
-_MAX_SHOWN_DIFFERENCES = 10
-_BAND_COORDINATES = ("wavelength", "fwhm", "good")
 
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
@@ -280,11 +279,16 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     libraries = [library for _, library in opened]
     first_path, first = opened[0]
     problems = Problems("the files cannot be joined to one library", FormatError)
+
+    def grid(library: xr.Dataset) -> str:
+        nm = library["wavelength"].values
+        return f"{nm.size} wavelengths from {nm[0]:g} to {nm[-1]:g} nm"
+
     for path, library in opened:
         if not np.array_equal(library["wavelength"].values, first["wavelength"].values):
             problems.add(
-                f"{path.name} has {_grid(library)}",
-                expected=f"{_grid(first)} as in {first_path.name}",
+                f"{path.name} has {grid(library)}",
+                expected=f"{grid(first)} as in {first_path.name}",
                 code="grid-mismatch",
             )
         if variables := sorted(
@@ -333,11 +337,6 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     return with_numbers_as_data(merged)
 
 
-def _grid(library: xr.Dataset) -> str:
-    nm = library["wavelength"].values
-    return f"{nm.size} wavelengths from {nm[0]:g} to {nm[-1]:g} nm"
-
-
 def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
     # A coordinate of the paints of all libraries, empty or NaN for libraries without it
     arrays = [library[name] for library in libraries if name in library.coords]
@@ -376,3 +375,127 @@ def _read_store(path: Any) -> xr.Dataset:
         reasons = "; ".join([f"{name!r} is missing" for name in missing] + texts)
         raise FormatError(f"{path} holds no paint library: {reasons}", code="library-missing")
     return library
+
+
+# --- writing -----------------------------------------------------------------------------------------------
+
+
+def _write_store(library: xr.Dataset, path: Path, *, overwrite: bool, progress: Progress | None) -> None:
+    total = library.sizes[SIGNATURE]
+    if progress is not None:
+        progress(0, total)
+    to_store(library, path, overwrite=overwrite)
+    if progress is not None:
+        progress(total, total)
+
+
+_WRITERS: dict[str, Callable[..., Any]] = {
+    "envi": write_envi_library,
+    "csv": write_csv_library,
+    "parquet": write_parquet_library,
+    "zarr": _write_store,
+}
+_FORMAT_OF_SUFFIX = {".sli": "envi", ".hdr": "envi", ".csv": "csv", ".zarr": "zarr", ".parquet": "parquet"}
+
+
+@takes_quantities()
+@documented()
+def write_library(
+    library: xr.Dataset,
+    path: str | os.PathLike[str],
+    *,
+    format: str | None = None,
+    curves: str | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a paint library.
+
+    * ``envi``: ``x.sli`` (float32), its header ``x.hdr`` and metadata ``x.sli.json``; the header also lists
+      properties of the paints (``paint make = {...}``).
+    * ``csv``: ``x.csv``, a table for pandas, R, spreadsheets and EcoSIS: columns of the paint's name and
+      properties, then of reflectance [1] at wavelengths [nm]; units and all else in ``x.csv.json``.
+    * ``parquet``: ``x.parquet`` in the columns of OpenSpecLib, a row per spectrum, and ``x.parquet.json``;
+      needs the extra ``library`` (pyarrow).
+    * ``zarr``: a store, see `hyperpaint.to_store`.
+
+    `hyperpaint.open_library` opens all of them; with ``curves="all"`` it returns the library that was
+    written, bit for bit. Files appear under their names when all are complete. Lazy libraries are computed in
+    blocks of paints.
+
+    Parameters
+    ----------
+    library
+        A paint library, as of `hyperpaint.extract_signatures` or `hyperpaint.open_library`: `reflectance`
+        (signature, band), `wavelength` (band), and further properties of the paints.
+    path
+        The file, or the folder of ``zarr``. ``.sli`` is added where it is missing, ``.csv`` to a name without
+        a suffix.
+    format
+        One of the above; by default chosen by the suffix: ``.sli``, ``.csv``, ``.parquet`` or ``.zarr``.
+    curves
+        ``centre`` for one spectrum per paint, the default of all formats but ``zarr``: members, quantiles,
+        spread and uncertainties are not written. ``all`` for all of them, the default of ``zarr``.
+    overwrite
+        Replace an existing library. A folder with other files is never replaced.
+    progress
+
+    Returns
+    -------
+    pathlib.Path
+        Path for `hyperpaint.open_library`: the ``.sli`` or ``.csv`` file, or the folder.
+
+    Raises
+    ------
+    FormatError
+        The format is unknown, or the suffix belongs to no format.
+    SchemaError
+        ``curves`` is neither of the two; ``library`` is not a paint library; or names, values or attributes
+        cannot be written in the format; all problems are listed.
+    StoreError
+        The target exists, is being written by another process, or cannot be written; it stays unchanged.
+    UnitsError
+        Units cannot be read.
+    MissingExtraError
+        The format is ``parquet``, and pyarrow is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np, xarray as xr
+    >>> paints = xr.Dataset(
+    ...     {"reflectance": (("signature", "band"), np.float32([[0.1, 0.5], [0.2, 0.3]]), {"units": "1"})},
+    ...     {"signature": ["red, matt", "blue"], "wavelength": ("band", [450.0, 650.0], {"units": "nm"})},
+    ... )
+    >>> scratch = tempfile.TemporaryDirectory()
+    >>> path = write_library(paints, Path(scratch.name) / "paints.sli")
+    >>> sorted(file.name for file in path.parent.iterdir())
+    ['paints.hdr', 'paints.sli', 'paints.sli.json']
+    >>> open_library(path)["signature"].values.tolist()
+    ['red, matt', 'blue']
+    >>> scratch.cleanup()
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    chosen = _FORMAT_OF_SUFFIX.get(suffix) if format is None else format
+    if chosen not in _WRITERS:
+        requested = f"format {format!r}" if format is not None else f"no format of the suffix {path.suffix!r}"
+        raise FormatError(
+            requested,
+            expected=f"format= one of {', '.join(_WRITERS)}, or suffix .sli, .csv, .parquet, .zarr",
+            code="choice-unknown",
+        )
+    if curves not in (None, "centre", "all"):
+        raise SchemaError(f"curves={curves!r}", expected=f"centre or all for {chosen}", code="choice-unknown")
+    # a suffix that `open_library` recognises
+    if chosen == "envi":
+        path = path.with_suffix(".sli") if suffix in _ENVI_SUFFIXES else path.with_name(f"{path.name}.sli")
+    elif chosen == "csv" and not suffix and not path.is_dir():
+        path = path.with_suffix(".csv")
+    library = checked_library(with_integer_dtypes(library, LIBRARY_VARIABLES))
+    if curves == "centre" or (curves is None and chosen != "zarr"):
+        others = [name for name in spectral_variables(library) if name != CENTRE]
+        inner = {dim for name in others for dim in library[name].dims} - {SIGNATURE, BAND}
+        library = library.drop_vars(others).drop_dims(inner, errors="ignore")
+    _WRITERS[chosen](library, path, overwrite=overwrite, progress=progress)
+    return path
