@@ -57,8 +57,7 @@ def test_a_file_gets_the_suffix_that_it_is_known_by(
     library: xr.Dataset, tmp_path: Path, format: str, name: str, written: str
 ) -> None:
     path = hp.write_library(library, tmp_path / name, format=format)
-    assert path == tmp_path / written
-    assert hp.open_library(path).sizes["signature"] == 5
+    assert (path, hp.open_library(path).sizes["signature"]) == (tmp_path / written, 5)
 
 
 @pytest.mark.parametrize("format", ["envi", "csv"])
@@ -89,7 +88,7 @@ class Power(BaseException):
 def test_a_kill_between_two_renames__leaves_nothing_that_opens_as_another(
     library: xr.Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: int, overwrite: bool
 ) -> None:
-    """Rationale: a library of ENVI is three files; without its header it is none."""
+    # Rationale: a library of ENVI is three files; without its header it is none.
     path = tmp_path / "paints.sli"
     old, new = library.isel(signature=[0, 1]), library
     if overwrite:
@@ -161,7 +160,7 @@ def test_a_header_too_large_to_be_read__is_refused(
 
 
 def test_members_are_written_some_paints_at_a_time(tmp_path: Path) -> None:
-    """Rationale: 40,000 lazy members of 100 bands are 16 MB; no more than two lots are in memory at once."""
+    # Rationale: 40,000 lazy members of 100 bands are 16 MB; no more than two lots are in memory at once.
     import dask.array as da
 
     seen: list[int] = []

@@ -109,7 +109,7 @@ def test_sli__without_wavelengths_takes_those_given(tmp_path: Path) -> None:
 
 
 def test_sli__wavelengths_and_bandwidths_as_records_alone(tmp_path: Path) -> None:
-    """Rationale: a library of the USGS whose header lost its lists still has them in its first records."""
+    # Rationale: a library of the USGS whose header lost its lists still has them in its first records.
     rows = [[0.45, 0.55, 0.65], [0.01, 0.011, 0.012], *ROWS, [0.001, -0.1, 0.003]]
     names = "Wavelengths in microns 3ch, Resolution in microns 3ch, red, blue, error bars to preceding"
     library = hp.open_library(write_sli(tmp_path, rows, f"spectra names = {{{names}}}\n"))
@@ -275,7 +275,7 @@ def usgs(title: str, values: list[float]) -> str:
 
 
 def test_usgs__takes_the_wavelengths_of_its_spectrometer(tmp_path: Path) -> None:
-    """Expected: those of the nearest folder, a chapter's own or above; of several, the spectrometer's."""
+    # Expected: those of the nearest folder, a chapter's own or above; of several, the spectrometer's.
     chapter = tmp_path / "ChapterA"
     chapter.mkdir()
     write_text(

@@ -14,7 +14,7 @@ import hyperpaint as hp
 
 
 def foreign(path, **changes):
-    """Write a file as OpenSpecLib describes it, with pyarrow alone."""
+    # Write a file as OpenSpecLib describes it, with pyarrow alone.
     wavelengths = [0.4, 0.5, 0.6]
     columns = {
         "id": ["usgs:1", "usgs:2"], "name": ["olivine", "asphalt"],

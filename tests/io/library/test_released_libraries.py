@@ -38,7 +38,7 @@ def library() -> xr.Dataset:
 
 
 def old(library: xr.Dataset) -> xr.Dataset:
-    """Return a library as a session of hyperpaint 0.2 held it."""
+    # Return a library as a session of hyperpaint 0.2 held it.
     return library.rename(signature="paint").assign_attrs(paint_library_version=1)
 
 

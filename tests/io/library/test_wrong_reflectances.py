@@ -19,28 +19,28 @@ LIGHT = sunlight()
 
 
 def text(*columns: Any, heading: str = "", name: str = "paint.csv", **options: Any) -> Callable[[Path], Any]:
-    """Return what writes a table of text and opens it as a library of paints."""
+    # Return what writes a table of text and opens it as a library of paints.
     return lambda folder: hp.open_library(table(folder / name, NM, *columns, heading=heading), **options)
 
 
 def stacked(folder: Path) -> Any:
-    """Two spectra one below the other."""
+    # Two spectra one below the other.
     return hp.open_library(table(folder / "two.csv", np.tile(NM, 2), np.tile(GREY, 2)))
 
 
 def rounded(folder: Path) -> Any:
-    """Wavelengths in micrometres, rounded to two places."""
+    # Wavelengths in micrometres, rounded to two places.
     return hp.open_library(table(folder / "um.csv", np.round(NM / 1e3, 2), GREY, heading="um,reflectance"))
 
 
 def measured_twice(folder: Path) -> Any:
-    """One wavelength with two values."""
+    # One wavelength with two values.
     nm = np.sort(np.append(NM, 500.0))
     return hp.open_library(table(folder / "twice.csv", nm, np.linspace(0.2, 0.3, nm.size)))
 
 
 def sli(values: Any, *header: str) -> Callable[[Path], Any]:
-    """Return what writes a spectral library of ENVI and opens it."""
+    # Return what writes a spectral library of ENVI and opens it.
 
     def opened(folder: Path) -> Any:
         np.asarray(values, "<f4").tofile(folder / "paints.sli")
@@ -56,7 +56,7 @@ def sli(values: Any, *header: str) -> Callable[[Path], Any]:
 
 
 def ecostress(values: Any, y: str, x: str = "Wavelength (micrometers)") -> Callable[[Path], Any]:
-    """Return what writes a text of the ECOSTRESS library and opens it."""
+    # Return what writes a text of the ECOSTRESS library and opens it.
 
     def opened(folder: Path) -> Any:
         head = [
@@ -154,7 +154,7 @@ def test_reflectance__opens_without_a_word(case: Case, tmp_path: Path) -> None:
 @pytest.mark.real_data
 @pytest.mark.parametrize("place", ["BeckmanLawn", "AstroRedBaseball"])
 def test_real_radiance_texts__are_refused(shared_data: Path, place: str) -> None:
-    """Expected: radiance in uW cm-2 sr-1 nm-1 by their origin; no word in them says so."""
+    # Expected: radiance in uW cm-2 sr-1 nm-1 by their origin; no word in them says so.
     path = shared_data / f"radiance_vs_field/ang20171108t184227_rdn_v2p11_{place}.txt"
     with pytest.raises(FormatError, match="radiance"):
         hp.open_library(path)
@@ -174,7 +174,7 @@ def test_columns_of_spread__are_those_of_the_paint_before_them(tmp_path: Path) -
 
 
 def test_a_white_standard_is_a_paint(tmp_path: Path) -> None:
-    """Words of a spread name one only where the rest of the heading names another column."""
+    # Words of a spread name one only where the rest of the heading names another column.
     names = ["Red 12", "White Std", "SD45"]
     library = text(GREY, GREY / 2, GREY / 3, heading="nm," + ",".join(names))(tmp_path)
     assert library["signature"].values.tolist() == names

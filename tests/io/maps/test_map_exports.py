@@ -43,7 +43,7 @@ def line_of(cube: np.ndarray, name: str = "reflectance", chunks: Any = (16, -1, 
 
 
 def turned(degrees: float, gsd: float = 0.25, *, mirrored: bool = False) -> tuple[float, ...]:
-    """Return a GeoTransform whose columns step at an angle from east, counterclockwise."""
+    # Return a GeoTransform whose columns step at an angle from east, counterclockwise.
     angle, side = np.radians(degrees), 1.0 if mirrored else -1.0
     step = gsd * np.cos(angle), gsd * np.sin(angle)
     return (
@@ -59,7 +59,7 @@ def turned(degrees: float, gsd: float = 0.25, *, mirrored: bool = False) -> tupl
 def map_of(
     cube: np.ndarray, transform: tuple[float, ...], crs: str | None = UTM17, chunks: Any = (16, 12, -1)
 ) -> xr.Dataset:
-    """Return a map (y, x, band) with its grid mapping."""
+    # Return a map (y, x, band) with its grid mapping.
     line = line_of(np.ascontiguousarray(cube), chunks=None)
     array = np.ascontiguousarray(np.moveaxis(cube, 1, -1))
     attrs: dict[str, Any] = {"GeoTransform": " ".join(map(repr, transform))}
@@ -86,15 +86,13 @@ def test_a_line_comes_back_bit_for_bit(tmp_path: Path, interleave: Any, chunks: 
     header = hp.io.write_envi(line_of(cube, chunks=chunks), tmp_path / "line", interleave=interleave)
     assert header == tmp_path / "line.hdr"
     opened = open_envi(header)
-    assert opened["reflectance"].dims == schema.CUBE
-    assert opened["reflectance"].dtype == np.float32
+    assert (opened["reflectance"].dims, opened["reflectance"].dtype) == (schema.CUBE, np.float32)
     np.testing.assert_array_equal(opened["reflectance"].values.view("u4"), cube.view("u4"))
     np.testing.assert_array_equal(opened.wavelength, NM)
     np.testing.assert_array_equal(opened.fwhm, np.full(5, 6.5))
     np.testing.assert_array_equal(opened.good, [True, False, True, True, True])
     found = read_header(header)
-    assert found.interleave == interleave
-    assert found.fields["default bands"] == "{3, 2, 1}"
+    assert (found.interleave, found.fields["default bands"]) == (interleave, "{3, 2, 1}")
 
 
 def test_counts_and_radiance_keep_what_they_are(tmp_path: Path) -> None:
@@ -148,8 +146,7 @@ def test_any_shape_and_chunks_come_back(
 def test_progress_counts_every_sample_once(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     hp.io.write_envi(line_of(values()), tmp_path / "line", progress=lambda *at: seen.append(at))
-    assert seen[-1] == (6000, 6000)
-    assert [done for done, _ in seen] == sorted(done for done, _ in seen)
+    assert (seen[-1], [done for done, _ in seen]) == ((6000, 6000), sorted(done for done, _ in seen))
 
 
 def test_blocks_are_written_as_they_are_computed(tmp_path: Path) -> None:
@@ -423,8 +420,7 @@ def test_geotiff_holds_every_band_in_its_place(
         assert raster.crs.to_epsg() == 32617
         assert raster.descriptions[0] == "450.25 nm"
         assert raster.tags(3)["wavelength"] == "640.125"
-        assert raster.block_shapes[0] == (256, 256)
-        assert bool(raster.overviews(1)) == cog
+        assert (raster.block_shapes[0], bool(raster.overviews(1))) == ((256, 256), cog)
         layout = raster.tags(ns="IMAGE_STRUCTURE").get("LAYOUT")
         assert (layout == "COG") == cog
 
@@ -446,8 +442,7 @@ def test_a_picture_is_true_colour(tmp_path: Path) -> None:
     assert shown[:, 5, 5].tolist() == [255, 1, 1]
     assert shown[:, 5, 25].tolist() == [1, 255, 1]
     assert shown[:, 5, 45].tolist() == [1, 1, 255]
-    assert shown[:, 0, 0].tolist() == [0, 0, 0]
-    assert shown[:, 1:].min() == 1
+    assert (shown[:, 0, 0].tolist(), shown[:, 1:].min()) == ([0, 0, 0], 1)
 
 
 def test_chosen_bands_and_planes(tmp_path: Path) -> None:
@@ -498,7 +493,7 @@ def test_no_picture_without_visible_bands() -> None:
 
 
 def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rationale: GDAL says "Write failed" alone, so that the disk is tried out."""
+    # Rationale: GDAL says "Write failed" alone, so that the disk is tried out.
     rasterio = pytest.importorskip("rasterio")
 
     def failed(*_: Any, **__: Any) -> None:
@@ -515,5 +510,4 @@ def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("tempfile.TemporaryFile", full)
     with pytest.raises(StoreError, match="disk-full"):
         hp.io.write_geotiff(map_of(values(), turned(0.0)), path, overwrite=True)
-    assert path.read_bytes() == before
-    assert [each.name for each in tmp_path.iterdir()] == ["map.tif"]
+    assert (path.read_bytes(), [each.name for each in tmp_path.iterdir()]) == (before, ["map.tif"])

@@ -35,7 +35,7 @@ OTHER = "EPSG:32616"
 
 @pytest.fixture(scope="module")
 def line() -> xr.Dataset:
-    """Return a line whose reflectance is where its pixels lie: east and north of a corner [m]."""
+    # Return a line whose reflectance is where its pixels lie: east and north of a corner [m].
     flown = fly(120, 90, "calm", heading=37.0)
     places = np.stack([flown.east - EAST, flown.north - NORTH], axis=1)
     cube = (("along_track", "band", "cross_track"), places.astype(np.float32), {"units": "1"})
@@ -46,7 +46,7 @@ def line() -> xr.Dataset:
 
 
 def misplacement(cells: np.ndarray, x: Any, y: Any, crs: Any) -> np.ndarray:
-    """Return how far the content of cells lies from where a program places them [cell]."""
+    # Return how far the content of cells lies from where a program places them [cell].
     back = pyproj.Transformer.from_crs(crs, MAP, always_xy=True)
     cells = cells.astype(np.float64)
     shown = np.isfinite(cells).all(axis=0)
@@ -148,8 +148,7 @@ def test_north_is_up_unless_asked_otherwise(line: xr.Dataset) -> None:
 def test_attributes_of_geozarr_are_those_of_the_cells(line: xr.Dataset, grid: Any) -> None:
     part = hp.geometry.orthorectify(line, GSD, grid=grid).isel(PARTS["part"])
     attrs = geozarr_attrs(part)
-    assert attrs["proj:code"] == MAP
-    assert attrs["spatial:shape"] == [80, 70]
+    assert (attrs["proj:code"], attrs["spatial:shape"]) == (MAP, [80, 70])
     x, y = centres(attrs["spatial:transform"], (80, 70))
     there = (part["x"], part["y"]) if grid == "north" else (part["east"], part["north"])
     np.testing.assert_allclose(x, np.broadcast_to(there[0].values, x.shape), atol=1e-6)

@@ -92,7 +92,7 @@ def test_holes_of_a_mask_inside_the_file(tmp_path: Path) -> None:
 
 
 class _Server:
-    """Counts what is fetched."""
+    # Counts what is fetched.
 
     def __init__(self) -> None:
         self.requests: list[str] = []
@@ -159,7 +159,7 @@ def test_names_that_gdal_alone_knows_are_refused(place: str, server: _Server) ->
 
 
 def test_nothing_beside_a_raster_is_opened(tmp_path: Path, server: _Server) -> None:
-    """Of files beside it, and of the file that a tag names."""
+    # Of files beside it, and of the file that a tag names.
     path = written(tmp_path / "dem.tif")
     bait = _vrt(f"/vsicurl/{server.url}/bait.tif")
     for suffix in (".ovr", ".msk"):
@@ -169,8 +169,7 @@ def test_nothing_beside_a_raster_is_opened(tmp_path: Path, server: _Server) -> N
         f"{server.url}/overview.tif</MDI></Metadata></PAMDataset>"
     )
     (tmp_path / "dem.tfw").write_text("1\n0\n0\n-1\n0\n0\n")
-    assert float(read_heights(path)[0, 0]) == 1.0
-    assert read_geotiff_header(path).overviews == ()
+    assert (float(read_heights(path)[0, 0]), read_geotiff_header(path).overviews) == (1.0, ())
     tagged = written(tmp_path / "tagged.tif", tags={"OVERVIEWS": {"OVERVIEW_FILE": f"{server.url}/o.tif"}})
     for read in (read_heights, read_geotiff_header):
         with pytest.raises(FormatError, match="file-not-alone"):
@@ -180,7 +179,7 @@ def test_nothing_beside_a_raster_is_opened(tmp_path: Path, server: _Server) -> N
 
 @pytest.fixture
 def sparse(tmp_path: Path) -> Path:
-    """Return a raster of 200,000 x 200,000 cells of which some hold heights, on a file of megabytes."""
+    # Return a raster of 200,000 x 200,000 cells of which some hold heights, on a file of megabytes.
     path = tmp_path / "large.tif"
     place = rasterio.Affine(1.0, 0.0, 400000.0, 0.0, -1.0, 3800000.0)
     profile = {"count": 1, "dtype": "float32", "crs": "EPSG:32617", "transform": place, "nodata": -9999.0}
