@@ -99,7 +99,7 @@ class ColumnText:
             start, row = start + count * width, row + count
 
     def text(self, values: npt.NDArray[Any]) -> bytes:
-        """Return the text of spectra (spectrum, wavelength) between 0 and 1."""
+        # Return the text of spectra (spectrum, wavelength) between 0 and 1.
         digits_left = np.rint(np.asarray(values, np.float64) * 10**DECIMALS).astype(np.uint32)
         texts = np.repeat(self._template[np.newaxis], len(digits_left), axis=0)
         # views of shape (spectrum, row, character)

@@ -400,7 +400,7 @@ def write_dirsig(
 
 
 def write_texts(build: Path, texts: Mapping[str, str]) -> None:
-    """Write texts by their names; half a surrogate pair in a name, which UTF-8 lacks, is escaped."""
+    # Write texts by their names; half a surrogate pair in a name, which UTF-8 lacks, is escaped.
     for name, text in texts.items():
         (build / name).write_bytes(text.encode("utf-8", "backslashreplace"))
 
@@ -476,7 +476,7 @@ def write_spectra(
     records: list[dict[str, Any]],
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write the files of all paints and complete their records; after a fault, only check further paints."""
+    # Write the files of all paints and complete their records; after a fault, only check further paints.
     problems: list[Problem] = []
     formats: dict[bytes, tuple[ColumnText, ColumnText]] = {}
     for paints, values in blocks_of(library, choices):
@@ -529,7 +529,7 @@ def write_spectra(
 def summary_of(
     records: Sequence[Mapping[str, Any]], title: str, attrs: Mapping[str, Any], **dtypes: Any
 ) -> xr.Dataset:
-    """Return items of the records (signature), by their dtypes, with names, IDs and specular fractions."""
+    # Return items of the records (signature), by their dtypes, with names, IDs and specular fractions.
     columns = {
         key: (SIGNATURE, np.array([record[key] for record in records], dtype))
         for key, dtype in {**dtypes, "specular_fraction": np.float64, "id": object}.items()

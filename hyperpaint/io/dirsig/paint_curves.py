@@ -21,8 +21,7 @@ from .dirsig_files import WAVELENGTH_DECIMALS
 
 @dataclass(frozen=True)
 class Coat:
-    """Treatment of the light mirrored by the clear coat."""
-
+    # Treatment of the light mirrored by the clear coat.
     mirror_reflection: str  # ``included`` in the library's reflectance, or ``excluded``
     is_declared: bool  # Whether the library has this attribute; else it is assumed
     # Specular fraction of DIRSIG's reflectance; ``library``: computed from ``specular_reflectance``
@@ -30,7 +29,7 @@ class Coat:
 
     @property
     def attrs(self) -> dict[str, str]:
-        """Attributes that describe the treatment."""
+        # Attributes that describe the treatment.
         source = "stated by the library" if self.is_declared else "not stated by the library, assumed"
         term = (
             "none: reflectance is diffuse"
@@ -119,8 +118,7 @@ _BLOCK_BYTES = 8 * 2**20
 
 @dataclass(frozen=True)
 class Choices:
-    """Choices of the caller for the curves."""
-
+    # Choices of the caller for the curves.
     curves: str  # Key of `CURVES`
     wavelength_range: tuple[float, float] | None  # Low and high end [nm]; None for the measured range
     extrapolate: bool  # Whether curves are constant beyond the measured range

@@ -52,7 +52,7 @@ _MAX_SHOWN = 5
 
 
 def is_csv_library(head: str) -> bool:
-    """Return whether a text begins as a paint library: names, then wavelengths, in its first row."""
+    # Return whether a text begins as a paint library: names, then wavelengths, in its first row.
     row, end, _ = head.partition("\n")
     cells = row.strip("\r").split(",")
     nm = number(cells[-1 if end else -2]) if len(cells) > 2 else None  # the head may cut off the last cell

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -269,13 +268,6 @@ def _opened(path: Path, options: _Options) -> xr.Dataset:
 
 def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
     # One library from several files, with the file of every paint in the coordinate `file`
-    opened = [
-        (
-            path,
-            library.set_coords([n for n, array in library.data_vars.items() if array.dims == (SIGNATURE,)]),
-        )
-        for path, library in opened
-    ]
     libraries = [library for _, library in opened]
     first_path, first = opened[0]
     problems = Problems("the files cannot be joined to one library", FormatError)
@@ -291,9 +283,8 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
                 expected=f"{grid(first)} as in {first_path.name}",
                 code="grid-mismatch",
             )
-        if variables := sorted(
-            str(name) for name, a in library.data_vars.items() if a.dims != (SIGNATURE, BAND)
-        ):
+        plain_dims = ((SIGNATURE, BAND), (SIGNATURE,))
+        if variables := sorted(str(n) for n, a in library.data_vars.items() if a.dims not in plain_dims):
             problems.add(
                 f"{path.name} has {', '.join(variables)}",
                 expected="one spectrum per paint",
@@ -304,55 +295,49 @@ def _joined(opened: Sequence[tuple[Path, xr.Dataset]]) -> xr.Dataset:
             break
     problems.raise_if_any()
     notes = list(dict.fromkeys(text for library in libraries if (text := library.attrs.get("notes"))))
-    merged = xr.Dataset()
-    for name in dict.fromkeys(name for library in libraries for name in library.data_vars):
-        attrs = next(library[name].attrs for library in libraries if name in library)
-        values = [
-            library[name].values
-            if name in library
-            else np.full((library.sizes[SIGNATURE], library.sizes[BAND]), np.nan, np.float32)
-            for library in libraries
-        ]
-        merged[name] = ((SIGNATURE, BAND), np.concatenate(values), attrs)
-    for name in _BAND_COORDINATES:
-        arrays = [library[name] for library in libraries if name in library.coords]
-        if len(arrays) == len(libraries) and all(np.array_equal(a.values, arrays[0].values) for a in arrays):
-            merged = merged.assign_coords({name: arrays[0]})
-        elif arrays:
-            notes.append(f"{name} differs from file to file and is left out")
-    names = dict.fromkeys(
-        name for lib in libraries for name, a in lib.coords.items() if a.dims == (SIGNATURE,)
-    )
-    merged = merged.assign_coords({name: _column(name, libraries) for name in names})
+    variables_by_name: dict[Any, xr.Variable] = {}
+    for name in dict.fromkeys(name for library in libraries for name in library.variables):
+        arrays = [library.variables.get(name) for library in libraries]
+        present = [array for array in arrays if array is not None]
+        is_whole, kinds = len(present) == len(arrays), {array.dtype.kind for array in present}
+        dims, attrs = present[0].dims, present[0].attrs
+        if SIGNATURE in dims:
+            # where a library lacks a variable its numbers are NaN, its texts empty; other kinds become texts
+            is_number = kinds <= set("biuf")
+            is_native = is_number or (is_whole and kinds == {"M"})
+            fill: Any = np.nan if is_number else ""
+            dtype = object if not is_number else np.float32 if BAND in dims else np.float64
+            shapes = [(library.sizes[SIGNATURE], *present[0].shape[1:]) for library in libraries]
+            values: Array = np.concatenate(
+                [
+                    np.full(shape, fill, dtype)
+                    if array is None
+                    else (array.values if is_native else text_column(list(map(str, array.values))))
+                    for array, shape in zip(arrays, shapes, strict=True)
+                ]
+            )
+            if is_number and BAND not in dims and not (is_whole and len(kinds) == 1):
+                values = values.astype(np.float64)
+            variables_by_name[name] = xr.Variable(dims, values, attrs)
+        elif name in _BAND_COORDINATES:
+            if is_whole and all(np.array_equal(array.values, present[0].values) for array in present):
+                variables_by_name[name] = present[0]
+            else:
+                notes.append(f"{name} differs from file to file and is left out")
     files = text_column([path.name for path, library in opened for _ in range(library.sizes[SIGNATURE])])
-    merged = merged.assign_coords(file=(SIGNATURE, files, {"long_name": "File"}))
+    variables_by_name["file"] = xr.Variable(SIGNATURE, files, {"long_name": "File"})
     forms = dict.fromkeys(str(library.attrs.get("format", "")) for library in libraries)
-    merged.attrs = {
+    attrs = {
         "title": "Spectral library",
         "source": f"{len(opened)} files, {first_path.name} to {opened[-1][0].name}",
         "format": ", ".join(filter(None, forms)),
     }
     if notes:
-        merged.attrs["notes"] = "; ".join(notes[:_MAX_SHOWN_DIFFERENCES])
-    return with_numbers_as_data(merged)
-
-
-def _column(name: Any, libraries: Sequence[xr.Dataset]) -> tuple[str, Array, dict[str, Any]]:
-    # A coordinate of the paints of all libraries, empty or NaN for libraries without it
-    arrays = [library[name] for library in libraries if name in library.coords]
-    kinds = {array.dtype.kind for array in arrays}
-    attrs = arrays[0].attrs
-    if len(kinds) == 1 and len(arrays) == len(libraries) and not kinds <= set("OUT"):
-        return SIGNATURE, np.concatenate([array.values for array in arrays]), attrs
-    absent: Any = np.nan if kinds <= set("biuf") else ""
-    columns = (
-        library[name].values if name in library.coords else [absent] * library.sizes[SIGNATURE]
-        for library in libraries
+        attrs["notes"] = "; ".join(notes[:_MAX_SHOWN_DIFFERENCES])
+    merged = xr.Dataset(variables_by_name, attrs=attrs)
+    return with_numbers_as_data(
+        merged.set_coords([name for name, array in merged.variables.items() if array.ndim == 1])
     )
-    values = list(itertools.chain.from_iterable(columns))
-    if kinds <= set("biuf"):
-        return SIGNATURE, np.array(values, np.float64), attrs
-    return SIGNATURE, text_column(values if kinds <= set("OUT") else list(map(str, values))), attrs
 
 
 # --- Zarr stores -------------------------------------------------------------------------------------------

@@ -76,7 +76,7 @@ _OPTIONAL = (*_OPTIONAL_TEXTS, "sample.collection_date", "measurement.date", "sp
 
 
 def is_parquet(head: bytes) -> bool:
-    """Return whether the first bytes of a file are those of Parquet."""
+    # Return whether the first bytes of a file are those of Parquet.
     return head[:4] == _MAGIC
 
 

@@ -208,7 +208,7 @@ def blocks_of(
 
 
 def metadata_path(data: Path) -> Path:
-    """Return the path of the metadata of a data file."""
+    # Return the path of the metadata of a data file.
     return data.with_name(data.name + ".json")
 
 
@@ -275,7 +275,7 @@ def _json(value: Any) -> str:
 
 
 def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
-    """Return the variables with one value per paint as texts and numbers, NaN and infinity as None."""
+    # Return the variables with one value per paint as texts and numbers, NaN and infinity as None.
     columns: dict[str, list[Any]] = {}
     for name in sorted(library.variables, key=str):  # xarray's order of coordinates differs from run to run
         array = library.variables[name]
@@ -292,7 +292,7 @@ def paint_columns(library: xr.Dataset) -> dict[str, list[Any]]:
 
 
 def table_columns(library: xr.Dataset) -> dict[str, list[str]]:
-    """Return the variables with one value per paint as cells of a table, without line breaks."""
+    # Return the variables with one value per paint as cells of a table, without line breaks.
     return {
         name: [" ".join(str("" if value is None else value).split()) for value in values]
         for name, values in paint_columns(library).items()

@@ -181,7 +181,7 @@ def declare_library(library: xr.Dataset, **words: str) -> xr.Dataset:
 
 
 def library_terms(library: xr.Dataset) -> dict[str, Any]:
-    """Return the declaration of each term: a list with a word for every paint, a word for all, or None."""
+    # Return the declaration of each term: a list with a word for every paint, a word for all, or None.
     attrs = {**library.attrs, **library[CENTRE].attrs}
     return {
         term.name: list(map(str, library[term.name].values.tolist()))

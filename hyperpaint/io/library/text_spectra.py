@@ -122,17 +122,17 @@ _FOLDERS = 3
 
 
 def is_ecostress(head: str) -> bool:
-    """Return whether a text begins as a file of the ECOSTRESS or ASTER library."""
+    # Return whether a text begins as a file of the ECOSTRESS or ASTER library.
     return re.match(r"\s*Name\s*:", head) is not None and "Number of X Values" in head
 
 
 def is_usgs(head: str) -> bool:
-    """Return whether the first line of a text is that of a USGS spectrum."""
+    # Return whether the first line of a text is that of a USGS spectrum.
     return _RECORD.match(head.partition("\n")[0]) is not None
 
 
 def is_usgs_axis(head: str) -> bool:
-    """Return whether the first line of a text is that of USGS wavelengths or bandwidths."""
+    # Return whether the first line of a text is that of USGS wavelengths or bandwidths.
     return _AXIS.match(head.partition("\n")[0]) is not None
 
 
@@ -250,14 +250,10 @@ def _headings(preamble: Sequence[str], separator: str, columns: int) -> list[str
 
 
 def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) -> None:
-    """Check that the headings and units of a table do not name another quantity than reflectance.
-
-    preamble: Lines above the numbers; headings: names of all columns, or none.
-
-    Raises FormatError: A heading names radiance, irradiance, counts, transmittance or a statistic; or the
-        lines above name such a quantity and not reflectance.
-    """
-
+    # Check that the headings and units of a table do not name another quantity than reflectance.
+    # preamble: Lines above the numbers; headings: names of all columns, or none.
+    # Raises FormatError: A heading names radiance, irradiance, counts, transmittance or a statistic; or the
+    # lines above name such a quantity and not reflectance.
     def foreign(text: str) -> str:
         # Word or unit of another quantity than reflectance, empty if there is none
         match = None if "reflect" in text.lower() else _OF_LIGHT.search(text) or _COUNTED.search(text)
@@ -283,16 +279,12 @@ def _check_words(preamble: Sequence[str], headings: Sequence[str], source: str) 
 
 
 def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_reflectance: bool) -> Ints:
-    """Return for each column the index of its standard deviation, `_NO_SPREAD`, or `_IS_SPREAD`.
-
-    headings: Names of the columns, wavelengths first; empty for a file without headings.
-    values: (column, band).
-    is_reflectance: Whether columns without headings are reflectance, without a check of their values.
-
-    Raises FormatError: The heading of the first spectrum is a standard deviation.
-    Warns PaintWarning: There are three columns without headings, and the third looks like the standard
-        deviation of the second.
-    """
+    # Return for each column the index of its standard deviation, `_NO_SPREAD`, or `_IS_SPREAD`.
+    # headings: Names of the columns, wavelengths first; empty for a file without headings. values: (column,
+    # band). is_reflectance: Whether columns without headings are reflectance, without a check of their
+    # values.
+    # Raises FormatError: The heading of the first spectrum is a standard deviation. Warns PaintWarning: There
+    # are three columns without headings, and the third looks like the standard deviation of the second.
     roles = np.full(len(values), _NO_SPREAD)
     if headings:
         # names without units and words for mean and standard deviation: letters and digits
@@ -334,14 +326,10 @@ def _spread_columns(headings: Sequence[str], values: Floats, source: str, *, is_
 
 
 def _without_repeats(wavelength: Floats, values: Floats, source: str) -> tuple[Ints, Floats, list[str]]:
-    """Return rows of distinct wavelengths, their values (band, spectrum), and notes.
-
-    Of successive equal wavelengths the first row is kept; different values are averaged.
-
-    Raises FormatError: Many wavelengths occur again in rows that are not adjacent, as of two spectra one
-        below the other.
-    Warns PaintWarning: Values were averaged.
-    """
+    # Return rows of distinct wavelengths, their values (band, spectrum), and notes.
+    # Of successive equal wavelengths the first row is kept; different values are averaged.
+    # Raises FormatError: Many wavelengths occur again in rows that are not adjacent, as of two spectra one
+    # below the other. Warns PaintWarning: Values were averaged.
     starts = np.flatnonzero(np.diff(wavelength, prepend=np.nan) != 0)  # first rows of equal wavelengths
     distant_share = 1.0 - np.unique(wavelength[starts]).size / starts.size
     adjacent = wavelength.size - starts.size
@@ -613,10 +601,8 @@ def _axis(path: Path, kind: str, count: int, spectrometer: str, notes: list[str]
 
 
 def _lines(path: Path, expected: str) -> list[str]:
-    """Return the lines of a text file, in UTF-8 or else latin-1.
-
-    Raises FormatError: The file cannot be read, is too large, or is binary.
-    """
+    # Return the lines of a text file, in UTF-8 or else latin-1.
+    # Raises FormatError: The file cannot be read, is too large, or is binary.
     raw = read_limited_text(path, MAX_BYTES, expected)
     if b"\0" in raw:
         raise FormatError(
@@ -635,14 +621,10 @@ def _table(
     source: str,
     numbers_of: Callable[[str], list[float] | None] | None = None,
 ) -> Floats:
-    """Return lines of numbers as an array (line, column); empty lines are skipped.
-
-    first_line: Index of the first line of numbers.
-    columns: Number of columns.
-    numbers_of: Function that returns the numbers of a line, None for other text; by default numbers are
-        separated by blanks.
-    Raises FormatError: Lines contain other text; the first of them are listed.
-    """
+    # Return lines of numbers as an array (line, column); empty lines are skipped.
+    # first_line: Index of the first line of numbers. columns: Number of columns. numbers_of: Function that
+    # returns the numbers of a line, None for other text; by default numbers are separated by blanks. Raises
+    # FormatError: Lines contain other text; the first of them are listed.
     problems = Problems(f"{source} cannot be read", FormatError)
     rows = []
     for at, line in enumerate(lines[first_line:], first_line + 1):
@@ -664,18 +646,15 @@ def _table(
 
 
 def other_quantity(text: str) -> str:
-    """Return the word for another quantity than reflectance, empty if there is none."""
+    # Return the word for another quantity than reflectance, empty if there is none.
     match = _OTHER_QUANTITY.search(text)
     return match[0] if match and "reflect" not in text.lower() else ""
 
 
 def _in_nanometres(text: str, wavelength: Floats, source: str) -> tuple[Floats, str]:
-    """Return wavelengths [nm], and a note if their unit is inferred.
-
-    text: Description of the wavelengths in the file; may be empty.
-    wavelength: Wavelengths in the file's unit.
-    Raises FormatError: The text names another unit, such as wavenumbers.
-    """
+    # Return wavelengths [nm], and a note if their unit is inferred.
+    # text: Description of the wavelengths in the file; may be empty. wavelength: Wavelengths in the file's
+    # unit. Raises FormatError: The text names another unit, such as wavenumbers.
     factor, note = 1.0, ""
     if _MICROMETRE.search(text):
         factor = 1e3

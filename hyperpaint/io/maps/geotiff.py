@@ -115,7 +115,7 @@ def draw_geotiff(
     stretch: tuple[float, float] = (2.0, 98.0),
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`."""
+    # Write a map as GeoTIFF to ``target``, later moved to ``final_path``; errors as of `write_geotiff`.
     with needs_extra("rasterio", "geo", "writing a GeoTIFF"):
         import rasterio
         from rasterio.shutil import copy
@@ -153,8 +153,7 @@ def draw_geotiff(
 
 
 class GeotiffHeader(NamedTuple):
-    """Metadata of a GeoTIFF; ``overviews`` are the reduction factors of its smaller copies."""
-
+    # Metadata of a GeoTIFF; ``overviews`` are the reduction factors of its smaller copies.
     shape: tuple[int, int]
     bands: int
     dtype: str

@@ -99,19 +99,18 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Grid:
-    """An affine grid: x = a + b column + c row, y = d + e column + f row, at the outer corners of pixels."""
-
+    # An affine grid: x = a + b column + c row, y = d + e column + f row, at the outer corners of pixels.
     transform: Transform  # a, b, c, d, e, f: GDAL's order [map units]
     wkt: str | None  # The reference system; None where it is not known
 
     @property
     def mirrored(self) -> bool:
-        """Whether rows and columns form a mirror image of the ground as seen from above."""
+        # Whether rows and columns form a mirror image of the ground as seen from above.
         _, b, c, _, e, f = self.transform
         return b * f - c * e > 0.0
 
     def flipped(self, rows: int) -> Grid:
-        """Return the grid with the order of its rows reversed."""
+        # Return the grid with the order of its rows reversed.
         a, b, c, d, e, f = self.transform
         return replace(self, transform=(a + rows * c, b, -c, d + rows * f, e, -f))
 
@@ -166,7 +165,7 @@ def grid_of(dataset: xr.Dataset) -> Grid | None:
 
 
 def required_grid(dataset: xr.Dataset) -> Grid:
-    """Return the grid of a map; SchemaError where its position is unknown."""
+    # Return the grid of a map; SchemaError where its position is unknown.
     grid = grid_of(dataset)
     if grid is None:
         raise SchemaError(

@@ -319,6 +319,14 @@ def test_patterns__take_a_library_of_two_files_once(tmp_path: Path) -> None:
     assert library["file"].values.tolist() == [path.with_suffix(".hdr").name] * 2 + [table.name]
 
 
+def test_several__a_width_of_one_file_is_left_out_and_said(tmp_path: Path) -> None:
+    one = write_sli(tmp_path, ROWS, NAMES + NM + "fwhm = {5, 5, 5}\n")
+    two = write_text(tmp_path, "nm,grey\n450,0.1\n550,0.2\n650,0.3\n")
+    library = hp.open_library([one, two])
+    assert "fwhm" not in library.variables
+    assert "fwhm differs from file to file and is left out" in library.attrs["notes"]
+
+
 def test_several__one_bad_file_is_an_error_that_names_it(tmp_path: Path) -> None:
     write_text(tmp_path, "450,0.1\n550,0.2\n", "a.txt")
     write_text(tmp_path, "nothing\n", "b.txt")
