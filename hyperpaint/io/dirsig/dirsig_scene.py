@@ -508,7 +508,12 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
     tilt = np.linspace(0.0, min(8.0 * sigma, np.pi / 4.0), 4001)
     shadow = np.degrees(tilt) / _SMOOTH_DEG
     shadow = (1.0 + shadow * np.exp(-2.0 * shadow)) / (1.0 + shadow)
-    lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * _fresnel(tilt, index) / normal
+    # reflectance for unpolarised light
+    cos_air, cos_coat = np.cos(tilt), np.sqrt(1.0 - (np.sin(tilt) / index) ** 2)
+    s_wave = (cos_air - index * cos_coat) / (cos_air + index * cos_coat)
+    p_wave = (index * cos_air - cos_coat) / (index * cos_air + cos_coat)
+    fresnel = 0.5 * (s_wave**2 + p_wave**2)
+    lobe = np.exp(-((tilt / sigma) ** 2)) * np.cos(tilt) ** 2 * shadow * fresnel / normal
     flux = float(np.trapezoid(2.0 * np.pi * lobe * 2.0 * np.sin(2.0 * tilt), tilt))
     number = max(2, int(np.ceil((wavelength[-1] - wavelength[0]) / _FIT_STEP_NM)) + 1)
     blocks = []
@@ -529,11 +534,3 @@ def fit_text(index: float, roughness: float, wavelength: Array, body: Array) -> 
         rows = "".join(f"    {key} = {value:.6g}\n" for key, value in values.items())
         blocks.append(f"FIT_PARAMS {{\n{rows}}}\n")
     return "".join(blocks)
-
-
-def _fresnel(angle: Array, index: float) -> Array:
-    # Reflectance for unpolarised light at an angle from the normal [rad]
-    cos_air, cos_coat = np.cos(angle), np.sqrt(1.0 - (np.sin(angle) / index) ** 2)
-    s_wave = (cos_air - index * cos_coat) / (cos_air + index * cos_coat)
-    p_wave = (index * cos_air - cos_coat) / (index * cos_air + cos_coat)
-    return np.asarray(0.5 * (s_wave**2 + p_wave**2))

@@ -72,28 +72,37 @@ def coat_of(library: xr.Dataset, specular: float | str) -> Coat:
         problems.add_error("", error)
     # without a declaration the coat is taken as included, so that it cannot count twice
     mirror = declared or INCLUDED
-    if specular != "library" and (isinstance(specular, str) or not 0.0 <= specular < 1.0):
-        problems.add(
-            f"specular={specular!r}", expected="0 to below 1, or 'library'", code="value-out-of-range"
-        )
-    if specular == "library" and not has_specular:
-        problems.add(
+    is_number = not isinstance(specular, str) and 0.0 <= specular < 1.0
+    for is_wrong, found, expected, mend, option, code in (
+        (
+            specular != "library" and not is_number,
+            f"specular={specular!r}",
+            "0 to below 1, or 'library'",
+            "",
+            "",
+            "value-out-of-range",
+        ),
+        (
+            specular == "library" and not has_specular,
             "specular='library', but the library has no specular_reflectance (signature, band)",
-            code="variable-missing",
-        )
-    elif specular != 0.0 and mirror == INCLUDED:
-        problems.add(
-            (
-                f"specular={specular!r}, but the reflectance includes the mirrored light: the clear "
-                "coat would count twice"
-            ),
-            mend=(
-                "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
-                f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}"
-            ),
-            option="leave specular out, or give body reflectance (signatures --specular-sky)",
-            code="coat-counted-twice",
-        )
+            "",
+            "",
+            "",
+            "variable-missing",
+        ),
+        (
+            specular != 0.0 and mirror == INCLUDED and (specular != "library" or has_specular),
+            f"specular={specular!r}, but the reflectance includes the mirrored light: the clear coat would "
+            "count twice",
+            "",
+            "leave specular out, or pass body reflectance (remove_mirrored_sky) with "
+            f"reflectance.attrs['mirror_reflection'] = {EXCLUDED!r}",
+            "leave specular out, or give body reflectance (signatures --specular-sky)",
+            "coat-counted-twice",
+        ),
+    ):
+        if is_wrong:
+            problems.add(found, expected=expected, mend=mend, option=option, code=code)
     problems.raise_if_any()
     return Coat(mirror, declared is not None, specular)
 

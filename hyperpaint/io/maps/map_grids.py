@@ -267,14 +267,23 @@ def envi_map_info(grid: Grid) -> dict[str, str]:
     width, height = math.hypot(b, e), math.hypot(c, f)
     problems = Problems("ENVI cannot describe this grid", SchemaError)
     is_rotated = e != 0.0 or c != 0.0
-    if grid.mirrored:
-        problems.add("it is mirrored", mend="reverse its rows", code="grid-mirrored")
-    if abs(b * c + e * f) > 1e-9 * width * height:
-        problems.add("its rows and columns do not cross at right angles", code="grid-sheared")
-    if is_rotated and abs(width - height) > 1e-9 * width:
-        problems.add(
-            f"it is rotated, and its pixels are not square: {width:g} x {height:g}", code="pixels-not-square"
-        )
+    for is_wrong, found, mend, code in (
+        (grid.mirrored, "it is mirrored", "reverse its rows", "grid-mirrored"),
+        (
+            abs(b * c + e * f) > 1e-9 * width * height,
+            "its rows and columns do not cross at right angles",
+            "",
+            "grid-sheared",
+        ),
+        (
+            is_rotated and abs(width - height) > 1e-9 * width,
+            f"it is rotated, and its pixels are not square: {width:g} x {height:g}",
+            "",
+            "pixels-not-square",
+        ),
+    ):
+        if is_wrong:
+            problems.add(found, mend=mend, code=code)
     problems.raise_if_any()
     projection, zone, units, entries = _reference_system(grid.wkt)
     entries_of_map = [projection, "1", "1", *map(repr, (a, d, width, height)), *zone, f"units={units}"]

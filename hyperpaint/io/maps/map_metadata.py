@@ -119,6 +119,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
     if not times.size:
         raise SchemaError("no cell of this map has a time in line_time", code="time-missing")
     first, last = times.min(), times.max()
+    moments = {"datetime": first + (last - first) // 2, "start_datetime": first, "end_datetime": last}
     ring = [list(corner) for corner in zip(longitude, latitude, strict=True)]
     return {
         "type": "Feature",
@@ -130,9 +131,7 @@ def stac_item(dataset: xr.Dataset, path: Path) -> dict[str, Any]:
         "geometry": {"type": "Polygon", "coordinates": [[*ring, ring[0]]]},
         "bbox": [min(longitude), min(latitude), max(longitude), max(latitude)],
         "properties": {
-            "datetime": _utc(first + (last - first) // 2),
-            "start_datetime": _utc(first),
-            "end_datetime": _utc(last),
+            **{key: f"{np.datetime_as_string(time, unit='ms')}Z" for key, time in moments.items()},
             "gsd": float(np.hypot(grid.transform[1], grid.transform[4])),
             **_reference_system(grid),
             "proj:shape": shape,
@@ -191,7 +190,3 @@ def _bands(dataset: xr.Dataset) -> list[dict[str, Any]]:
         }
         for nm, fwhm in zip(axis.values, widths, strict=True)
     ]
-
-
-def _utc(time: np.datetime64) -> str:
-    return f"{np.datetime_as_string(time, unit='ms')}Z"

@@ -18,6 +18,7 @@ USGS = "splib07a_Brilliant(Hansa)yellowGDS785_ASDFRa_AREF.txt"
 METAL = "jhu.becknic.manmade.roofing.metal.solid.0384uuu.spectrum.txt"
 CEMENT = "jhu.becknic.manmade.construction.cement.solid.0432uuu.spectrum.txt"
 SOIL = "soil.alfisol.haploxeralf.none.all.87p313.jhu.becknic.spectrum.txt"
+AXES = ("reflectance", "wavelength")
 WAVELENGTHS = "s07_ASD_Wavelengths_ASD_0.35-2.5_microns_2151_ch.txt"
 
 
@@ -40,14 +41,9 @@ def spy_library(path: Path) -> Any:
 
 
 def assert_is_library(library: xr.Dataset) -> None:
-    assert library["reflectance"].dims == ("signature", "band")
-    assert library["reflectance"].dtype == np.float32
-    assert library["reflectance"].attrs["units"] == "1"
-    assert library["wavelength"].dims == ("band",)
-    assert library["wavelength"].dtype == np.float64
-    assert library["wavelength"].attrs["units"] == "nm"
-    assert library.attrs["source"]
-    assert library.attrs["format"]
+    found = [(library[name].dims, library[name].dtype, library[name].attrs["units"]) for name in AXES]
+    assert found == [(("signature", "band"), np.float32, "1"), (("band",), np.float64, "nm")]
+    assert all(library.attrs[key] for key in ("source", "format"))
 
 
 def test_berlin__has_its_scale_in_a_plot_title_and_its_classes_beside_it(sli: Path) -> None:
