@@ -67,18 +67,21 @@ def centres(transform: Any, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndar
 PARTS = {"whole": {}, "part": {"y": slice(20, 100), "x": slice(10, 80)}}
 
 
-def stored(line: xr.Dataset, grid: Any, part: str, path: Path) -> Path:
-    made = hp.geometry.orthorectify(line, GSD, grid=grid, method="bilinear").isel(PARTS[part])
-    write_map(made, path)
-    return path
+@pytest.fixture(scope="module")
+def resampled(line: xr.Dataset) -> dict[str, xr.Dataset]:
+    return {
+        grid: hp.geometry.orthorectify(line, GSD, grid=grid, method="bilinear").load()  # type: ignore[arg-type]
+        for grid in ("north", "flight")
+    }
 
 
 @pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("grid", ["north", "flight"])
 def test_rioxarray_warps_a_stored_map_to_its_place(
-    line: xr.Dataset, tmp_path: Path, grid: Any, part: str
+    resampled: dict[str, xr.Dataset], tmp_path: Path, grid: Any, part: str
 ) -> None:
-    opened = xr.open_zarr(stored(line, grid, part, tmp_path / "map.zarr"))
+    write_map(resampled[grid].isel(PARTS[part]), tmp_path / "map.zarr")
+    opened = xr.open_zarr(tmp_path / "map.zarr")
     bands = opened["reflectance"].transpose("band", "y", "x")
     assert bands.rio.crs.to_epsg() == 32617
     assert misplacement(bands.values, *centres(bands.rio.transform(), bands.shape[1:]), MAP).max() < 0.01
@@ -105,9 +108,10 @@ def test_rioxarray_warps_a_stored_map_to_its_place(
 @pytest.mark.parametrize("grid", ["north", "flight"])
 @pytest.mark.parametrize("form", ["tif", "nc", "zarr"])
 def test_gdal_warps_a_map_to_its_place(
-    line: xr.Dataset, tmp_path: Path, form: str, grid: Any, part: str
+    resampled: dict[str, xr.Dataset], tmp_path: Path, form: str, grid: Any, part: str
 ) -> None:
-    path = stored(line, grid, part, tmp_path / ("map.tif" if form == "tif" else "map.zarr"))
+    path = tmp_path / ("map.tif" if form == "tif" else "map.zarr")
+    write_map(resampled[grid].isel(PARTS[part]), path)
     if form != "tif":
         # this GDAL knows neither Zarr's codecs of today nor bands that come last
         plain = xr.open_zarr(path)[["reflectance"]].transpose("band", "y", "x").drop_vars("fwhm")
