@@ -129,6 +129,18 @@ _ROWS = (
         "name the navigation of this flight; check its clock",
         refused=False,
     ),
+    Kind(
+        "navigation-convention",
+        "The picture of a line contradicts a declared sign, order or reference of the navigation.",
+        "check this declaration in [navigation], and [geometry] ground",
+        refused=False,
+    ),
+    Kind(
+        "navigation-clock",
+        "The picture of a line is early or late against the navigation, or against the irradiance record.",
+        "set clock_offset_s of this record, or stamp",
+        refused=False,
+    ),
 )
 #: Every kind of finding, by its name.
 KINDS = {kind.name: kind for kind in _ROWS}

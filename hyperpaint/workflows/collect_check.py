@@ -14,6 +14,7 @@ import numpy as np
 
 from hyperpaint.base.errors import CollectError, PaintWarning, Problems
 from hyperpaint.base.schema import flag_shares
+from hyperpaint.geometry.navigation_checking import navigation_findings
 from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ _LINES_A_READ = 4096
 
 def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
     """Return findings of implausible inputs of a collect, from samples of its cubes and all records.
+
+    Conventions of the navigation and clocks are tested on the picture of one line.
 
     Raises `CollectError` if the collect or one of its files cannot be opened; all problems are listed.
 
@@ -44,7 +47,13 @@ def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
 
     needs_irradiance = read_collect(path, need_irradiance=False).irradiance is not None
     opened = opened_collect(path, need_irradiance=needs_irradiance)
-    return tuple(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
+    findings = list(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
+    lines = {name: opened.tree[name].to_dataset() for name in opened.members}
+    for line, found in navigation_findings(lines):
+        kind = KINDS["navigation-clock" if "clock" in found.field else "navigation-convention"]
+        text = f"{found.field} {found.declared}: {found.evidence}"
+        findings.append(Finding(kind, str(lines[line].attrs["name"]), text, found.likely))
+    return tuple(findings)
 
 
 def refuse_findings(

@@ -1,31 +1,49 @@
-"""Solution for the mounting and the clock of a camera from control points."""
+"""Solution for the mounting and the clock of a camera from control or tie points."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from hyperpaint.base.arrays import Bools, Floats
+from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.base.attitude_conventions import Convention
+from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJOR_AXIS_M
 from hyperpaint.base.errors import Problems, SchemaError
+from hyperpaint.base.schema import require
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference.cameras import PinholeCamera
-from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
+from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
+from hyperpaint.geometry.georeference.cameras import PinholeCamera, look_angles
+from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, east_north_up
+from hyperpaint.geometry.georeference.poses import (
+    LOCATION_UNITS,
+    NAVIGATION_TIME,
+    canonical_values,
+    convention_of_line,
+    pose_columns,
+    poses_at,
+)
 
-from .sightings import Sightings, sightings_of
-
-PARAMETERS = ("roll", "pitch", "heading", "height", "clock")
-#: Parameter steps of the numerical derivatives of misses.
-STEPS = {"roll": 1e-3, "pitch": 1e-3, "heading": 1e-3, "height": 1e-3, "clock": 5e-4}
-_ANGLES = ("roll", "pitch", "heading")
-_UNITS = {"roll": "degree", "pitch": "degree", "heading": "degree", "height": "m", "clock": "s"}
-#: Largest useful uncertainty from points picked to one pixel [degree, m, s].
-_MAX_SD = {"roll": 5.0, "pitch": 5.0, "heading": 5.0, "height": 50.0, "clock": 1.0}
+#: Parameters that can be solved for: unit, step of numerical derivatives, and largest useful uncertainty from
+#: points picked to one pixel.
+_PARAMETERS = {
+    "roll": ("degree", 1e-3, 5.0),
+    "pitch": ("degree", 1e-3, 5.0),
+    "heading": ("degree", 1e-3, 5.0),
+    "height": ("m", 1e-3, 50.0),
+    "clock": ("s", 5e-4, 1.0),
+}
+PARAMETERS = tuple(_PARAMETERS)
+_STEPS = np.array([step for _, step, _ in _PARAMETERS.values()])
 _FIELDS = ("along_track_pixel", "cross_track_pixel", "east", "north", "height")
+#: Duration of the record that is kept around every point, the range of clock offsets [s].
+_AROUND_S = 3.0
+#: Minimum uncertainty of picking [pixel].
+_MIN_PICKING_PX = 0.05
 
 
 @dataclass(frozen=True)
@@ -104,7 +122,7 @@ class BoresightSolution:
         """Return the solution as text."""
         sd = self.sd
         uncertainties = {n: f"+- {sd[n]:.5f}" if n in sd else "as given" for n in PARAMETERS}
-        rows = [f"{n:8} {self.value(n):+12.5f} {uncertainties[n]:12} {_UNITS[n]}" for n in PARAMETERS]
+        rows = [f"{n:8} {self.value(n):+12.5f} {uncertainties[n]:12} {_PARAMETERS[n][0]}" for n in PARAMETERS]
         outliers = self.points["point"].values[self.points["outlier"].values].tolist()
         n_used = int((~self.points["outlier"]).sum())
         rows += [
@@ -211,7 +229,9 @@ def solve_boresight(
         control_points = xr.concat(
             [control_points.isel(side=side) for side in range(2)], "point", data_vars="all"
         )
-    names = _checked_names((_ANGLES if pairs else PARAMETERS) if solve is None else solve, control_points)
+    names = _checked_names(
+        (PARAMETERS[:3] if pairs else PARAMETERS) if solve is None else solve, control_points
+    )
     start = np.array([*boresight, 0.0, clock_offset_s], np.float64)
     forward, right, down = map(float, lever_arm)
     sights = _sightings(
@@ -252,7 +272,7 @@ def solve_boresight(
         coords={"parameter": names, "other_parameter": names},
         attrs={
             "long_name": "Covariance of the camera's mounting",
-            "parameter_units": ", ".join(_UNITS[name] for name in names),
+            "parameter_units": ", ".join(_PARAMETERS[name][0] for name in names),
         },
     )
     labels = control_points["name"].values if "name" in control_points.variables else [""] * points.count
@@ -273,34 +293,146 @@ def solve_boresight(
 
 
 def _checked_names(solve: Sequence[str], points: xr.Dataset) -> list[str]:
-    problems = Problems("a boresight cannot be solved for", SchemaError)
     names = [name for name in PARAMETERS if name in solve]
-    if isinstance(solve, str) or not names or set(solve) - set(PARAMETERS):
-        problems.add(
-            f"solve {solve!r:.80}", expected=f"some of {', '.join(PARAMETERS)}", code="choice-unknown"
-        )
     missing = [name for name in _FIELDS if name not in points.variables or points[name].dims != ("point",)]
-    if missing:
-        problems.add(
-            f"control points have no {', '.join(missing)} (point)",
-            mend="see hyperpaint.io.read_control_points",
-            code="variable-missing",
-        )
-    problems.raise_if_any()
-    if not all(np.isfinite(points[name].values).all() for name in _FIELDS):
-        problems.add(
-            "control points have numbers that are not finite",
-            mend="leave these points out",
-            code="not-finite",
-        )
-    if 2 * points.sizes["point"] <= len(names):
-        problems.add(
-            f"{points.sizes['point']} points",
-            expected=f"more than {len(names) / 2:g} for {', '.join(names)}",
-            code="control-points-few",
-        )
-    problems.raise_if_any()
+    is_finite = bool(missing) or all(np.isfinite(points[name].values).all() for name in _FIELDS)
+    # faults of the arguments come before faults of the numbers
+    tables = (
+        (
+            (
+                isinstance(solve, str) or not names or bool(set(solve) - set(PARAMETERS)),
+                f"solve {solve!r:.80}", f"some of {', '.join(PARAMETERS)}", "", "choice-unknown",
+            ),
+            (
+                bool(missing),
+                f"control points have no {', '.join(missing)} (point)", "",
+                "see hyperpaint.io.read_control_points", "variable-missing",
+            ),
+        ),
+        (
+            (
+                not is_finite,
+                "control points have numbers that are not finite", "", "leave these points out", "not-finite",
+            ),
+            (
+                2 * points.sizes.get("point", 0) <= len(names),
+                f"{points.sizes.get('point', 0)} points",
+                f"more than {len(names) / 2:g} for {', '.join(names)}", "", "control-points-few",
+            ),
+        ),
+    )  # fmt: skip
+    problems = Problems("a boresight cannot be solved for", SchemaError)
+    for table in tables:
+        for is_wrong, found, expected, mend, code in table:
+            if is_wrong:
+                problems.add(found, expected=expected, mend=mend, code=code)
+        problems.raise_if_any()
     return names
+
+
+# --- points of one line ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """The points of one line, in the camera's frame: computed minus observed directions."""
+
+    times: Array  #: (row,): canonical record around the points
+    poses: Floats  #: (6, row): canonical record around the points
+    observed_at: Array  #: (point,): time of the point, interpolated between mid exposures of lines
+    line_time: Floats  #: (point,): time between lines at the point [s]
+    ground: Floats  #: (point, 3): geocentric coordinates [m]
+    forward: Floats  #: (point,): tangents of the column
+    right: Floats
+    step: Floats  #: (point, 2): change of both tangents from a column to the next
+    lever_arm: tuple[float, ...]  #: Forward, right, down [m]
+    index: Ints  #: (point,): numbers of the points among the points of all lines
+    field_of_view: float  #: Distance between the outermost columns [tangent]
+    _cache: dict[tuple[float, float], tuple[Floats, ...]] = field(default_factory=dict, repr=False)
+
+    def misses(self, mounting: Floats, lines: float = 0.0) -> Floats:
+        """Return computed minus observed directions of points (point, 2): forward, right [tangent].
+
+        ``mounting`` is roll, pitch, heading of the camera in the body [degree], offset added to the altitude
+        of the record [m], and offset added to the time of the line [s]; ``lines`` is the number of lines by
+        which the observation is shifted to later times.
+        """
+        vector = self._vectors(mounting, lines)
+        return np.asarray(vector[:, :2] / vector[:, 2:] - np.stack([self.forward, self.right], axis=-1))
+
+    def behind(self, mounting: Floats) -> Bools:
+        """Return the points behind the camera (point,), whose residuals have no meaning."""
+        return np.asarray(self._vectors(mounting, 0.0)[:, 2] <= 0.0)
+
+    def hits(self, mounting: Floats, height: Floats) -> Floats:
+        """Return geocentric positions (point, 3) where the lines of sight reach a height [m]."""
+        *boresight, height_offset, clock = mounting.tolist()
+        centre, axes, body, _, altitude = self._frames(clock, 0.0)
+        look = np.stack([self.forward, self.right, np.ones_like(self.right)], axis=-1)
+        lever_arm = body @ np.array(self.lever_arm)
+        ray = np.einsum("nij,nj->ni", body, look @ _rotation(*boresight).T)
+        vertical = altitude + height_offset - lever_arm[:, 2] - height[self.index]
+        horizontal_squared = (ray[:, :2] ** 2).sum(axis=-1)
+        distance = vertical / ray[:, 2]
+        # a surface of equal height is 8 cm below the tangent plane at a kilometre
+        for _ in range(2):
+            distance = (vertical + distance**2 * horizontal_squared / (2.0 * WGS84_SEMI_MAJOR_AXIS_M)) / ray[
+                :, 2
+            ]
+        offset = lever_arm + distance[:, None] * ray - np.array([0.0, 0.0, height_offset])
+        return np.asarray(centre + np.einsum("nji,nj->ni", axes, offset))
+
+    def whitening(self, mounting: Floats) -> Floats:
+        """Return the matrix that converts residuals to pixels of picking (point, 2, 2).
+
+        A pixel along the track and a pixel across move a point in two directions of the camera's frame. With
+        equal uncertainty of picking in both, the converted residuals have unit covariance.
+        """
+        per_line = self.misses(mounting, 0.5) - self.misses(mounting, -0.5)
+        floor = _MIN_PICKING_PX**2 * (self.step**2).sum(axis=-1)[:, None, None] * np.eye(2)
+        covariance = (
+            per_line[:, :, None] * per_line[:, None] + self.step[:, :, None] * self.step[:, None] + floor
+        )
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def _vectors(self, mounting: Floats, lines: float) -> Floats:
+        # Return the vectors from the camera to the points in its frame (point, 3) [m].
+        *boresight, height, clock = mounting.tolist()
+        centre, axes, _, to_body, _ = self._frames(clock, lines)
+        vector = np.einsum("nij,nj->ni", to_body, self.ground - centre + height * axes[:, 2])
+        return np.asarray((vector - np.array(self.lever_arm)) @ _rotation(*boresight))
+
+    def _frames(self, clock: float, lines: float) -> tuple[Floats, ...]:
+        # Return, at the time of the points: geocentric position (point, 3), directions north, east, down
+        # (rows), rotations from the body to these, and from the geocentric frame to the body (point, 3, 3),
+        # and altitudes. Only the clock changes them, so that few are computed in a fit.
+        if (clock, lines) not in self._cache:
+            if len(self._cache) > 16:
+                self._cache.clear()
+            times = self.observed_at + np.round(lines * self.line_time * 1e9).astype("timedelta64[ns]")
+            poses = poses_at(self.times, self.poses, times, clock_offset_s=clock)
+            body = matrices(quaternions(*poses[3:]))
+            centre, axes = _geocentric(*poses[:3])
+            to_body = np.einsum("nji,njk->nik", body, axes)
+            self._cache[clock, lines] = (centre, axes, body, to_body, poses[2])
+        return self._cache[clock, lines]
+
+
+@functools.lru_cache(maxsize=64)
+def _rotation(roll: float, pitch: float, heading: float) -> Floats:
+    # Return the rotation from the camera to the body, which the lines of a flight share.
+    return matrices(quaternions(roll, pitch, heading))
+
+
+def _geocentric(latitude: Floats, longitude: Floats, height: Floats) -> tuple[Floats, Floats]:
+    # Return geocentric coordinates (n, 3), and the directions north, east, down at them (n, 3, 3).
+    axes = east_north_up(latitude, longitude)[:, [1, 0, 2]] * np.array([[1.0], [1.0], [-1.0]])
+    phi = np.radians(latitude)
+    radius = WGS84_SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - WGS84_ECCENTRICITY_SQUARED * np.sin(phi) ** 2)
+    # along the vertical, from the equatorial plane; the centre of curvature lies below the earth's centre
+    position = -(radius + height)[:, None] * axes[:, 2]
+    position[:, 2] -= WGS84_ECCENTRICITY_SQUARED * radius * np.sin(phi)
+    return position, axes
 
 
 def _sightings(
@@ -313,10 +445,11 @@ def _sightings(
     crs: Any,
     start: Floats,
 ) -> list[Sightings]:
+    # Return the view of every line on its points.
     crs = points.attrs.get("crs") if crs is None else crs
     if crs is None:
         raise SchemaError("the CRS of east and north is missing", mend="pass crs=", code="crs-missing")
-    count = points.sizes["point"]
+    parts: list[tuple[str, Any, Ints]] = [("", lines, np.arange(points.sizes["point"]))]
     if not isinstance(lines, xr.Dataset):
         if "flightline" not in points.variables:
             raise SchemaError(
@@ -332,22 +465,66 @@ def _sightings(
                 code="flightline-unknown",
             )
         parts = [(name, line, np.flatnonzero(line_names == name)) for name, line in lines.items()]
-    else:
-        parts = [("", lines, np.arange(count))]
     sights = []
     for name, line, index in parts:
-        if index.size:
-            record: Any = (
-                navigation
-                if navigation is None or isinstance(navigation, xr.Dataset)
-                else navigation.get(name)
+        if not index.size:
+            continue
+        one_record = navigation is None or isinstance(navigation, xr.Dataset)
+        record: Any = navigation if one_record else navigation.get(name)  # type: ignore[union-attr]
+        declared = convention_of_line(line, record, convention)
+        columns = pose_columns(line if record is None else record, declared)
+        values = canonical_values(*(c.values for c in columns.values()), convention=declared, crs=crs)
+        time = require(line, ["time"], "control points")["time"].values.astype("datetime64[ns]")
+        recorded = time if record is None else record[NAVIGATION_TIME].values.astype("datetime64[ns]")
+        position, column, east, north, height = (
+            points[field].values[index].astype(np.float64) for field in _FIELDS
+        )
+        across, along = (np.tan(np.radians(np.asarray(a))) for a in look_angles(line, camera, declared))
+        is_inside = (position >= -0.5) & (position <= time.size - 0.5)
+        is_inside &= (column >= -0.5) & (column <= across.size - 0.5)
+        if not is_inside.all() or time.size < 2:
+            raise SchemaError(
+                f"points {index[~is_inside].tolist()} are outside {time.size} lines of {across.size} columns",
+                code="pixel-outside",
             )
-            fields = {field: points[field].values[index].astype(np.float64) for field in _FIELDS}
-            sights.append(sightings_of(
-                line, fields, index, navigation=record, convention=convention, camera=camera,
-                lever_arm=lever_arm, crs=crs, clock=float(start[4]),
-            ))  # fmt: skip
+        line_before = np.clip(np.floor(position).astype(np.int64), 0, time.size - 2)
+        steps = (time[line_before + 1] - time[line_before]).astype(np.int64)
+        since = np.round((position - line_before) * steps).astype("timedelta64[ns]")
+        observed_at = time[line_before] + since
+        # rows of the record around any point
+        sought = (observed_at + np.timedelta64(round(float(start[4]) * 1e9), "ns"))[~np.isnat(observed_at)]
+        reach = np.timedelta64(round(_AROUND_S * 1e9), "ns")
+        is_near = np.zeros(recorded.size, bool)
+        for time_of_point in sought:
+            is_near |= np.abs(recorded - time_of_point) <= reach
+        positions = between_maps(np.stack([east, north], -1), crs_of(crs), "OGC:CRS84")
+        ground, _ = _geocentric(positions[:, 1], positions[:, 0], height)
+        # tangents at fractions of columns, extrapolated by half a column at both ends
+        numbers = np.arange(-1, across.size + 1)
+        forward, right = (
+            np.interp(column, numbers, np.concatenate([[2 * t[0] - t[1]], t, [2 * t[-1] - t[-2]]]))
+            for t in (along, across)
+        )
+        step = np.stack([np.gradient(along), np.gradient(across)], axis=-1)
+        sight = Sightings(
+            recorded[is_near], values[:, is_near], observed_at, steps / 1e9, ground, forward, right,
+            step[np.clip(np.round(column).astype(np.int64), 0, across.size - 1)], lever_arm, index,
+            float(np.hypot(np.ptp(along), np.ptp(across))),
+        )  # fmt: skip
+        is_missing: Bools = np.ones(index.size, bool)
+        if is_near.any():
+            is_missing[:] = ~np.isfinite(sight.misses(np.array([0.0, 0.0, 0.0, 0.0, start[4]]))).all(axis=1)
+        if is_missing.any():
+            raise SchemaError(
+                f"points {index[is_missing].tolist()} are on lines without time or pose",
+                mend="check the record for gaps",
+                code="pose-missing",
+            )
+        sights.append(sight)
     return sights
+
+
+# --- fit ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -396,13 +573,9 @@ class Misses:
 
     def slopes(self, free: Floats, used: Bools) -> Floats:
         """Return derivatives of the misses of points that are used (2 point, parameter)."""
-        columns = []
-        for k, parameter in enumerate(self.free):
-            step = np.zeros(free.size)
-            step[k] = STEPS[PARAMETERS[parameter]]
-            change = self.misses(free + step) - self.misses(free - step)
-            columns.append(change[used].ravel() / (2.0 * step[k]))
-        return np.stack(columns, axis=1)
+        steps = np.diag(_STEPS[self.free])
+        changes = [self.misses(free + step) - self.misses(free - step) for step in steps]
+        return np.stack([c[used].ravel() for c in changes], axis=1) / (2.0 * _STEPS[self.free])
 
     def lengths(self, free: Floats, used: Bools) -> Floats:
         """Return the length of the misses per unit of a parameter, for fixed ground points (parameter,)."""
@@ -423,7 +596,7 @@ def _fit(
     # Fit by least squares, or with a scale [pixel] by soft-L1.
     from scipy.optimize import least_squares
 
-    units = np.array([STEPS[PARAMETERS[p]] for p in points.free])
+    units = _STEPS[points.free]
     solution = least_squares(
         lambda u: np.nan_to_num(points.misses(u * units)[used].ravel(), nan=1e3),
         free / units,
@@ -510,9 +683,10 @@ def _refuse_unidentifiable(points: Misses, free: Floats, names: list[str], used:
     length = np.maximum(np.linalg.norm(slopes, axis=0), 1e-12)
     problems = Problems(f"{int(used.sum())} points do not determine all of {', '.join(names)}", SchemaError)
     for name, size in zip(names, lengths_fixed, strict=True):
-        if not size * _MAX_SD[name] > 1.0:
+        unit, _, max_sd = _PARAMETERS[name]
+        if not size * max_sd > 1.0:
             problems.add(
-                f"{name}: {_MAX_SD[name]:g} {_UNITS[name]} would move points by less than a pixel",
+                f"{name}: {max_sd:g} {unit} would move points by less than a pixel",
                 mend="leave it out of solve=, or add points across the swath",
                 code="parameter-insensitive",
             )
