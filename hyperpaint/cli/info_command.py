@@ -304,8 +304,7 @@ def _navigation(path: Path) -> Facts:
 
 
 def _is_pose_table(path: Path) -> bool:
-    from hyperpaint.io.navigation.navigation_csv import is_navigation_csv
-    from hyperpaint.io.navigation.nmea import is_nmea
+    from hyperpaint.io.navigation.navigation_formats import is_navigation_csv, is_nmea
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True

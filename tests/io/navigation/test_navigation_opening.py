@@ -200,8 +200,8 @@ def test_lcf_of_another_week_than_given_is_refused(tmp_path: Path) -> None:
         ("1e9 0 0 0 0 0 0\n1e9 0 0 0 0 95 0\n", "'latitude'.* line 2"),
         ("1e9 0 0 90 0 0 0\n", "heading is 90"),
         ("1e9 0 0 0 0 0 0\n5 0 0 0 0 0 0\n1e9 0 0 0 0 0 0\n", "line 2.*time-origin-conflict"),
-        ("-5 0 0 0 0 0 0\n", "negative"),
-        ("1e9 0 0 0 0 0 0\nnan 0 0 0 0 0 0\n", "unknown in line 2"),
+        ("-5 0 0 0 0 0 0\n", "time is -5 s in line 1.*value-out-of-range"),
+        ("1e9 0 0 0 0 0 0\nnan 0 0 0 0 0 0\n", "time is nan s in line 2.*value-out-of-range"),
         ("1e9 0 0 0 0 0 0 \0", "binary"),
     ],
 )
