@@ -16,7 +16,6 @@ from hyperpaint.base.constants import WGS84_ECCENTRICITY_SQUARED, WGS84_SEMI_MAJ
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
 from hyperpaint.geometry.georeference.cameras import PinholeCamera, look_angles
 from hyperpaint.geometry.georeference.geodesy import between_maps, crs_of, east_north_up
 from hyperpaint.geometry.georeference.poses import (
@@ -24,8 +23,10 @@ from hyperpaint.geometry.georeference.poses import (
     NAVIGATION_TIME,
     canonical_values,
     convention_of_line,
+    matrices,
     pose_columns,
     poses_at,
+    quaternions,
 )
 
 #: Parameters that can be solved for: unit, step of numerical derivatives, and largest useful uncertainty from

@@ -40,7 +40,6 @@ from hyperpaint.base.schema import (
     require,
 )
 from hyperpaint.base.units import conversion_factor, takes_quantities
-from hyperpaint.geometry.georeference.attitude_rotations import matrices, quaternions
 from hyperpaint.geometry.georeference.cameras import PinholeCamera, look_angles
 from hyperpaint.geometry.georeference.poses import (
     ANGLES,
@@ -49,7 +48,9 @@ from hyperpaint.geometry.georeference.poses import (
     POSE,
     canonical_values,
     convention_of_line,
+    matrices,
     poses_at,
+    quaternions,
 )
 from hyperpaint.light.synchrony import check_irradiance_times
 

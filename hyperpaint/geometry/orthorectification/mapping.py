@@ -32,8 +32,7 @@ from hyperpaint.geometry.georeference.poses import LOCATION_UNITS
 from hyperpaint.io.store.computing import client_in_force
 
 from .grids import NORTH, check_cells, covering, direction_of_flight, survey_lines
-from .indexing import RULES, Plan, needed_slabs
-from .tiling import Tiles, in_memory, in_slabs, mapped, prepared, tile_windows
+from .tiling import RULES, Plan, Tiles, in_memory, in_slabs, mapped, needed_slabs, prepared, tile_windows
 
 _GRIDS = ("north", "flight")
 _METHODS = ("nearest", "bilinear")
