@@ -324,27 +324,6 @@ class Tiles:
         tasks = {place: (getattr, (self.index.name, *place), name) for place, _ in _tiles_of(self.windows)}
         return tile_array(f"map-{name}", tasks, _chunks(self.windows), dtype, [self.index])
 
-    def cube(self, cube: da.Array, empty: Any) -> da.Array:
-        """Return spectra (row, col, band) of a cube (line, band, column) in chunks of the slabs.
-
-        They have the type of ``empty``.
-        """
-        reading = self.before if self.bilinear else self.nearest
-        return self._tile_array("map-cube", map_spectra, reading, cube, (empty,), cube.shape[1:2])
-
-    def plane(self, plane: da.Array, kind: str, empty: Any) -> da.Array:
-        """Return values (row, col) of a plane (line, column) in chunks of the slabs.
-
-        Where spectra are interpolated, ``kind`` is ``"bilinear"``, ``"nearest"``, or ``"flags"``, which
-        joins the bits of all pixels.
-        """
-        reading = self.nearest if kind == "nearest" or not self.bilinear else self.before
-        return self._tile_array("map-plane", plane_values, reading, plane, (kind == "flags", empty))
-
-    def row_or_column(self, values: da.Array, of_lines: bool, empty: Any) -> da.Array:
-        """Return values (row, col) from one value per line, or per column, in one chunk."""
-        return self._tile_array("map-nearest", nearest_values, self.index, values, (of_lines, empty))
-
     def centres(self) -> tuple[da.Array, da.Array]:
         east, north = (
             tile_array(
@@ -359,7 +338,7 @@ class Tiles:
         )
         return east, north
 
-    def _tile_array(
+    def tiles_of(
         self,
         label: str,
         function: Callable[..., Array],
@@ -368,7 +347,11 @@ class Tiles:
         options: tuple[Any, ...],
         bands: tuple[int, ...] = (),
     ) -> da.Array:
-        # ``function`` computes the tiles from positions, source blocks and options
+        """Return tiles (row, col[, band]) that ``function`` computes from an index or readings, and a source.
+
+        The source is a cube (line, band, column) or plane (line, column) in chunks of the slabs, or one value
+        per line or column in one chunk; the result has the type of the last option.
+        """
         tasks: dict[tuple[int, ...], Any] = {}
         dtype = np.asarray(options[-1]).dtype
         for place, (rows, cols) in _tiles_of(self.windows):
@@ -495,20 +478,25 @@ def mapped(line: xr.Dataset, names: Sequence[str], tiles: Tiles, lines: tuple[in
         if BAND in source.dims:
             is_mixed = tiles.bilinear and source.dtype.kind != "f"
             empty = empty_value(name, np.dtype(np.float32) if is_mixed else source.dtype)
-            values = tiles.cube(in_slabs(source.transpose(*CUBE), lines), empty)
+            cube = in_slabs(source.transpose(*CUBE), lines)
+            reading = tiles.before if tiles.bilinear else tiles.nearest
+            values = tiles.tiles_of("map-cube", map_spectra, reading, cube, (empty,), cube.shape[1:2])
         else:
             source = source.astype("datetime64[ns]") if source.dtype.kind == "M" else source
             empty = empty_value(name, source.dtype)
             kind = "bilinear" if source.dtype.kind == "f" and name not in _WRAPPING else "nearest"
             if "flag_masks" in source.attrs or name == "quality":
                 kind = "flags"
-            values = (
-                tiles.plane(in_slabs(source.transpose(*_PIXEL), lines), kind, empty)
-                if source.ndim == 2
-                else tiles.row_or_column(
-                    source.chunk({source.dims[0]: -1}).data, source.dims == (ALONG_TRACK,), empty
-                )
-            )
+            if source.ndim == 2:
+                plane = in_slabs(source.transpose(*_PIXEL), lines)
+                reading = tiles.nearest if kind == "nearest" or not tiles.bilinear else tiles.before
+                # flags of all pixels are joined
+                options = (kind == "flags", empty)
+                values = tiles.tiles_of("map-plane", plane_values, reading, plane, options)
+            else:
+                row = source.chunk({source.dims[0]: -1}).data
+                options = (source.dims == (ALONG_TRACK,), empty)
+                values = tiles.tiles_of("map-nearest", nearest_values, tiles.index, row, options)
         attrs = {key: value for key, value in line[name].attrs.items() if key != "grid_mapping"}
         attrs["grid_mapping"] = "spatial_ref"
         array = xr.DataArray(values, dims=("y", "x", BAND)[: values.ndim], attrs=attrs)
