@@ -36,7 +36,7 @@ def verify(ctx: click.Context, /, store: Path, inputs: bool, collect: Path | Non
     click.echo(str(report))
     has_faults = not report.ok
     if inputs or collect is not None:
-        from hyperpaint.workflows.input_comparison import compare_inputs
+        from hyperpaint.workflows.pipeline import compare_inputs
 
         compared = compare_inputs(store, collect)
         click.echo(str(compared))

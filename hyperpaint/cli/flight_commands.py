@@ -59,7 +59,7 @@ def check(ctx: click.Context, /, collect: Path, **_options: Any) -> None:
     check the same first: they stop at findings that make results wrong, and warn of others; --accept FINDING
     accepts a finding. Exit status 1 if there are findings.
     """
-    from hyperpaint.workflows.collect_check import check_collect
+    from hyperpaint.workflows.pipeline import check_collect
 
     findings = check_collect(collect)
     for finding in findings:

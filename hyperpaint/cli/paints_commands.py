@@ -706,7 +706,7 @@ def export(library: Path, form: str, out: Path | None, overwrite: bool, **option
     paints = open_library(library)
     with progress_bar("writing") as progress:
         if "scene" in options_set:
-            from hyperpaint.workflows.dirsig_export import export_dirsig_scene
+            from hyperpaint.workflows.rendering import export_dirsig_scene
 
             if unused := sorted(set(options_set) - _SCENE_OPTIONS):
                 names = ", ".join(f"--{name.replace('_', '-')}" for name in unused)

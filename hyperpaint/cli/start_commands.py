@@ -102,8 +102,7 @@ def init(folder: Path, out: Path | None, overwrite: bool, **folders: Path | None
     Finds raw cubes, their frame indices and navigation, darks, ASD and SVC files and the calibration. Values
     that no file contains are marked "?"; process lists them until they are filled in.
     """
-    from hyperpaint.workflows.collect_template import unknown_keys, write_collect_toml
-    from hyperpaint.workflows.field_folder import find_field_files
+    from hyperpaint.workflows.field_folder import find_field_files, unknown_keys, write_collect_toml
 
     files = find_field_files(folder, **folders)
     path = write_collect_toml(files, out, overwrite=overwrite)

@@ -34,8 +34,7 @@ from hyperpaint.pictures.plot import flag_label, rgb
 from hyperpaint.pictures.plot_spectra import find_usable
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
-from .shown_groups import flagged, groups_to_show, message_of
-from .store_report import Written
+from .store_report import Written, flagged, groups_to_show, message_of
 
 _Picture: TypeAlias = "np.ndarray[Any, np.dtype[np.uint8]]"
 

@@ -18,11 +18,20 @@ from hyperpaint.base.errors import CollectError, PaintError, Problems, SchemaErr
 from hyperpaint.base.facts import one_of
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.progress_reports import part_of
+from hyperpaint.geometry.orthorectification.mapping import describe_swath
 from hyperpaint.io.collect.collect_toml import Collect, read_collect
+from hyperpaint.io.dirsig import write_dirsig
+from hyperpaint.io.files.publishing import publish_file
+from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
+from hyperpaint.io.store.groups import version_of_program
+from hyperpaint.io.store.manifest import INPUTS
 from hyperpaint.regions import Regions, read_regions
+from hyperpaint.report.store_report import write_report
 
+from .library_files import validate_files, write_signatures, write_table
 from .maps import map_of_store, mosaic_of_store, write_map
+from .pipeline import run
 
 #: Steps of a field day in their order; all except the first may be skipped.
 STEPS = ("process", "signatures", "validate", "map", "mosaic", "dirsig", "report")
@@ -318,8 +327,6 @@ class _FieldDayRun:
 
     def _digest(self, step: str) -> str:
         # digest of the inputs of a step: groups of the store, regions, settings, version
-        from hyperpaint.io.store.groups import version_of_program
-        from hyperpaint.io.store.manifest import INPUTS
 
         groups = {
             name: open_store(self.store, name).attrs.get(INPUTS) for name in list_groups(self.store) if name
@@ -356,7 +363,6 @@ class _FieldDayRun:
         }
 
     def _write_record(self, entries: Mapping[str, Any]) -> None:
-        from hyperpaint.io.files.publishing import publish_file
 
         content = json.dumps({**self._record(), **entries}, indent=1, sort_keys=True)
         publish_file(self.out / RECORD, content.encode(), overwrite=True)
@@ -364,7 +370,6 @@ class _FieldDayRun:
     # --- the steps ---
 
     def _process(self) -> StepOutcome:
-        from .pipeline import run
 
         outcome = run(
             self.settings.path,
@@ -379,7 +384,6 @@ class _FieldDayRun:
         return StepOutcome("process", state, "\n".join([str(self.store), *corrected]), (self.store,))
 
     def _signatures(self) -> str:
-        from .library_files import write_signatures
 
         # lines have all of [geometry] except a height model, which only regions in map coordinates need
         is_map = self.regions is not None and self.regions.coordinates == "map"
@@ -397,7 +401,6 @@ class _FieldDayRun:
         return "\n".join([f"{self.library}: {library.sizes['signature']} paints", *left_out])
 
     def _validate(self) -> str:
-        from .library_files import validate_files, write_table
 
         validation = validate_files(self.library)
         self.passed = validation.passed
@@ -407,7 +410,6 @@ class _FieldDayRun:
         return f"{table}: {verdict}"
 
     def _map(self) -> str:
-        from hyperpaint.geometry.orthorectification.mapping import describe_swath
 
         lines, texts = self._located_lines(), []
         for number, line in enumerate(lines):
@@ -434,8 +436,6 @@ class _FieldDayRun:
         return {name: geometry[name] for name in ("dem", "dem_heights", "geoid") if name in geometry}
 
     def _dirsig(self) -> str:
-        from hyperpaint.io.dirsig import write_dirsig
-        from hyperpaint.io.library import open_library
 
         folder = self.out / "dirsig"
         materials = write_dirsig(
@@ -448,7 +448,6 @@ class _FieldDayRun:
         return f"{folder}: {materials.sizes['signature']} materials"
 
     def _report(self) -> str:
-        from hyperpaint.report.store_report import write_report
 
         library = self.library if self.library.exists() and not self._library_failed else None
         page = write_report(

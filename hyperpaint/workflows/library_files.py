@@ -24,10 +24,18 @@ import xarray as xr
 from hyperpaint.base.errors import PaintError, Problems, SchemaError, StoreError
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, flags_named
+from hyperpaint.geometry import locate
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.files.reading import safe_cell
+from hyperpaint.io.library import open_library
+from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
+from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
+from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
+from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
+from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Regions, regions_from
+from hyperpaint.regions.proposals import propose_regions
 from hyperpaint.surroundings.flags import Flagged, flag_line, is_flagged
 from hyperpaint.surroundings.scratch import survey_planned
 from hyperpaint.validation import Validation, validate
@@ -93,9 +101,6 @@ def write_signatures(
         The store lacks a flight line of the regions; or the library cannot be written, or ``out`` holds other
         data and ``overwrite`` is False.
     """
-    from hyperpaint.paints.signatures import EXCLUDED, extract_signatures
-    from hyperpaint.paints.signatures.extraction import MAX_GATHERED_BYTES
-
     library_path, store_path = Path(out).resolve(), Path(store).resolve()
     if library_path == store_path or store_path in library_path.parents:
         raise SchemaError(
@@ -156,7 +161,6 @@ def write_signatures(
 def _located(
     lines: Mapping[str, xr.Dataset], regions: Regions | None, location: Mapping[str, Any], maps: set[str]
 ) -> dict[str, xr.Dataset]:
-    from hyperpaint.geometry import locate
 
     problems = Problems("signatures cannot be extracted", SchemaError)
     if maps and regions is None:
@@ -180,7 +184,6 @@ def _open_lines(
     store: str | os.PathLike[str], requested: tuple[str, ...]
 ) -> tuple[dict[str, xr.Dataset], frozenset[str]]:
     # opened lines by name, and the names of lines that have flags
-    from hyperpaint.radiometry.counts_to_reflectance import reflectance
 
     listed = list_groups(store)
     groups = [group for group in listed if group.startswith("flightlines/")]
@@ -226,7 +229,6 @@ def _propose(
     lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], options: Mapping[str, Any]
 ) -> tuple[Regions, list[str]]:
     # accepted regions, and texts with place and reasons of rejected regions
-    from hyperpaint.regions.proposals import propose_regions
 
     # with several lines, names of paints start with the name of the line
     proposals_by_line = {}
@@ -290,10 +292,6 @@ def validate_files(
     Raises `FormatError`, `SchemaError`, `StoreError` or `UnitsError` if a file cannot be read, or as
     `validate`.
     """
-    from hyperpaint.io.library import open_library
-    from hyperpaint.io.spectrometers.reference_files import open_references, read_pairs
-    from hyperpaint.io.spectrometers.spectrum_csv import read_certificate
-
     signatures = open_library(library)
     name_pairs = None if pairs is None else read_pairs(pairs)
     certificate = None if panel is None else read_certificate(panel)

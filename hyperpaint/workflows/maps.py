@@ -17,6 +17,10 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.geometry.georeference.cameras import PinholeCamera
 from hyperpaint.geometry.mosaicking.composing import mosaic, seamlines
 from hyperpaint.geometry.orthorectification.mapping import orthorectify
+from hyperpaint.io.files.publishing import check_place, published_files
+from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
+from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
+from hyperpaint.io.maps.rasters import read_heights
 from hyperpaint.io.store import budget, list_groups, open_store, to_store
 
 
@@ -179,9 +183,6 @@ def write_map(
     MissingExtraError
         A GeoTIFF needs rasterio (extra ``geo``).
     """
-    from hyperpaint.io.files.publishing import check_place, published_files
-    from hyperpaint.io.maps.map_metadata import geozarr_attrs, stac_item, with_own_transform
-
     item, is_tiff = path.with_suffix(".json"), path.suffix.lower() in (".tif", ".tiff")
     companions = ([item] if stac else []) + ([] if seams is None else [seams])
     if stac:
@@ -205,8 +206,6 @@ def write_map(
     ):
         texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
         if is_tiff:
-            from hyperpaint.io.maps.geotiff import draw_geotiff, read_geotiff_header
-
             draw_geotiff(orthomap, target, path)
             factors = ", ".join(f"1:{factor}" for factor in read_geotiff_header(target).overviews)
             notes.append(f"overviews {factors}" if factors else "too small for overviews")
@@ -277,7 +276,6 @@ def _track(line: xr.Dataset) -> tuple[Any, Any, Any] | None:
 def _heights(
     path: Path, reference: str | None, undulation: float | None, around: tuple[Any, Any, Any] | None
 ) -> xr.DataArray:
-    from hyperpaint.io.maps.rasters import read_heights
 
     dem = read_heights(path, around)
     references = {"height_reference": reference, "geoid_undulation": undulation}

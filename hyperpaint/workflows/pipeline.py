@@ -1,44 +1,265 @@
-"""Processing of a collect: from the files of the instruments to a store."""
+"""Processing of a collect: from the files of the instruments to a store.
+
+Inputs are checked before processing (`check_collect`), recorded in the store as digests, protected from being
+overwritten, and compared with the store later (`compare_inputs`).
+"""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import hashlib
+import itertools
+import json
 import os
 import re
+import shlex
 import sys
-from collections.abc import Collection, Iterator, Mapping
+import warnings
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
+import numpy as np
 import xarray as xr
 
+from hyperpaint.alignment import align
 from hyperpaint.base.constants import ALIGNMENTS, DEFAULT_CODEC, KEPT_BITS, NUMERICS_VERSION, Alignment
 from hyperpaint.base.errors import (
     CollectError,
     PaintError,
+    PaintWarning,
     Problems,
     SchemaError,
     StoreError,
     needs_extra,
 )
 from hyperpaint.base.facts import documented, one_of
-from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES
+from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares
+from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.io.envi.envi_cubes import find_pair
+from hyperpaint.io.envi.envi_header import read_header
+from hyperpaint.io.files.reading import sampled_digest
+from hyperpaint.io.store import budget, is_complete, open_group
+from hyperpaint.io.store.budget import limited_threads, parse_size
 from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
+from hyperpaint.io.store.groups import check_above, groups_above
 from hyperpaint.io.store.layout import Codec, Layout, with_layout
-from hyperpaint.io.store.manifest import INPUTS, SETTINGS
+from hyperpaint.io.store.location import Location
+from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Manifest, content_of, numerics_of
 from hyperpaint.io.store.writer import check_codec, check_room, run_contents, whole_run
+from hyperpaint.light.diffuse_record import split_of_lines
+from hyperpaint.pictures.plot import overview
+from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
+from hyperpaint.radiometry.coarse_lines import coarse_reflectance
+from hyperpaint.radiometry.panels import declared_panels
 
-from .collect_check import check_accepted, refuse_findings, warn_of_flags
-from .store_inputs import finishing_command, inputs_digest, refuse_to_write_over, settings_of
+from .laboratory import opened_collect
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from hyperpaint.io.collect.collect_opening import OpenedCollect
-    from hyperpaint.io.collect.collect_toml import Collect
+    from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
     from hyperpaint.io.store.budget import Demand
+
+
+def paths_in(settings: Any) -> Iterator[Path]:
+    """Yield every path in settings, also in nested dataclasses, mappings and sequences."""
+    if isinstance(settings, Path):
+        yield settings
+    elif dataclasses.is_dataclass(settings) and not isinstance(settings, type):
+        for field in dataclasses.fields(settings):
+            yield from paths_in(getattr(settings, field.name))
+    elif isinstance(settings, Mapping):
+        for value in settings.values():
+            yield from paths_in(value)
+    elif isinstance(settings, list | tuple | set | frozenset):
+        for value in settings:
+            yield from paths_in(value)
+
+
+def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
+    """Refuse an output that is an input, lies in an input, or contains inputs.
+
+    ``settings``: contain the paths of the inputs, see `paths_in`. Raises `StoreError`, which lists these
+    inputs.
+    """
+    output = out.resolve()
+    problems = Problems(
+        f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
+    )
+    for path in dict.fromkeys(path_in_settings.resolve() for path_in_settings in paths_in(settings)):
+        if output == path:
+            problems.add(f"it is {path}, an input", code="output-is-input")
+        elif output in path.parents:
+            problems.add(f"it holds {path}, an input", code="output-is-input")
+        elif path in output.parents and path.is_dir():
+            problems.add(f"it lies in {path}, an input", code="output-is-input")
+    problems.raise_if_any()
+
+
+def finishing_command(command: str, options: Mapping[str, Any]) -> str:
+    """Return the command line that finishes an interrupted run, with ``{store}`` for the path of the store.
+
+    ``options``: values by option; None and False leave an option out, a list repeats it.
+    """
+    arguments = ""
+    for name, value in options.items():
+        for argument in value if isinstance(value, list) else [value]:
+            if argument is not None and argument is not False:
+                arguments += f" {name}" if argument is True else f" {name} {quote(str(argument))}"
+    return f"hyperpaint {command} --out {{store}}{arguments}"
+
+
+def settings_of(parameters: Mapping[str, Any]) -> str:
+    """Return the settings of a run as text: version of its numerics, and a digest of all settings."""
+    text = json.dumps([FORMAT_VERSION, NUMERICS_VERSION, KEPT_BITS, parameters], sort_keys=True)
+    return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
+
+
+def _header_form(cube: Path) -> str:
+    # fields of the header that change the values read from the same file
+
+    header = read_header(find_pair(cube)[0])
+    factors = [
+        None if values is None else values.tolist()
+        for values in (header.data_gain_values, header.data_offset_values)
+    ]
+    form = (
+        header.header_offset,
+        header.dtype.str,
+        header.interleave,
+        header.data_ignore_value,
+        header.reflectance_scale_factor,
+        *factors,
+    )
+    return repr(form)
+
+
+def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
+    """Return a digest of settings, of all values except cubes, and of samples of the cubes' files."""
+    import dask
+
+    digest = hashlib.sha256(settings.encode())
+    for cube in cubes:
+        digest.update(f"{cube.name} {_header_form(cube)} {sampled_digest(cube)}".encode())
+    digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
+    for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
+        digest.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
+        if not dask.is_dask_collection(variable):
+            values = np.ascontiguousarray(variable.values)
+            # bytes of an object array are addresses of texts
+            digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
+    return digest.hexdigest()[:32]
+
+
+#: Share of flagged pixels of a line from which `process` warns [1].
+MANY_FLAGGED = 0.2
+
+_LINES_A_READ = 4096
+
+
+def check_collect(path: str | os.PathLike[str]) -> tuple[Finding, ...]:
+    """Return findings of implausible inputs of a collect, from samples of its cubes and all records.
+
+    Raises `CollectError` if the collect or one of its files cannot be opened; all problems are listed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from hyperpaint.simulation import simulate_collect
+    >>> path = simulate_collect(tempfile.mkdtemp(), scene="plan", lines=40, bands=4, columns=6)
+    >>> check_collect(path)
+    ()
+    """
+    needs_irradiance = read_collect(path, need_irradiance=False).irradiance is not None
+    opened = opened_collect(path, need_irradiance=needs_irradiance)
+    return tuple(itertools.chain(*_findings(opened, opened.members, lit=needs_irradiance).values()))
+
+
+def refuse_findings(
+    opened: OpenedCollect, lines: Iterable[str], accept: Collection[str], *, lit: bool
+) -> dict[str, dict[str, Any]]:
+    """Check flight lines of an opened collect, named by their groups; return the accepted findings.
+
+    ``accept``: names of accepted findings. ``lit``: whether reflectance is computed, which needs irradiance.
+
+    Returns by group the attributes for the store: the accepted findings of a line. Raises `CollectError` for
+    findings that would make results wrong; all are listed. Warns (`PaintWarning`) of other findings.
+    """
+    refused = []
+    accepted: dict[str, dict[str, Any]] = {}
+    groups = [name for name in lines if name in opened.members]
+    for group, findings in _findings(opened, groups, lit=lit).items():
+        for finding in findings:
+            if finding.kind.name in accept:
+                accepted.setdefault(group, {"accepted_findings": []})["accepted_findings"].append(
+                    str(finding)
+                )
+            elif finding.kind.refused:
+                refused.append(finding.problem(acceptable=True))
+            else:
+                warnings.warn(PaintWarning(str(finding), code=finding.kind.name), stacklevel=3)
+    if refused:
+        raise CollectError(
+            f"{opened.settings.path} is implausible, and is not processed",
+            problems=refused,
+        )
+    return accepted
+
+
+def check_accepted(accept: Collection[str], problems: Problems) -> None:
+    """Add names in ``accept`` that are no kinds of finding to ``problems``."""
+    for name in [accept] if isinstance(accept, str) else accept:
+        if name not in KINDS or isinstance(accept, str):
+            expected = f"a list of some of {', '.join(KINDS)}"
+            problems.add(f"accept={name!r}", expected=expected, code="choice-unknown")
+
+
+def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
+    # findings on a dark cube are listed with the first line that uses it
+    cubes = {str(entry.name): entry for entry in opened.settings.flightlines}
+    findings: dict[str, list[Finding]] = {}
+    darks: set[Path] = set()
+    for name in lines:
+        members = tuple(cubes[member] for member in opened.members[name])
+        findings[name] = list(judge_line(opened.tree[name].to_dataset(), members, lit=lit))
+        dark = members[0].dark if "counts" in opened.tree[name] else None
+        for path in dark if isinstance(dark, tuple) else ():
+            if path not in darks:
+                findings[name] += judge_dark_cube(path)
+                darks.add(path)
+    return findings
+
+
+def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
+    """Warn of flags that more than `MANY_FLAGGED` of the pixels of a stored line have."""
+    import zarr
+
+    for name in lines:
+        if not (store / name / "quality").exists():
+            continue
+        quality = zarr.open_array(store / name / "quality", mode="r", zarr_format=3)
+        counts: Counter[str] = Counter()
+        for start in range(0, quality.shape[0], _LINES_A_READ):
+            values = np.asarray(quality[start : start + _LINES_A_READ])
+            counts.update(
+                {str(flag.name): share * values.size for flag, share in flag_shares(values).items()}
+            )
+        shares = {flag: count / quality.size for flag, count in counts.items()}
+        texts = [
+            f"{100 * share:.0f} % {flag.lower()}" for flag, share in shares.items() if share > MANY_FLAGGED
+        ]
+        if texts:
+            message = (
+                f"{name}: many pixels are flagged: {', '.join(texts)}; check these flags before using values"
+            )
+            warnings.warn(PaintWarning(message, code="pixels-flagged"), stacklevel=3)
+
 
 #: Time to wait for the first worker of a cluster [s].
 WORKERS_WAIT = 60
@@ -85,11 +306,6 @@ def kept_groups(
 
     Raises `StoreError` if planned groups exist from other inputs, or unplanned groups exist; all are listed.
     """
-    from hyperpaint.io.store import is_complete
-    from hyperpaint.io.store.groups import check_above, groups_above
-    from hyperpaint.io.store.location import Location
-    from hyperpaint.io.store.manifest import Manifest, content_of, numerics_of
-
     if not out.exists():
         return []
     location = Location.of(out)
@@ -314,8 +530,6 @@ def run(
     layout: Layout = "cube",
 ) -> Outcome:
     """Process a collect, as `process` does with the same arguments, and return the groups written."""
-    from hyperpaint.io.store.budget import limited_threads, parse_size
-
     problems = Problems("cannot process", SchemaError)
     for word, value, allowed in (
         ("to", to, get_args(Product)),
@@ -398,8 +612,6 @@ def opened_groups(
     collect: str | Path | Collect, lines: int, parameters: Mapping[str, Any]
 ) -> tuple[OpenedCollect, dict[str, xr.Dataset]]:
     """Open a collect with ``lines`` lines per task; return it, and its groups with their digests."""
-    from .laboratory import opened_collect
-
     opened = opened_collect(
         collect, need_irradiance=parameters["to"] == "reflectance", chunks={ALONG_TRACK: lines}
     )
@@ -425,7 +637,6 @@ def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr
     """Return a flight line after `hyperpaint.alignment.align`; other groups unchanged."""
     if to == "radiance" or not name.startswith("flightlines/"):
         return dataset
-    from hyperpaint.alignment import align
 
     return align(dataset, apply=apply)
 
@@ -437,10 +648,6 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
     if to == "radiance":
         product = dataset.paint.radiance()
         return product.drop_vars("radiance") if storage == "none" and "counts" in product else product
-    from hyperpaint.light.diffuse_record import split_of_lines
-    from hyperpaint.pictures.plot import overview
-    from hyperpaint.radiometry.coarse_lines import coarse_reflectance
-    from hyperpaint.radiometry.panels import declared_panels
 
     product = dataset.paint.reflectance(keep_bits=KEPT_BITS, panel=declared_panels(dataset) or None)
     product["reflectance"].attrs["keep_bits"] = KEPT_BITS
@@ -476,7 +683,6 @@ def _compute_first_slabs(
 
 def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None, limit: int | None) -> Demand:
     # lines per task and threads with which this process, or each worker, stays within its memory
-    from hyperpaint.io.store import budget
 
     loads = {name: budget.Load.of(line) for name, line in groups.items() if ALONG_TRACK in line.dims}
     if client is None:
@@ -497,3 +703,99 @@ def _demand(groups: Mapping[str, xr.Dataset], lines: int, client: Client | None,
     return budget.fit(
         loads, lines=lines, threads=threads, fixed=budget.WORKER, limit=limit, least_threads=threads
     )
+
+
+#: Variables of a raw cube; the first of these in a line is the one in its file.
+_RAW = ("counts", "radiance")
+
+
+@dataclass(frozen=True)
+class InputReport:
+    """Result of `compare_inputs`."""
+
+    collect: Path  #: The ``collect.toml`` that was opened.
+    blocks: int  #: Blocks of cubes that were read.
+    problems: tuple[str, ...]  #: Inputs that differ, one line each; empty if all are unchanged.
+
+    def __str__(self) -> str:
+        state = f"{len(self.problems)} differ" if self.problems else "all unchanged"
+        return "\n  ".join(
+            [f"inputs of {self.collect}: {self.blocks} blocks of cubes, {state}", *self.problems]
+        )
+
+
+def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
+    """Read all inputs of a store and compare them with the store's record of its inputs.
+
+    Cubes are compared with the checksums of the stored samples, block by block; other files by their values.
+    ``collect``: present path of the ``collect.toml``; by default the path recorded in the store.
+
+    Raises `StoreError` if `process` did not write the store, or the ``collect.toml`` is not found;
+    `CollectError` if the collect, or one of its files, cannot be opened.
+    """
+    location = Location.of(store)
+    manifest = Manifest.read(location)
+    command = _process_command(location, manifest)
+    source = Path(command[2]) if collect is None else collect
+    if not source.is_file():
+        raise StoreError(
+            f"{source}, the collect of {store}, does not exist",
+            mend="pass its present path: compare_inputs(store, collect)",
+            option="pass its present path: --collect COLLECT.toml",
+            code="file-not-found",
+        )
+    opened = opened_collect(source, need_irradiance="radiance" not in command)
+    problems: list[str] = []
+    blocks = 0
+    for group in location.groups():
+        words = content_of(location, group, manifest).split(" ", 2)
+        if len(words) < 3:
+            continue  # not written by a run, which records group, inputs and settings
+        if f"/{group}" not in opened.tree.groups:
+            problems.append(f"/{group}: {source.name} no longer has this group")
+            continue
+        dataset = opened.tree[group].to_dataset()
+        cubes = opened.cubes.get(group, ())
+        if inputs_digest(dataset, cubes, words[2]) != words[1]:
+            problems.append(f"/{group}: its inputs have changed")
+        for name in [name for name in _RAW if name in dataset][:1] if cubes else []:
+            stored = open_group(store, group, chunks=None)
+            if name in stored:
+                blocks += -(-stored.sizes[ALONG_TRACK] // CHUNK_LINES)
+                problems += _different_blocks(group, dataset[name], stored[name])
+    return InputReport(source, blocks, tuple(problems))
+
+
+def _process_command(location: Location, manifest: Manifest | None) -> list[str]:
+    try:
+        words = shlex.split(manifest.command) if manifest is not None else []
+    except ValueError:  # unbalanced quotes, which hyperpaint does not write
+        words = []
+    if words[:2] != ["hyperpaint", "process"] or len(words) < 3:
+        raise StoreError(
+            f"{location.url} was not written by hyperpaint process and has no record of inputs",
+            code="inputs-unrecorded",
+        )
+    return words
+
+
+def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> Iterator[str]:
+    name = str(cube.name)
+    if cube.shape != stored.shape:
+        yield f"/{group}: {name} has the shape {cube.shape}, stored is {stored.shape}"
+        return
+
+    def block_problem(start: int) -> str:
+        lines = {ALONG_TRACK: slice(start, start + CHUNK_LINES)}
+        try:
+            values = cube.isel(lines).compute(scheduler="synchronous").values
+            is_equal = np.array_equal(values, stored.isel(lines).values, equal_nan=values.dtype.kind == "f")
+        except (PaintError, OSError, ValueError) as error:
+            return f"/{group}: {name} cannot be read: {error!s:.300}"
+        end = min(start + CHUNK_LINES, len(cube)) - 1
+        return (
+            "" if is_equal else f"/{group}: {name}, lines {start} to {end}: differs from the stored samples"
+        )
+
+    with ThreadPoolExecutor() as pool:
+        yield from filter(None, pool.map(block_problem, range(0, cube.sizes[ALONG_TRACK], CHUNK_LINES)))

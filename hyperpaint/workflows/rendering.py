@@ -32,35 +32,282 @@ import contextlib
 import dataclasses
 import hashlib
 import json
+import os
 import shutil
 import sys
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from hyperpaint.base.constants import NUMERICS_VERSION
+from hyperpaint.base.arrays import Floats, Floats32, round_bits
+from hyperpaint.base.constants import KEPT_BITS, NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.facts import arguments_of, as_argument, documented
 from hyperpaint.base.input_files import open_input
 from hyperpaint.base.keyword_names import renamed
-from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
+from hyperpaint.base.mirrored_light import EXCLUDED
+from hyperpaint.base.schema import (
+    CHUNK_LINES,
+    CUBE,
+    FORMAT_VERSION,
+    IRRADIANCE_TIME,
+    IRRADIANCE_WAVELENGTH,
+    VARIABLES,
+)
+from hyperpaint.io.dirsig import write_dirsig_scene
 from hyperpaint.io.store import list_groups, open_group, open_store
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
 from hyperpaint.io.store.writer import check_room, run_contents, whole_run
-from hyperpaint.simulation.settings import SimulationSettings
+from hyperpaint.pictures.figures import new_figure, save_figure
+from hyperpaint.pictures.plot import overview
+from hyperpaint.simulation.rendering.camera_bands import BandSet
+from hyperpaint.simulation.rendering.given_spectra import by_name
+from hyperpaint.simulation.rendering.painting import assigned_paints
+from hyperpaint.simulation.rendering.relighting import relight
+from hyperpaint.simulation.rendering.scene_record import SceneRecord
+from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
+from hyperpaint.simulation.rendering.tracing import trace
+from hyperpaint.simulation.settings import ORIGIN, SimulationSettings
+from hyperpaint.simulation.stores import labelled
 
-from .pipeline import Outcome, computing_on, kept_groups, local_folder, token_of
-from .render_libraries import read_paints, spectra_digest
-from .render_products import Render, pose_of
-from .scene_files import SCHEMA, SceneFile, read_scene_file
-from .scene_parts import RenderParts, build_parts, chosen_atmospheres
-from .store_inputs import finishing_command, refuse_to_write_over
+from .pipeline import (
+    Outcome,
+    computing_on,
+    finishing_command,
+    kept_groups,
+    local_folder,
+    refuse_to_write_over,
+    token_of,
+)
+from .scene_files import (
+    SCHEMA,
+    RenderParts,
+    SceneFile,
+    build_parts,
+    chosen_atmospheres,
+    read_paints,
+    read_scene_file,
+    spectra_digest,
+)
+
+if TYPE_CHECKING:
+    from hyperpaint.simulation.camera import Camera, Detector
+    from hyperpaint.simulation.optics import Optics
+    from hyperpaint.simulation.rendering.four_curves import Atmosphere
+    from hyperpaint.simulation.rendering.platform_geometry import Platform
+
+    from .scene_files import RenderParts
+
+_INTERVAL_S = 2  # time between samples of the spectrometer
+_MARGIN_S = 6  # record before and after the flight
+_DARK_FRAMES = 64  # number of frames averaged for a dark
+# keys of the random streams, different from those of other simulators
+_NOISE, _DARK = 20, 21
+
+
+@dataclass(frozen=True)
+class Render:
+    """Light, camera and paints, with which a traced scene becomes a flight line."""
+
+    atmosphere: Atmosphere
+    camera: Camera
+    platform: Platform
+    #: Spectra of the user by name: (wavelength [nm], reflectance), or a paint library.
+    spectra: Mapping[str, Any]
+    paints: Mapping[str, str]  #: New spectrum by the name of a spectrum, material or instance.
+    hold_edges: bool = False  #: See `hyperpaint.simulation.relight`.
+
+    def of(
+        self, traced: xr.Dataset, *, product: str, true_reflectance: bool, seed: int, noise: bool
+    ) -> xr.Dataset:
+        """Return the flight line of a traced scene, lazily; see `hyperpaint.render_scene`.
+
+        ``product`` is "radiance" or "counts"; ``true_reflectance``: whether to include it; ``seed`` and
+        ``noise`` apply to the camera. Raises `SchemaError` as `relight`.
+        """
+        relit = relight(
+            traced,
+            self._bands(product),
+            paints=dict(self.paints),
+            atmosphere=self.atmosphere,
+            spectra=dict(self.spectra),
+            hold_edges=self.hold_edges,
+        )
+        picture = overview(relit)
+        line = relit.rename(reflectance="true_reflectance")
+        line["true_reflectance"] = _rounded(line["true_reflectance"])
+        if not true_reflectance:
+            line = line.drop_vars("true_reflectance")
+        if product == "counts":
+            counts = counts_of(
+                line["radiance"],
+                self.camera,
+                self.platform.exposure_time,
+                seed,
+                self.atmosphere.name,
+                noise=noise,
+            )
+            line = line.drop_vars("radiance").merge(counts)
+        line = irradiance_series(line, self.platform).assign_coords(pose_of(self.platform))
+        line = line.assign(look_angle=_look_angle(self.platform))
+        if picture is not None:
+            line = line.assign(overview=picture)
+        return line
+
+    def _bands(self, product: str) -> BandSet:
+        # Bands of counts are weighted by the responsivity of the detector. Bands of radiance are not: readers
+        # of radiance do not know the responsivity, and resample the irradiance without it.
+
+        bands = BandSet.of(self.camera.imager)
+        return bands if product == "counts" else replace(bands, responsivity=None)
+
+
+def _rounded(cube: xr.DataArray) -> xr.DataArray:
+    # round to the mantissa bits of a stored reflectance, half to even
+    rounded: xr.DataArray = xr.apply_ufunc(
+        round_bits, cube, KEPT_BITS, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
+    )
+    rounded.attrs |= {"long_name": "Reflectance factor without noise", "keep_bits": KEPT_BITS}
+    return rounded
+
+
+def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
+    """Return a render with the irradiance that a spectrometer logs during the flight, every 2 s.
+
+    ``relit`` has the spectrum of its steady light; the record starts before and ends after the flight.
+    """
+    first, last = (moment.astype("datetime64[s]") for moment in platform.utc[[0, -1]])
+    count = int((last - first).astype(np.int64) + 2 * _MARGIN_S) // _INTERVAL_S + 2
+    seconds = _INTERVAL_S * np.arange(count) - _MARGIN_S
+    time = (first + seconds.astype("timedelta64[s]")).astype("datetime64[ns]")
+    spectrum = np.asarray(relit["irradiance"][0].values)
+    wavelength = relit[IRRADIANCE_WAVELENGTH].variable
+    return (
+        relit.drop_vars(("irradiance", IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH))
+        .assign(
+            irradiance=_variable("irradiance", np.broadcast_to(spectrum, (count, len(spectrum)))),
+            irradiance_max_gap=_variable("irradiance_max_gap", 2.5 * _INTERVAL_S),
+        )
+        .assign_coords({IRRADIANCE_TIME: _variable(IRRADIANCE_TIME, time), IRRADIANCE_WAVELENGTH: wavelength})
+    )
+
+
+def pose_of(platform: Platform) -> dict[str, xr.Variable]:
+    """Return the pose of the camera at mid-exposure of every line, as variables of a flight line."""
+    roll, pitch, heading = platform.attitude.T
+    pose = {"altitude": platform.position[:, 2], "roll": roll, "pitch": pitch, "heading": heading}
+    return {name: _variable(name, values) for name, values in pose.items()}
+
+
+def _look_angle(platform: Platform) -> xr.Variable:
+    # angles of column centres from the camera's axis, positive to the right
+    edges = platform.column_edges
+    return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
+
+
+def counts_of(
+    radiance: xr.DataArray, camera: Camera, exposure_time: float, seed: int, name: str, *, noise: bool = True
+) -> xr.Dataset:
+    """Return the counts of a camera under this radiance, with all variables that calibrate them.
+
+    Lazy. The noise of a line is drawn from a generator keyed by seed, name of the render and number of the
+    line, so that counts do not depend on chunks or workers; without ``noise`` counts are still rounded. The
+    optics of the camera blur the radiance. ``radiance``: mean over the camera's responses (along_track, band,
+    cross_track) [W m-2 sr-1 nm-1]; ``exposure_time``: [s].
+    """
+    import dask.array as da
+
+    # a mean radiance of 1 gives (exposure time) x (etendue) x (integral of the response) counts; dead
+    # elements 0
+    scale, factor = exposure_time * camera.etendue * camera.response_area, np.where(camera.bad, 0.0, 1.0)
+    if camera.optics is not None:  # optics act before the response of single elements
+        scale, factor = scale / camera.imager.element_factor, factor * camera.imager.element_factor
+    detector = camera.detector(exposure_time)
+    key = (seed, _NOISE, zlib.crc32(name.encode()))
+    cube = radiance.transpose(*CUBE).data
+    reach = 0 if camera.optics is None else camera.optics.reach
+    number, stops = cube.shape[0], np.cumsum(cube.chunks[0]).tolist()
+    exposure = _Exposure(
+        detector, camera.optics, scale, factor, camera.pedestal, key if noise else None, number
+    )
+    blocks = []
+    for start, stop in zip([0, *stops], stops, strict=False):
+        # include the lines around a block that blur into it
+        window_start, window_end = max(start - reach, 0), min(stop + reach, number)
+        window = cube[window_start:window_end].rechunk(-1)
+        chunks = ((stop - start,), *window.chunks[1:])
+        block = da.map_blocks(
+            exposure.counts,
+            window,
+            first=window_start,
+            lines=range(start, stop),
+            dtype=np.uint16,
+            chunks=chunks,
+            meta=np.empty((0, 0, 0), dtype=np.uint16),
+        )
+        blocks.append(block)
+    variables = {
+        "counts": xr.Variable(CUBE, da.concatenate(blocks), VARIABLES["counts"].attrs),
+        "dark_counts": _variable("dark_counts", _dark(detector, key) if noise else detector.dark),
+        "radiance_gain": _variable("radiance_gain", camera.radiance_gain()),
+        "exposure_time": _variable("exposure_time", exposure_time),
+        "saturation_count": _variable("saturation_count", detector.saturation_count),
+        "electrons_per_count": _variable("electrons_per_count", camera.electrons_per_count),
+        "read_noise": _variable("read_noise", camera.read_noise),
+    }
+    return xr.Dataset(variables)
+
+
+@dataclass(frozen=True)
+class _Exposure:
+    detector: Detector
+    optics: Optics | None
+    scale: Floats  # Counts at a mean radiance of 1, (band, cross_track)
+    factor: Floats  # Relative response of the elements, 0 for dead elements, (band, cross_track)
+    pedestal: float
+    key: tuple[int, ...] | None  # Of the noise; None for none
+    number: int  # Number of lines of the scene
+
+    def counts(self, cube: Floats32, first: int, lines: range) -> NDArray[np.uint16]:
+        # counts of ``lines`` in their order, because afterglow of a line adds to the next; the cube starts at
+        # ``first``
+        cube = np.nan_to_num(cube, nan=0.0)  # beyond the scene there is no light
+        counts = np.empty((len(lines), *cube.shape[1:]), dtype=np.uint16)
+        for line, row in zip(lines, counts, strict=True):
+            rng = None if self.key is None else np.random.default_rng([*self.key, line])
+            electrons = self.detector.read(self._signal(cube, first, line), rng)
+            if self.pedestal:
+                electrons += self.pedestal
+            row[...] = self.detector.convert(electrons[None])[0]
+        return counts
+
+    def _signal(self, cube: Floats32, first: int, line: int) -> Floats:
+        if self.optics is None:
+            return np.asarray(cube[line - first] * (self.scale * self.factor))
+        window = [cube[row - first] * self.scale for row in self.optics.rows_of(line, self.number)]
+        return self.optics.image(window) * self.factor
+
+
+def _dark(detector: Detector, key: tuple[int, ...]) -> Floats:
+    # the mean of frames has residual noise and rounding errors
+    rng = np.random.default_rng([key[0], _DARK])
+    sd = np.sqrt((detector.read_noise**2 + 1.0 / 12.0) / _DARK_FRAMES)
+    return np.asarray(detector.dark + sd * rng.standard_normal(detector.dark.shape))
+
+
+def _variable(name: str, values: Any) -> xr.Variable:
+
+    return labelled(VARIABLES[name], values)
+
 
 #: Group of the traced scene.
 TRANSPORT = "transport"
@@ -269,9 +516,6 @@ def _with_options(file: SceneFile, samples: int | None, to: str | None) -> Scene
 
 def _with_library(file: SceneFile, parts: RenderParts, paints: Path) -> tuple[SceneFile, RenderParts]:
     # add the paints of a library; paints of the file take precedence
-    from hyperpaint.simulation.rendering.given_spectra import by_name
-    from hyperpaint.simulation.rendering.painting import assigned_paints
-    from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     library = by_name(read_paints(paints))
     targets = assigned_paints(SceneRecord.of(parts.scene), list(library))
@@ -283,7 +527,6 @@ def _with_library(file: SceneFile, parts: RenderParts, paints: Path) -> tuple[Sc
 
 
 def _traced(file: SceneFile, parts: RenderParts, lines: int) -> xr.Dataset:
-    from hyperpaint.simulation.rendering.tracing import trace
 
     traced = trace(
         parts.scene,
@@ -374,8 +617,6 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
     Raises `MissingExtraError` if matplotlib is not installed; `StoreError` if no group has an overview, which
     needs three visible bands; `SchemaError` if matplotlib does not write this file type.
     """
-    from hyperpaint.pictures.figures import new_figure, save_figure
-
     datasets = {group: open_store(store, group) for group in groups}
     overviews = {group: dataset["overview"] for group, dataset in datasets.items() if "overview" in dataset}
     if not overviews:
@@ -393,3 +634,142 @@ def draw_renders(store: Path, groups: Sequence[str], path: Path) -> None:
         axes.set_title(group.rpartition("/")[2].replace("_", " "))
         axes.set_axis_off()
     save_figure(figure, path, dpi=_DPI)
+
+
+_GRID_NM = np.arange(380.0, 1051.0, 2.0)  # wavelengths on which built-in spectra are written
+
+
+def export_dirsig_scene(
+    scene_file: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    library: xr.Dataset | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    r"""Write the scene of a ``scene.toml`` for DIRSIG.
+
+    Parameters
+    ----------
+    scene_file
+        A scene file of `hyperpaint.render_scene`; its ``[paints]`` repaint materials and cars.
+    folder
+        A folder, new or empty.
+    library
+        Measured paints, which take precedence over the file's ``[spectra]`` and over built-in spectra of the
+        same name. Paints that are not named in the scene are assigned in turn to the cars without another
+        repaint.
+    overwrite, progress, **options
+        As for `hyperpaint.io.dirsig.write_dirsig_scene`.
+
+    Returns
+    -------
+    Dataset
+        The written materials, as returned by `hyperpaint.io.dirsig.write_dirsig_scene`.
+
+    Raises
+    ------
+    FormatError, SchemaError, StoreError
+        As `hyperpaint.render_scene` and `hyperpaint.io.dirsig.write_dirsig_scene`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "lawn.toml")
+    ...     text = '[scene]\nkind = "plane"\nspectrum = "grass"\n[platform]\nlines = 2\ncolumns = 2\n'
+    ...     _ = path.write_text(text + "ground_sample_m = 0.1\naltitude_m = 15.0\n")
+    ...     export_dirsig_scene(path, Path(folder, "out")).material_id.values.tolist()
+    ['grass']
+    """
+    file = read_scene_file(Path(scene_file))
+    parts = build_parts(file)
+    repaint = dict(file.paints)
+    libraries = [] if library is None else [library]
+    if library is not None:
+        repaint = painted_cars(parts.scene, list(map(str, library["signature"].values)), repaint)
+    libraries += [*named_libraries(parts.spectra), _spectra_library(parts, repaint)]
+    return write_dirsig_scene(
+        parts.scene,
+        folder,
+        libraries,
+        repaint=repaint,
+        origin=ORIGIN,
+        overwrite=overwrite,
+        progress=progress,
+        **options,
+    )
+
+
+def painted_cars(scene: Any, names: Sequence[str], repaint: Mapping[str, str]) -> dict[str, str]:
+    """Return new paints by instance: ``repaint``, and other ``names`` in turn for cars without a repaint.
+
+    Examples
+    --------
+    >>> from hyperpaint.simulation.rendering.car_parks import car_park
+    >>> scene = car_park(length=5.0, width=16.0, neighbours=(), seed=1)
+    >>> [instance.paint for instance in scene.instances if instance.kind == "car"]
+    ['light_blue', 'dark_red', 'yellow', 'white']
+    >>> painted_cars(scene, ["yellow", "roof 7", "roof 8"], {"car_000": "roof 8"})
+    {'car_000': 'roof 8', 'car_001': 'roof 7', 'car_003': 'roof 7'}
+    """
+    scene_names = {item.name for item in (*scene.materials, *scene.instances)}
+    scene_names |= {item.spectrum for item in scene.materials} | set(repaint.values())
+    new_paints = [name for name in names if name not in scene_names]
+    cars = [
+        item.name
+        for item in scene.instances
+        if item.kind == "car" and item.name not in repaint and not {item.paint} & {*names, *repaint}
+    ]
+    return {
+        **repaint,
+        **{car: new_paints[number % len(new_paints)] for number, car in enumerate(cars) if new_paints},
+    }
+
+
+def named_libraries(spectra: Mapping[str, Any]) -> list[xr.Dataset]:
+    """Return the paint libraries among spectra; paints are "<key>/<name>", a single paint also "<key>"."""
+    libraries = []
+    for key, value in spectra.items():
+        if hasattr(value, "data_vars"):
+            names = [str(name) for name in value["signature"].values]
+            libraries.append(value.assign_coords(signature=[f"{key}/{name}" for name in names]))
+            if len(names) == 1:
+                libraries.append(value.assign_coords(signature=[key]))
+    return libraries
+
+
+def _spectra_library(parts: RenderParts, repaint: Mapping[str, str]) -> xr.Dataset:
+    # spectra of the file and built-in spectra as a library; DIRSIG has no flakes, so that the reflectance of
+    # a paint with flakes is the sum of pigment and flakes
+
+    flakes = {
+        material.spectrum: material.flakes
+        for material in parts.scene.materials
+        if material.flakes is not None
+    }
+    names = [material.spectrum for material in parts.scene.materials] + list(repaint.values())
+    spectra: dict[str, Floats] = {}
+    for name in dict.fromkeys(names):
+        file_spectrum: Any = parts.spectra.get(name)
+        if file_spectrum is not None and not hasattr(file_spectrum, "data_vars"):
+            wavelength, values = file_spectrum
+            spectra[name] = np.interp(_GRID_NM, wavelength, values, left=np.nan, right=np.nan)
+            continue
+        try:
+            body = spectrum_of(name)(_GRID_NM)
+        except SchemaError:
+            continue  # a paint of the library; the writer reports unknown names
+        flake = flakes.get(name)
+        if flake is not None:
+            body = (1.0 - flake.share) * body + flake.share * spectrum_of(flake.spectrum)(_GRID_NM)
+        spectra[name] = body
+    reflectance = np.array(list(spectra.values()), np.float32).reshape(-1, len(_GRID_NM))
+    return xr.Dataset(
+        {"reflectance": (("signature", "band"), reflectance, {"units": "1", "mirror_reflection": EXCLUDED})},
+        {
+            "signature": np.array(list(spectra), object),
+            "wavelength": ("band", _GRID_NM, {"units": "nm"}),
+        },
+    )

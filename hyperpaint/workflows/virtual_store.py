@@ -17,6 +17,8 @@ from hyperpaint.base.constants import Alignment
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, StoreError
 from hyperpaint.base.schema import ALONG_TRACK
 from hyperpaint.io.envi.envi_array import EnviArray
+from hyperpaint.io.envi.envi_cubes import open_envi
+from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store.manifest import SETTINGS
 from hyperpaint.io.store.raw_references import (
@@ -31,13 +33,20 @@ from hyperpaint.io.store.raw_references import (
     write_icechunk,
 )
 from hyperpaint.io.store.stage import Staging, staging
+from hyperpaint.light.diffuse_record import split_of_lines
+from hyperpaint.radiometry.panels import declared_panels
 
-from .collect_check import refuse_findings
-from .pipeline import Outcome, aligned_group, local_folder, opened_groups
-from .store_inputs import refuse_to_write_over
+from .pipeline import (
+    Outcome,
+    aligned_group,
+    local_folder,
+    opened_groups,
+    refuse_findings,
+    refuse_to_write_over,
+)
 
 if TYPE_CHECKING:
-    from hyperpaint.io.collect.collect_opening import OpenedCollect
+    from hyperpaint.io.collect.collect_toml import OpenedCollect
 
 #: Maximum share of a cube that is copied [1]; beyond it, processing the collect is better.
 MAX_COPIED_SHARE = 0.1
@@ -168,8 +177,6 @@ def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, 
 
 def _companions(line: xr.Dataset) -> xr.Dataset:
     # all variables except the cube, in memory
-    from hyperpaint.light.diffuse_record import split_of_lines
-    from hyperpaint.radiometry.panels import declared_panels
 
     companions = line.drop_vars("counts")
     panels = declared_panels(line)
@@ -206,7 +213,6 @@ def _cubes(
 
 
 def _array(entry: Any) -> EnviArray:
-    from hyperpaint.io.envi.envi_cubes import open_envi
 
     with warnings.catch_warnings():  # already given when the collect was opened
         warnings.simplefilter("ignore", PaintWarning)
@@ -258,7 +264,6 @@ def _raw_file(path: Path, base: Path, prefix: str | None) -> RawFile:
 
 
 def _cube(line: xr.Dataset, arrays: list[EnviArray], files: tuple[RawFile, ...]) -> VirtualCube:
-    from hyperpaint.io.envi.envi_references import FILE_DIMS, slab_lines, slab_offsets
 
     first_array = arrays[0]
     interleave = {(0, 1, 2): "bil", (0, 2, 1): "bip"}.get(first_array.axes)

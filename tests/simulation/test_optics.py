@@ -24,7 +24,7 @@ from hyperpaint.simulation.optics import (
     point_spread,
     stray_light_wings,
 )
-from hyperpaint.workflows import render_products
+from hyperpaint.workflows import rendering
 from hyperpaint.workflows.scene_files import example_scene, read_scene_file
 
 Floats = NDArray[np.float64]
@@ -248,7 +248,7 @@ def test_counts_of_a_render_do_not_depend_on_chunks(noise: bool) -> None:
     cube = xr.DataArray(values, dims=("along_track", "band", "cross_track"))
 
     def counts(lines: int) -> Any:
-        return render_products.counts_of(
+        return rendering.counts_of(
             cube.chunk(along_track=lines), camera, 5e-3, 7, "noon", noise=noise
         ).counts.values
 

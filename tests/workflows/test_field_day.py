@@ -240,7 +240,7 @@ def test_a_step_that_fails_does_not_end_the_day(
     (day.out / "raw_0.tif").unlink()
     (day.out / "agreement.csv").unlink()
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.workflows.library_files.validate_files", refuse)
+        patch.setattr("hyperpaint.workflows.field_day.validate_files", refuse)
         again = CliRunner().invoke(main, ["run", str(folder), "--skip", "report"])
     assert again.exit_code == 2
     assert "validate    failed" in again.output
@@ -291,7 +291,7 @@ def test_paints_of_an_earlier_run_do_not_stand_for_those_that_failed(
         raise hp.SchemaError("no region holds a pixel")
 
     with monkeypatch.context() as patch:
-        patch.setattr("hyperpaint.workflows.library_files.write_signatures", refuse)
+        patch.setattr("hyperpaint.workflows.field_day.write_signatures", refuse)
         again = run_field_day(folder, specular_sky=True, skip=["map", "report"])
     states = {one.step: one.state for one in again.outcomes}
     assert day.passed is not None

@@ -89,7 +89,7 @@ def _settings(path: Path) -> None:
 
 
 def _collect(path: Path) -> None:
-    from hyperpaint.io.collect.collect_opening import open_collect
+    from hyperpaint.io.collect.collect_toml import open_collect
 
     open_collect(path)
 
@@ -266,7 +266,7 @@ def warm_up() -> None:
     import importlib
 
     for module in (
-        "hyperpaint.io.collect.collect_opening",
+        "hyperpaint.io.collect.collect_toml",
         "hyperpaint.io.envi.envi_cubes",
         "hyperpaint.io.flightline.calibration_store",
         "hyperpaint.io.navigation.navigation_opening",

@@ -43,7 +43,7 @@ SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
 _CONTEXT = multiprocessing.get_context("forkserver")
 PRELOAD = [
     "xarray", "dask.array", "zarr", "hyperpaint", "hyperpaint.workflows.pipeline", "hyperpaint.alignment",
-    "hyperpaint.workflows.laboratory", "hyperpaint.accessor", "hyperpaint.pictures.plot",
+    "hyperpaint.workflows.pipeline", "hyperpaint.accessor", "hyperpaint.pictures.plot",
     "hyperpaint.io.store.writer", "hyperpaint.radiometry", __name__,
 ]  # fmt: skip
 _CONTEXT.set_forkserver_preload(PRELOAD)

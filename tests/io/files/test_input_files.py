@@ -101,7 +101,7 @@ DOORS: dict[str, tuple[Callable[[Any], object], str]] = {
     "open_collect": (hp.open_collect, ".toml"),
     "process": (lambda path: hp.process(path, "never.zarr"), ".toml"),
     "scene": (_of("workflows.scene_files", "read_scene_file"), ".toml"),
-    "spectra of a scene": (_of("workflows.render_libraries", "read_spectra"), ".txt"),
+    "spectra of a scene": (_of("workflows.scene_files", "read_spectra"), ".txt"),
     "regions": (hp.read_regions, ".geojson"),
     "regions of a GeoPackage": (hp.read_regions, ".gpkg"),
     "GeoTIFF": (_of("io.maps.geotiff", "read_geotiff_header"), ".tif"),

@@ -206,7 +206,7 @@ def test_each_thread_costs_address_space() -> None:
 
 LIMITED = """
 import resource, sys
-import hyperpaint.io.collect.collect_opening, hyperpaint.workflows.pipeline
+import hyperpaint.io.collect.collect_toml, hyperpaint.workflows.pipeline
 import hyperpaint.radiometry.counts_to_reflectance, zarr, dask.array
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 300 * 2**20,) * 2)
