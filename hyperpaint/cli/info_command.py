@@ -11,10 +11,37 @@ import click
 import numpy as np
 import xarray as xr
 
+import hyperpaint as hp
+import hyperpaint.workflows as workflows
 from hyperpaint.base.errors import CollectError, FormatError, IncompleteStoreError, StoreError
 from hyperpaint.base.input_files import head_of, input_path
 from hyperpaint.base.schema import ALONG_TRACK
-from hyperpaint.io.store.raw_references import is_virtual, refuse_kerchunk
+from hyperpaint.io.collect.collect_toml import read_collect
+from hyperpaint.io.dirsig import read_materials
+from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
+from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
+from hyperpaint.io.flightline.headwall import exposure_seconds, read_frame_index, read_settings
+from hyperpaint.io.maps.geotiff import read_geotiff_header
+from hyperpaint.io.navigation.navigation_csv import is_navigation_csv
+from hyperpaint.io.navigation.navigation_formats import is_eph_att
+from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
+from hyperpaint.io.navigation.navigation_records import read_imu_gps
+from hyperpaint.io.navigation.nmea import is_nmea
+from hyperpaint.io.spectrometers.asd import sniff
+from hyperpaint.io.spectrometers.asd_binary import read_asd
+from hyperpaint.io.spectrometers.asd_text import read_asd_text
+from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
+from hyperpaint.io.spectrometers.svc_layout import error_bits, overlap_of, pair, position_of, read_svc
+from hyperpaint.io.store import is_complete, list_groups, open_group, open_unverified
+from hyperpaint.io.store.manifest import store_state
+from hyperpaint.io.store.raw_references import (
+    RAW_FILES,
+    is_virtual,
+    open_virtual,
+    refuse_kerchunk,
+    virtual_groups,
+)
+from hyperpaint.io.store.reader import is_zarr, place_of
 from hyperpaint.regions.vector_files import VECTOR_FILES
 from hyperpaint.report.summaries import (
     Facts,
@@ -31,12 +58,10 @@ from hyperpaint.report.summaries import (
     with_times,
 )
 
-from .console import EXISTING
-from .options import command
+from .options import EXISTING, command
 
 if TYPE_CHECKING:
     from hyperpaint.workflows.field_folder import FieldFolder
-
 
 _KNOWN_FORMATS = (
     "an ENVI header or cube, a GeoTIFF, regions in GeoJSON, an ASD file, an SVC .sig file, "
@@ -81,7 +106,6 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
 
 
 def _file(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd import sniff
 
     if path.suffix.lower() == ".toml":
         return _collect(path)
@@ -122,10 +146,6 @@ def _file(path: Path) -> Facts:
 
 
 def _envi(path: Path) -> Facts:
-    from hyperpaint.io.envi.envi_cubes import find_pair, open_envi
-    from hyperpaint.io.envi.envi_header import MAX_LIBRARY_HEADER_BYTES, read_header
-    from hyperpaint.io.flightline.headwall import exposure_seconds
-    from hyperpaint.io.navigation.navigation_formats import is_eph_att
 
     header_path, data = find_pair(path)
     header = read_header(header_path, MAX_LIBRARY_HEADER_BYTES)
@@ -147,7 +167,6 @@ def _envi(path: Path) -> Facts:
 
 
 def _geotiff(path: Path) -> Facts:
-    from hyperpaint.io.maps.geotiff import read_geotiff_header
 
     header = read_geotiff_header(path)
     yield "is", f"GeoTIFF, {size_of(path.stat().st_size)}"
@@ -167,9 +186,8 @@ def _geotiff(path: Path) -> Facts:
 
 
 def _regions(path: Path) -> Facts:
-    from hyperpaint.regions import read_regions
 
-    regions = read_regions(path)
+    regions = hp.read_regions(path)
     yield "is", f"{counted(len(regions), 'region')} in coordinates of the {regions.coordinates}"
     yield "names", _first_names(regions.names)
     yield "crs", "" if regions.coordinates == "sensor" else regions.crs or "not said"
@@ -182,7 +200,6 @@ def _regions(path: Path) -> Facts:
 
 
 def _asd(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd_binary import read_asd
 
     file = read_asd(path)
     yield "is", f"ASD spectrum, binary version {file.version}, {file.instrument} {file.instrument_number}"
@@ -201,7 +218,6 @@ def _asd(path: Path) -> Facts:
 
 
 def _svc(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.svc_layout import error_bits, overlap_of, pair, position_of, read_svc
 
     file = read_svc(path)
     overlap = overlap_of(file.header)
@@ -223,7 +239,6 @@ def _svc(path: Path) -> Facts:
 
 
 def _asd_text(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.asd_text import read_asd_text
 
     text = read_asd_text(path)
     yield "is", f"text export of ASD spectra: {len(text.spectra)} spectra"
@@ -235,7 +250,6 @@ def _asd_text(path: Path) -> Facts:
 
 
 def _irradiance_csv(path: Path) -> Facts:
-    from hyperpaint.io.spectrometers.irradiance_files import read_irradiance_csv
 
     series: Any = read_irradiance_csv(path)
     shape = np.shape(series.values)
@@ -256,9 +270,8 @@ def _spectra_if_any(path: Path) -> Facts:
 
 
 def _library(path: Path) -> Facts:
-    from hyperpaint.io.library import open_library
 
-    library = open_library(path)
+    library = hp.open_library(path)
     form = library.attrs.get("format", library.attrs.get("layout", "paint library"))
     yield "is", f"{form}: {counted(library.sizes['signature'], 'spectrum').replace('spectrums', 'spectra')}"
     yield "paints", _first_names(library["signature"].values.tolist())
@@ -276,7 +289,6 @@ def _first_names(names: Sequence[object]) -> str:
 
 
 def _materials(path: Path) -> Facts:
-    from hyperpaint.io.dirsig import read_materials
 
     materials = read_materials(path)
     yield "is", f"DIRSIG material list: {counted(len(materials), 'material')}"
@@ -284,7 +296,6 @@ def _materials(path: Path) -> Facts:
 
 
 def _frame_index(path: Path) -> Facts:
-    from hyperpaint.io.flightline.headwall import read_frame_index
 
     frames = read_frame_index(path).frame
     missing = int(frames[-1] - frames[0] + 1 - frames.size)
@@ -293,7 +304,6 @@ def _frame_index(path: Path) -> Facts:
 
 
 def _navigation(path: Path) -> Facts:
-    from hyperpaint.io.navigation.navigation_records import read_imu_gps
 
     record = read_imu_gps(path)
     yield "is", f"navigation record: {record.rows.size} rows"
@@ -304,8 +314,6 @@ def _navigation(path: Path) -> Facts:
 
 
 def _is_pose_table(path: Path) -> bool:
-    from hyperpaint.io.navigation.navigation_csv import is_navigation_csv
-    from hyperpaint.io.navigation.nmea import is_nmea
 
     if path.suffix.lower() in (".sbet", ".lcf"):
         return True
@@ -316,7 +324,6 @@ def _is_pose_table(path: Path) -> bool:
 
 
 def _poses(path: Path) -> Facts:
-    from hyperpaint.io.navigation.navigation_opening import navigation_format, read_record
 
     kind = navigation_format(path)
     if kind == "imu_gps":
@@ -347,7 +354,6 @@ def _poses(path: Path) -> Facts:
 
 
 def _settings(path: Path) -> Facts:
-    from hyperpaint.io.flightline.headwall import exposure_seconds, read_settings
 
     pairs = read_settings(path)
     exposure = exposure_seconds(pairs, path.name)
@@ -359,13 +365,11 @@ def _settings(path: Path) -> Facts:
 
 
 def _collect(path: Path) -> Facts:
-    from hyperpaint.io.collect.collect_toml import read_collect
-    from hyperpaint.workflows.laboratory import open_collect
 
     collect = read_collect(path, need_irradiance=False)
     has_irradiance = collect.irradiance is not None
     # without dask, because nothing is computed
-    tree = open_collect(path, need_irradiance=has_irradiance, chunks=None)
+    tree = hp.open_collect(path, need_irradiance=has_irradiance, chunks=None)
     lines_text = counted(len(collect.flightlines), "flight line")
     yield "is", f"collect {collect.name!r}, {lines_text}; every file opens"
     total = 0
@@ -384,16 +388,14 @@ def _collect(path: Path) -> Facts:
 
 
 def _folder(path: Path) -> Facts:
-    from hyperpaint.io.store.reader import is_zarr
 
     if is_zarr(path):
         return _store(path)
     if any(path.glob("*.spectrum.txt")):
         return _library(path)
-    from hyperpaint.workflows.field_folder import find_field_files
 
     try:
-        return facts_of_field_folder(find_field_files(path))
+        return facts_of_field_folder(workflows.field_folder.find_field_files(path))
     except CollectError as error:
         raise StoreError(
             f"{path} is a folder, but neither a Zarr store nor a field day ({error})",
@@ -403,9 +405,6 @@ def _folder(path: Path) -> Facts:
 
 
 def _store(path: Path) -> Facts:
-    from hyperpaint.io.store import list_groups
-    from hyperpaint.io.store.manifest import store_state
-    from hyperpaint.io.store.reader import place_of
 
     groups, (location, _) = list_groups(path), place_of(path)
     if groups == [""]:
@@ -421,7 +420,6 @@ def _store(path: Path) -> Facts:
 
 
 def _group(path: Path, name: str) -> Facts:
-    from hyperpaint.io.store import is_complete, open_group, open_unverified
 
     # open without chunks, decoded times and indexes, for which xarray imports dask, pint and others
     options = {"chunks": None, "decode_times": False, "create_default_indexes": False}
@@ -493,8 +491,6 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
 
     ``allow``: see `open_virtual`.
     """
-    from hyperpaint.io.store.raw_references import RAW_FILES, open_virtual, virtual_groups
-
     groups = virtual_groups(path)
     yield "is", f"virtual store (icechunk) of {counted(len(groups), 'flight line')}, cubes in their raw files"
     for name, about in groups.items():

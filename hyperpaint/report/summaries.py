@@ -1,6 +1,6 @@
 """Summary of a dataset: pairs of names and texts, text for a terminal, HTML for a notebook.
 
-HTML comes from macros of ``page.html.j2``: jinja2 escapes every text, and a page loads nothing from elsewhere.
+HTML comes from macros of ``page.html.j2``: jinja2 escapes every text. A page loads nothing from elsewhere.
 """
 
 from __future__ import annotations
