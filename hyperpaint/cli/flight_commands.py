@@ -24,6 +24,7 @@ from .options import (
     beside,
     command,
     is_watched,
+    keys_of,
     program_option,
     progress_bar,
     refuse_in_store,
@@ -147,7 +148,7 @@ Maps need the height of the ground [m above the ellipsoid] in collect.toml: [geo
     out={"metavar": "DIR", "type": FOLDER},
     regions={"metavar": "R.geojson", "type": EXISTING_FILE},
     skip={
-        "type": click.Choice(["signatures", "validate", "map", "mosaic", "dirsig", "report"]),
+        "type": click.Choice(keys_of("workflows.field_day:STEPS")[1:]),
         "help": "Leave out this step; repeatable.",
     },
     specular_sky={"help": "Subtract the sky that clear coats mirror, which contact probes do not see."},
@@ -166,7 +167,7 @@ def run(ctx: click.Context, /, collect: Path, **options: Any) -> None:
         def progress(step: str) -> Any:
             return bars.enter_context(progress_bar(step))
 
-        def say(outcome: workflows.field_day.StepOutcome) -> None:
+        def say(outcome: workflows.products.StepOutcome) -> None:
             bars.close()
             text = "see below" if outcome.state == "failed" else outcome.text
             click.echo(f"{outcome.step:<10}  {outcome.state:<9}  {text}")

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 if TYPE_CHECKING:
-    from hyperpaint.workflows.pipeline import Outcome
+    from hyperpaint.workflows.products import Outcome
 
 _PACKAGE = Path(__file__).parents[1]
 _NUMBERS = {"int": int, "float": float}
@@ -129,6 +129,13 @@ def _assigned_value(module: str, name: str) -> tuple[ast.expr | None, str]:
         if isinstance(node, ast.Assign | ast.AnnAssign) and name in map(ast.unparse, filter(None, targets)):
             return node.value, module
     return None, module
+
+
+def keys_of(qualified_name: str) -> list[str]:
+    """Return the keys of a table at the top of a module, such as ``"workflows.field_day:STEPS"``."""
+    table = _assigned_value(*qualified_name.split(":"))[0]
+    assert isinstance(table, ast.Dict)
+    return [ast.literal_eval(key) for key in table.keys if key is not None]
 
 
 def _value(node: ast.expr | None, module: str) -> Any:

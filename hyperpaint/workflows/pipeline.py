@@ -12,16 +12,13 @@ import hashlib
 import itertools
 import json
 import os
-import re
 import shlex
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
@@ -36,7 +33,6 @@ from hyperpaint.base.errors import (
     Problems,
     SchemaError,
     StoreError,
-    needs_extra,
 )
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.schema import ALONG_TRACK, CHUNK_LINES, FORMAT_VERSION, flag_shares
@@ -44,14 +40,13 @@ from hyperpaint.io.collect.collect_toml import read_collect
 from hyperpaint.io.envi.envi_cubes import find_pair
 from hyperpaint.io.envi.envi_header import read_header
 from hyperpaint.io.files.reading import sampled_digest
-from hyperpaint.io.store import budget, is_complete, open_group
+from hyperpaint.io.store import budget, open_group
 from hyperpaint.io.store.budget import limited_threads, parse_size
-from hyperpaint.io.store.computing import RETRIES, client_in_force, errors_of_the_cluster, scheduler_in_force
-from hyperpaint.io.store.groups import check_above, groups_above
+from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.layout import Codec, Layout, with_layout
 from hyperpaint.io.store.location import Location
-from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Manifest, content_of, numerics_of
-from hyperpaint.io.store.writer import check_codec, check_room, run_contents, whole_run
+from hyperpaint.io.store.manifest import INPUTS, SETTINGS, Manifest, content_of
+from hyperpaint.io.store.writer import check_codec
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.pictures.plot import overview
 from hyperpaint.plausibility import KINDS, Finding, judge_dark_cube, judge_line
@@ -59,60 +54,13 @@ from hyperpaint.radiometry.coarse_lines import coarse_reflectance
 from hyperpaint.radiometry.panels import declared_panels
 
 from .laboratory import opened_collect
+from .products import Outcome, computing_on, local_folder, refuse_to_write_over, write_groups
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from hyperpaint.io.collect.collect_toml import Collect, OpenedCollect
     from hyperpaint.io.store.budget import Demand
-
-
-def paths_in(settings: Any) -> Iterator[Path]:
-    """Yield every path in settings, also in nested dataclasses, mappings and sequences."""
-    if isinstance(settings, Path):
-        yield settings
-    elif dataclasses.is_dataclass(settings) and not isinstance(settings, type):
-        for field in dataclasses.fields(settings):
-            yield from paths_in(getattr(settings, field.name))
-    elif isinstance(settings, Mapping):
-        for value in settings.values():
-            yield from paths_in(value)
-    elif isinstance(settings, list | tuple | set | frozenset):
-        for value in settings:
-            yield from paths_in(value)
-
-
-def refuse_to_write_over(out: Path, settings: Any, command: str) -> None:
-    """Refuse an output that is an input, lies in an input, or contains inputs.
-
-    ``settings``: contain the paths of the inputs, see `paths_in`. Raises `StoreError`, which lists these
-    inputs.
-    """
-    output = out.resolve()
-    problems = Problems(
-        f"{command} cannot write {out}, whether or not it may overwrite; choose another --out", StoreError
-    )
-    for path in dict.fromkeys(path_in_settings.resolve() for path_in_settings in paths_in(settings)):
-        if output == path:
-            problems.add(f"it is {path}, an input", code="output-is-input")
-        elif output in path.parents:
-            problems.add(f"it holds {path}, an input", code="output-is-input")
-        elif path in output.parents and path.is_dir():
-            problems.add(f"it lies in {path}, an input", code="output-is-input")
-    problems.raise_if_any()
-
-
-def finishing_command(command: str, options: Mapping[str, Any]) -> str:
-    """Return the command line that finishes an interrupted run, with ``{store}`` for the path of the store.
-
-    ``options``: values by option; None and False leave an option out, a list repeats it.
-    """
-    arguments = ""
-    for name, value in options.items():
-        for argument in value if isinstance(value, list) else [value]:
-            if argument is not None and argument is not False:
-                arguments += f" {name}" if argument is True else f" {name} {quote(str(argument))}"
-    return f"hyperpaint {command} --out {{store}}{arguments}"
 
 
 def settings_of(parameters: Mapping[str, Any]) -> str:
@@ -261,145 +209,7 @@ def warn_of_flags(store: Path, lines: Iterable[str]) -> None:
             warnings.warn(PaintWarning(message, code="pixels-flagged"), stacklevel=3)
 
 
-#: Time to wait for the first worker of a cluster [s].
-WORKERS_WAIT = 60
-
-#: A URL of fsspec, also one that was converted to a `Path`; not the letter of a drive.
-_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/|.*::")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Groups that a run wrote or found complete."""
-
-    path: Path  #: The store.
-    written: tuple[str, ...]  #: Groups that were written.
-    unchanged: tuple[str, ...]  #: Groups that were complete, from the same inputs and parameters.
-    #: Corrections between camera and irradiance record, by the group of the flight line.
-    corrected: Mapping[str, str] = field(default_factory=dict)
-
-
-def local_folder(out: str | Path, command: str) -> Path:
-    """Return the store's folder; refuse a URL (`StoreError`)."""
-    if _URL.match(os.fspath(out)):
-        raise StoreError(
-            f"{command} writes to a folder, not to {os.fspath(out)!r}",
-            mend=f"{command} to a folder and copy it, or write the groups of open_collect with to_store, "
-            "which accepts URLs (guide, 'Object stores')",
-            code="output-is-url",
-        )
-    return Path(out)
-
-
-def kept_groups(
-    groups: Mapping[str, xr.Dataset],
-    out: Path,
-    *,
-    overwrite: bool,
-    command: str,
-    only: tuple[str, str] | None = None,
-) -> list[str]:
-    """Return the complete groups of a store; refuse a store with other groups.
-
-    ``groups``: the planned groups, with their attribute `INPUTS`; ``command``: its name for messages.
-    ``only``: a prefix, and what its groups belong to: unplanned groups with this prefix are refused.
-
-    Raises `StoreError` if planned groups exist from other inputs, or unplanned groups exist; all are listed.
-    """
-    if not out.exists():
-        return []
-    location = Location.of(out)
-    problems = Problems(f"cannot write {out}", StoreError)
-    parents = dict.fromkeys(parent for name in groups for parent in groups_above(name))
-    check_above(parents, location, problems, overwrite=overwrite)
-    problems.raise_if_any()
-    complete = []
-    contents = run_contents(groups)
-    manifest = Manifest.read(location, ignore_damage=overwrite)
-    for name in location.groups():
-        content = content_of(location, name, manifest)
-        is_from_run = len(content.split(" ", 2)) == 3  # a run records group, inputs and settings
-        if name not in groups:
-            if only is not None and name.startswith(only[0]) and is_from_run:
-                problems.add(
-                    f"it holds /{name}, which does not belong to {only[1]}",
-                    mend="choose another path",
-                    code="group-foreign",
-                )
-        elif content == contents[name]:
-            # a group with a missing chunk is written again
-            if is_complete(out, name):
-                complete.append(name)
-        elif not overwrite:
-            numerics = numerics_of(content)
-            state = "from other inputs or parameters"
-            if not is_from_run:
-                state = f"not written by {command}, or written by hyperpaint 0.2 or older"
-            elif numerics not in (None, NUMERICS_VERSION):
-                state = f"from version {numerics} of the numerics; this is version {NUMERICS_VERSION}"
-            problems.add(
-                f"/{name} exists, {state}",
-                mend="pass overwrite=True to replace it",
-                option="pass --overwrite to replace it",
-                code="store-exists",
-            )
-    problems.raise_if_any()
-    return complete
-
-
 # --- where it is computed ---
-
-
-@contextlib.contextmanager
-def computing_on(address: str | None) -> Iterator[Client | None]:
-    """Compute with dask on a cluster; without an address, on the caller's active client, else on threads.
-
-    Raises `MissingExtraError` if distributed is not installed; `CollectError` if no scheduler answers at the
-    address; `StoreError` if the cluster has no worker.
-    """
-    import dask
-
-    if address is None:
-        client = client_in_force()
-        if client is not None:
-            _wait_for_workers(client)
-        # set the scheduler here, so that dask does not search for a client again
-        has_scheduler = client is not None or dask.config.get("scheduler", None)
-        with dask.config.set({} if has_scheduler else {"scheduler": scheduler_in_force()}):
-            yield client
-        return
-    with needs_extra("distributed", "distributed", "processing on a cluster"):
-        from distributed import Client
-    try:
-        # not the default client: if no scheduler answers, it would remain the default, and later computations
-        # wait
-        client = Client(address, timeout="10s", set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise CollectError(
-            f"no dask scheduler answers at {address!r} ({error})",
-            expected="an address such as tcp://host:8786",
-            code="scheduler-unreachable",
-        ) from error
-    with client, client.as_current(), dask.config.set(scheduler=client.get):
-        _wait_for_workers(client)
-        yield client
-
-
-def _wait_for_workers(client: Client) -> None:
-    # the size of tasks depends on the memory of the first worker
-    try:
-        client.wait_for_workers(1, timeout=WORKERS_WAIT)
-    except TimeoutError as error:
-        raise StoreError(
-            f"no worker joined the scheduler at {client.scheduler_info()['address']} within {WORKERS_WAIT} s",
-            mend="start workers (dask worker ADDRESS), or wait longer: client.wait_for_workers(1)",
-            code="worker-missing",
-        ) from error
-
-
-def token_of(dataset: xr.Dataset) -> str:
-    """Return the digest of the inputs of a group."""
-    return str(dataset.attrs[INPUTS])
 
 
 #: Lines in a task on a cluster, where the overhead of a task is larger than on threads.
@@ -550,59 +360,54 @@ def run(
         lines_a_task = CHUNK_LINES if client is None else CLUSTER_LINES
         opened, groups = opened_groups(collect, lines_a_task, parameters)
         refuse_to_write_over(out, (opened.settings, list(opened.cubes.values())), "process")
-        complete = kept_groups(
-            groups, out, overwrite=overwrite, command="process", only=("flightlines/", "this collect")
+        aligned: dict[str, xr.Dataset] = {}
+
+        def planned(pending: list[str]) -> dict[str, xr.Dataset]:
+            # groups to write, in tasks that fit into the memory
+            accepted = refuse_findings(opened, pending, accept, lit=to == "reflectance")
+            demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
+            stack.enter_context(limited_threads(demand.threads if client is None else None))
+            sources = groups
+            if demand.lines < lines_a_task:
+                sources = opened_groups(opened.settings, demand.lines, parameters)[1]
+            apply = alignment or opened.settings.alignment
+            aligned.update({name: aligned_group(sources[name], name, to, apply) for name in pending})
+            return {
+                name: with_layout(_product(aligned[name], name, to, reflectance), layout).assign_attrs(
+                    accepted.get(name, {})
+                )
+                for name in pending
+            }
+
+        def announced(name: str) -> str:
+            lines = [group for group in aligned if ALONG_TRACK in aligned[group].dims]
+            which = f"flight line {lines.index(name) + 1} of {len(lines)}" if name in lines else ""
+            return which and f"{name}: {which}, {aligned[name].sizes[ALONG_TRACK]} scan lines\n"
+
+        outcome = write_groups(
+            out,
+            groups,
+            planned,
+            opened.tree.attrs,
+            source=opened.settings.path,
+            command="process",
+            options={
+                "--to": None if to == "reflectance" else to,
+                "--alignment": alignment,
+                "--overwrite": overwrite,
+                "--reflectance": None if reflectance == "stored" else reflectance,
+                "--accept": sorted(accept),
+                "--codec": None if codec == DEFAULT_CODEC else codec,
+                "--layout": {"cube": None}.get(layout, layout),
+            },
+            only=("flightlines/", "this collect"),
+            announce=announced if progress else None,
+            overwrite=overwrite,
+            codec=codec,
+            client=client,
         )
-        pending = [name for name in groups if name not in complete]
-        accepted = refuse_findings(opened, pending, accept, lit=to == "reflectance")
-        demand = _demand({name: groups[name] for name in pending}, lines_a_task, client, limit)
-        stack.enter_context(limited_threads(demand.threads if client is None else None))
-        if demand.lines < lines_a_task:
-            opened, groups = opened_groups(opened.settings, demand.lines, parameters)
-        apply = alignment or opened.settings.alignment
-        aligned = {name: aligned_group(groups[name], name, to, apply) for name in pending}
-        products = {
-            name: with_layout(_product(aligned[name], name, to, reflectance), layout).assign_attrs(
-                accepted.get(name, {})
-            )
-            for name in pending
-        }
-        check_room(products, out, {name: token_of(dataset) for name, dataset in products.items()}, codec)
-        _compute_first_slabs(products, collect, client)
-        lines = [name for name, dataset in products.items() if ALONG_TRACK in dataset.dims]
-        again = {
-            "--to": None if to == "reflectance" else to,
-            "--alignment": alignment,
-            "--overwrite": overwrite,
-            "--reflectance": None if reflectance == "stored" else reflectance,
-            "--accept": sorted(accept),
-            "--codec": None if codec == DEFAULT_CODEC else codec,
-            "--layout": {"cube": None}.get(layout, layout),
-        }
-        command = finishing_command(f"process {quote(str(opened.settings.path.absolute()))}", again)
-        turn = stack.enter_context(
-            whole_run(
-                out,
-                run_contents(groups),
-                products,
-                opened.tree.attrs,
-                command=command,
-                overwrite=overwrite,
-                codec=codec,
-            )
-        )
-        for name, dataset in products.items():
-            if progress and name in lines:
-                which = f"flight line {lines.index(name) + 1} of {len(lines)}"
-                sys.stderr.write(f"{name}: {which}, {dataset.sizes[ALONG_TRACK]} scan lines\n")
-            turn.write(name, dataset, progress=progress)
-    warn_of_flags(out, lines)
-    corrected = {
-        name: str(line.attrs["alignment"])
-        for name, line in aligned.items()
-        if line.attrs.get("alignment_state") == "applied"
-    }
-    return Outcome(out, tuple(products), tuple(complete), corrected)
+    warn_of_flags(out, [name for name, line in aligned.items() if ALONG_TRACK in line.dims])
+    return dataclasses.replace(outcome, corrected=corrections_of(aligned))
 
 
 # --- groups to write ---------------------------------------------------------------------------------------
@@ -633,6 +438,15 @@ def opened_groups(
     return opened, groups
 
 
+def corrections_of(lines: Mapping[str, xr.Dataset]) -> dict[str, str]:
+    """Return the applied corrections between camera and irradiance record, by the group of the line."""
+    return {
+        name: str(line.attrs["alignment"])
+        for name, line in lines.items()
+        if line.attrs.get("alignment_state") == "applied"
+    }
+
+
 def aligned_group(dataset: xr.Dataset, name: str, to: Product, apply: Any) -> xr.Dataset:
     """Return a flight line after `hyperpaint.alignment.align`; other groups unchanged."""
     if to == "radiance" or not name.startswith("flightlines/"):
@@ -657,25 +471,6 @@ def _product(dataset: xr.Dataset, name: str, to: Product, storage: Kept) -> xr.D
     pictures = {"overview": overview(product), "coarse_reflectance": coarse_reflectance(product)}
     product = product.assign({key: picture for key, picture in pictures.items() if picture is not None})
     return product.drop_vars("reflectance") if storage == "none" else product
-
-
-def _compute_first_slabs(
-    groups: Mapping[str, xr.Dataset], collect: str | Path, client: Client | None
-) -> None:
-    # The first slab of every line shows impossible values before anything is written. On a cluster whose
-    # workers share a cache this also compiles the kernels once.
-    options = {} if client is None else {"retries": RETRIES}
-    problems = Problems(f"{collect} cannot be processed", CollectError)
-    for name, dataset in groups.items():
-        if "quality" in dataset.variables:
-            try:
-                with errors_of_the_cluster(f"cannot compute the first lines of /{name}"):
-                    dataset["quality"].isel({ALONG_TRACK: slice(0, 1)}).compute(**options)
-            except StoreError:  # a fault of the cluster, not of the data
-                raise
-            except (PaintError, OSError) as error:
-                problems.add_error(f"/{name}", error)
-    problems.raise_if_any()
 
 
 # --- where it is computed ----------------------------------------------------------------------------------

@@ -31,15 +31,12 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
-import json
 import os
 import shutil
-import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -66,7 +63,7 @@ from hyperpaint.io.store import list_groups, open_group, open_store
 from hyperpaint.io.store.budget import size_text
 from hyperpaint.io.store.computing import errors_of_the_cluster
 from hyperpaint.io.store.manifest import INPUTS, SETTINGS
-from hyperpaint.io.store.writer import check_room, run_contents, whole_run
+from hyperpaint.io.store.writer import WholeRun
 from hyperpaint.pictures.figures import new_figure, save_figure
 from hyperpaint.pictures.plot import overview
 from hyperpaint.simulation.rendering.camera_bands import BandSet
@@ -79,14 +76,13 @@ from hyperpaint.simulation.rendering.tracing import trace
 from hyperpaint.simulation.settings import ORIGIN, SimulationSettings
 from hyperpaint.simulation.stores import labelled
 
-from .pipeline import (
+from .products import (
     Outcome,
     computing_on,
-    finishing_command,
-    kept_groups,
+    digest_of,
     local_folder,
     refuse_to_write_over,
-    token_of,
+    write_groups,
 )
 from .scene_files import (
     SCHEMA,
@@ -467,39 +463,52 @@ def run(
         settings = {SETTINGS: f"numerics={NUMERICS_VERSION}"}
         planned = {TRANSPORT: traced, **_renders(traced, file, parts, names)}
         planned = {name: dataset.assign_attrs(settings) for name, dataset in planned.items()}
-        complete = kept_groups(planned, out, overwrite=overwrite, command="render")
-        _refuse_orphans(out, planned, complete)
-        pending = [name for name in planned if name not in complete]
-        tokens = {name: token_of(planned[name]) for name in pending}
-        check_room({name: planned[name] for name in pending}, out, tokens)
-        attrs = {"name": file.name, "scene_file": file.path.read_text(encoding="utf-8")}
-        contents = run_contents(planned)
-        writing = {name: planned[name] for name in pending}
-        again = {
-            "--samples": samples,
-            "--to": to,
-            "--atmosphere": list(atmospheres),
-            "--overwrite": overwrite,
-            "--library": library and Path(library).absolute(),
-            "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
-        }
-        command = finishing_command(f"render {quote(str(Path(path).absolute()))}", again)
-        turn = stack.enter_context(
-            whole_run(out, contents, writing, attrs, command=command, overwrite=overwrite)
+        size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
+
+        def pending_groups(pending: list[str]) -> dict[str, xr.Dataset]:
+            # a new traced scene would not fit the renders that are kept
+            stored = list_groups(out) if TRANSPORT in pending and out.exists() else []
+            orphans = [name for name in stored if name.startswith(RENDERS) and name not in planned]
+            if orphans:
+                raise StoreError(
+                    f"{out} holds /{', /'.join(orphans)}, of a scene traced with other parameters",
+                    mend="render these atmospheres too, or choose another path",
+                    code="renders-outdated",
+                )
+            return {name: planned[name] for name in pending}
+
+        def from_stored(name: str, turn: WholeRun) -> xr.Dataset:
+            if name == TRANSPORT:
+                return planned[name]
+            turn.settle()
+            traced = open_group(out, TRANSPORT)
+            return _renders(traced, file, parts, [name.removeprefix(RENDERS)])[name].assign_attrs(settings)
+
+        def announced(name: str) -> str:
+            if name == TRANSPORT:
+                return f"tracing {size}, {file.sampling['samples']} rays a pixel\n"
+            return f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
+
+        return write_groups(
+            out,
+            planned,
+            pending_groups,
+            {"name": file.name, "scene_file": file.path.read_text(encoding="utf-8")},
+            source=path,
+            command="render",
+            options={
+                "--samples": samples,
+                "--to": to,
+                "--atmosphere": list(atmospheres),
+                "--overwrite": overwrite,
+                "--library": library and Path(library).absolute(),
+                "--hold-edges" if hold_edges else "--no-hold-edges": hold_edges is not None,
+            },
+            from_stored=from_stored,
+            announce=announced if progress else None,
+            overwrite=overwrite,
+            client=client,
         )
-        for name in pending:
-            dataset = traced
-            if name != TRANSPORT:  # from the stored traced scene
-                turn.settle()
-                stored = open_group(out, TRANSPORT)
-                dataset = _renders(stored, file, parts, [name.removeprefix(RENDERS)])[name]
-            if progress:
-                size = f"{file.platform['lines']} lines of {file.platform['columns']} columns"
-                product = f"{name.removeprefix(RENDERS)}: {file.product} of {size}\n"
-                tracing = f"tracing {size}, {file.sampling['samples']} rays a pixel\n"
-                sys.stderr.write(tracing if name == TRANSPORT else product)
-            turn.write(name, dataset.assign_attrs(settings), progress=progress)
-    return Outcome(out, tuple(pending), tuple(complete))
 
 
 def _with_options(file: SceneFile, samples: int | None, to: str | None) -> SceneFile:
@@ -545,7 +554,7 @@ def _traced(file: SceneFile, parts: RenderParts, lines: int) -> xr.Dataset:
         "suns": parts.suns,
         "overcast": parts.overcast,
     }
-    return traced.assign_coords(pose_of(parts.platform)).assign_attrs({INPUTS: _digest(inputs)})
+    return traced.assign_coords(pose_of(parts.platform)).assign_attrs({INPUTS: digest_of(inputs)[:32]})
 
 
 def _renders(
@@ -573,21 +582,8 @@ def _renders(
                 true_reflectance=file.true_reflectance,
                 seed=file.sampling["seed"],
                 noise=parts.noise,
-            ).assign_attrs({INPUTS: _digest(inputs)})
+            ).assign_attrs({INPUTS: digest_of(inputs)[:32]})
     return renders
-
-
-def _refuse_orphans(out: Path, planned: Mapping[str, Any], complete: Sequence[str]) -> None:
-    # a new traced scene would not fit the renders that are kept
-    if TRANSPORT in complete or not out.exists():
-        return
-    orphans = [name for name in list_groups(out) if name.startswith(RENDERS) and name not in planned]
-    if orphans:
-        raise StoreError(
-            f"{out} holds /{', /'.join(orphans)}, of a scene traced with other parameters",
-            mend="render these atmospheres too, or choose another path",
-            code="renders-outdated",
-        )
 
 
 def _light_digest(atmosphere: Any) -> str:
@@ -602,10 +598,6 @@ def _light_digest(atmosphere: Any) -> str:
 def _file_digest(path: Path) -> str:
     with open_input(path, "an input of a scene") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _digest(inputs: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(inputs, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
 
 _PICTURE_INCH, _DPI = 4.0, 150

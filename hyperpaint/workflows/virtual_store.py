@@ -36,14 +36,8 @@ from hyperpaint.io.store.stage import Staging, staging
 from hyperpaint.light.diffuse_record import split_of_lines
 from hyperpaint.radiometry.panels import declared_panels
 
-from .pipeline import (
-    Outcome,
-    aligned_group,
-    local_folder,
-    opened_groups,
-    refuse_findings,
-    refuse_to_write_over,
-)
+from .pipeline import aligned_group, corrections_of, opened_groups, refuse_findings
+from .products import Outcome, local_folder, refuse_to_write_over
 
 if TYPE_CHECKING:
     from hyperpaint.io.collect.collect_toml import OpenedCollect
@@ -147,11 +141,7 @@ def virtualise(
         out, overwrite=True, foreign=lambda folder: "" if is_virtual(folder) else "other files"
     ) as folder:
         write_icechunk(folder, groups, attrs)
-    corrected = {
-        name: str(companions.attrs["alignment"])
-        for name, (companions, _) in groups.items()
-        if companions.attrs.get("alignment_state") == "applied"
-    }
+    corrected = corrections_of({name: companions for name, (companions, _) in groups.items()})
     return Outcome(out, tuple(groups), (), corrected)
 
 

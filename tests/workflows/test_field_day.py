@@ -15,8 +15,10 @@ from click.testing import CliRunner
 
 import hyperpaint as hp
 from hyperpaint.cli.program import main
+from hyperpaint.io.files.publishing import publish_file
 from hyperpaint.io.maps.geotiff import read_geotiff_header
-from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, run_field_day
+from hyperpaint.workflows import field_day
+from hyperpaint.workflows.field_day import RECORD, STEPS, FieldDay, FieldDayRun, Step, run_field_day
 
 pytestmark = pytest.mark.slow
 
@@ -118,6 +120,28 @@ def test_sizes_and_times_of_an_earlier_version_are_no_reason_to_refuse(day: Fiel
     (day.out / RECORD).write_text(json.dumps(record))
     again = run_field_day(folder / "collect.toml", skip=["report"])
     assert [each.state for each in again.outcomes if each.step == "validate"] == ["done"]
+
+
+def test_a_new_product_is_one_declaration(
+    day: FieldDay, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The engine decides whether it is current, protects files of other programs, and reports it."""
+    shutil.copytree(folder, tmp_path / "new")
+
+    def count_paints(run: FieldDayRun) -> str:
+        publish_file(run.out / "count.txt", str(hp.open_library(run.library).sizes).encode(), overwrite=True)
+        return "counted"
+
+    monkeypatch.setitem(field_day.STEPS, "count", Step("count.txt", count_paints, ("library",), ("library",)))
+    states = []
+    for content in (None, None, "of another program"):
+        if content is not None:
+            (tmp_path / "new" / "products" / "count.txt").write_text(content)
+        *others, count = run_field_day(tmp_path / "new", skip=["report"]).outcomes
+        states.append((count.step, count.state))
+        assert {outcome.state for outcome in others} == {"unchanged", "left out"}
+    assert states == [("count", "done"), ("count", "unchanged"), ("count", "failed")]
+    assert run_field_day(tmp_path / "new", skip=["report"], overwrite=True).outcomes[-1].text == "counted"
 
 
 def test_a_step_that_lost_its_product_is_done_again(day: FieldDay, folder: Path) -> None:

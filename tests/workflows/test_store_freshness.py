@@ -15,7 +15,8 @@ from support.tiny_collects import tiny_collect
 import hyperpaint as hp
 from hyperpaint.io.files import reading
 from hyperpaint.io.files.reading import sampled_digest
-from hyperpaint.workflows.pipeline import compare_inputs, finishing_command, paths_in, run
+from hyperpaint.workflows.pipeline import compare_inputs, run
+from hyperpaint.workflows.products import finishing_command, paths_in
 
 LINES = ("flightlines/raw_0", "flightlines/raw_1")
 
