@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-import xarray as xr
 
 import hyperpaint as hp
 import hyperpaint.workflows as workflows
@@ -103,43 +102,6 @@ def describe_path(path: str | Path, allow: Sequence[str] = ()) -> str:
     indent = "\n" + " " * (width + 4)
     rows = (f"  {name.ljust(width)}  {text.replace(chr(10), indent)}" for name, text in facts.items() if text)
     return "\n".join([str(path), *rows])
-
-
-def _file(path: Path) -> Facts:
-
-    if path.suffix.lower() == ".toml":
-        return _collect(path)
-    if path.suffix.lower() == ".zip":
-        return _store(path)
-    if _is_pose_table(path):
-        return _poses(path)
-    if path.suffix.lower() == ".hdr":
-        return _envi(path)
-    if path.suffix.lower() in (".tif", ".tiff"):
-        return _geotiff(path)
-    if path.suffix.lower() in (".geojson", *VECTOR_FILES):
-        return _regions(path)
-    if path.suffix.lower() == ".sig":
-        return _svc(path)
-    kind: str = sniff(path)
-    readers = {"binary": _asd, "text": _asd_text, "csv": _irradiance_csv}
-    if kind in readers:
-        return readers[kind](path)
-    name = path.name.lower()
-    if name.startswith("frameindex"):
-        return _frame_index(path)
-    if "imu" in name and path.suffix.lower() == ".txt":
-        return _navigation(path)
-    if name == "settings.txt":
-        return _settings(path)
-    headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
-    if any(header.is_file() for header in headers):
-        return _envi(path)
-    if path.suffix.lower() in (*_TABLES, ".ems"):
-        return _spectra_if_any(path)
-    if path.suffix.lower() == ".mat":
-        return _materials(path)
-    raise FormatError(f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown")
 
 
 # --- facts by kind of file ---------------------------------------------------------------------------------
@@ -445,12 +407,8 @@ def _group(path: Path, name: str) -> Facts:
     else:
         has_names = "signature" in group.coords and group["signature"].ndim == 1
         yield "paints", _first_names(group["signature"].values.tolist()) if has_names else ""
-        yield from ((name, form_of(array)) for name, array in _sorted(group))
+        yield from ((str(name), form_of(group[name])) for name in sorted(map(str, group.data_vars)))
         yield from facts_of_bands(group)
-
-
-def _sorted(group: xr.Dataset) -> list[tuple[str, xr.DataArray]]:
-    return sorted(((str(name), array) for name, array in group.data_vars.items()), key=lambda item: item[0])
 
 
 def _facts_text(facts: Facts) -> str:
@@ -501,6 +459,40 @@ def facts_of_virtual(path: Path, allow: Sequence[str] = ()) -> Facts:
             yield f"/{name} NOT READ", error.text(on_command_line=True)
         else:
             yield f"/{name} holds", "\n".join(f"{key}: {text}" for key, text in facts_of_line(line) if text)
+
+
+# --- kinds of files ---
+
+#: Readers of the facts by suffix; these kinds of files have no other content.
+_BY_SUFFIX = {
+    ".toml": _collect,
+    ".zip": _store,
+    ".hdr": _envi,
+    ".sig": _svc,
+    **dict.fromkeys((".tif", ".tiff"), _geotiff),
+    **dict.fromkeys((".geojson", *VECTOR_FILES), _regions),
+}
+#: Readers of files of field spectrometers by the kind of their content.
+_BY_CONTENT = {"binary": _asd, "text": _asd_text, "csv": _irradiance_csv}
+
+
+def _file(path: Path) -> Facts:
+    name, suffix = path.name.lower(), path.suffix.lower()
+    reader = _BY_SUFFIX.get(suffix) or (_poses if _is_pose_table(path) else _BY_CONTENT.get(sniff(path)))
+    if reader is None:
+        headers = (path.with_name(path.name + ".hdr"), path.with_suffix(".hdr"))
+        rules = (
+            (name.startswith("frameindex"), _frame_index),
+            ("imu" in name and suffix == ".txt", _navigation),
+            (name == "settings.txt", _settings),
+            (any(header.is_file() for header in headers), _envi),
+            (suffix in (*_TABLES, ".ems"), _spectra_if_any),
+            (suffix == ".mat", _materials),
+        )
+        reader = next((rule_reader for is_met, rule_reader in rules if is_met), None)
+    if reader is None:
+        raise FormatError(f"{path}: unknown kind of file", expected=_KNOWN_FORMATS, code="format-unknown")
+    return reader(path)
 
 
 # --- the command ---

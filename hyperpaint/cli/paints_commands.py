@@ -527,10 +527,7 @@ def _spectrum(like: str | None, paints: xr.Dataset) -> Any:
     if path.suffix.lower() == ".sig":
         return hp.open_svc(path)
 
-    if path.is_file() and sniff(path) == "binary":
-        return hp.open_asd(path)
-
-    return hp.open_library(path)
+    return hp.open_asd(path) if path.is_file() and sniff(path) == "binary" else hp.open_library(path)
 
 
 def _paint_table(matches: xr.Dataset) -> str:

@@ -271,9 +271,7 @@ def _attempt(function: Any, otherwise: Any) -> Any:
 def _kind(dataset: xr.Dataset) -> tuple[str, Any]:
     if "reflectance" in dataset.variables and schema.SIGNATURE in dataset["reflectance"].dims:
         return "paint library", _library
-    if ALONG_TRACK in dataset.dims:
-        return "flight line", _line
-    return "dataset", _forms
+    return ("flight line", _line) if ALONG_TRACK in dataset.dims else ("dataset", _forms)
 
 
 def _forms(dataset: xr.Dataset) -> Facts:

@@ -135,7 +135,14 @@ def write_signatures(
                     option="--no-flags extracts without them",
                 )
                 raise
-    origin = _origin_of_flags(lines, new_flags, flagged_lines)
+    origins: dict[str, None] = {}
+    for name, line in lines.items():
+        if name in new_flags:
+            origin = str(new_flags[name].line["quality"].attrs["flags_from"])
+        else:
+            text = str(line["quality"].attrs.get("flags_from", "not said from what"))
+            origin = f"those of the store, {text}" if name in flagged_lines else NOT_DETECTED
+        origins[origin] = None
     targets, refused = _propose(lines, new_flags, survey_options) if outlines is None else (outlines, [])
     lines |= {name: flagged.line for name, flagged in new_flags.items()}
     if options.get("specular_sky"):
@@ -151,7 +158,7 @@ def write_signatures(
                 subject = f"extracting from {name or store}"
                 stack.enter_context(budget.planned(subject, a_thread=load.a_thread, fixed=besides))
         library = extract_signatures(lines, targets, progress=step_progress, **options)
-    library.attrs |= {"store": store_path.name, "flags": origin}
+    library.attrs |= {"store": store_path.name, "flags": "; ".join(origins)}
     if refused:
         library.attrs["refused"] = refused[:MAX_STORED_REJECTIONS]
     to_store(library, Path(out), overwrite=overwrite)
@@ -210,19 +217,6 @@ def _open_lines(
             line = reflectance(line, uncertainty={"electrons_per_count", "read_noise"} <= set(line.variables))
         lines[name] = line
     return lines, frozenset(flagged)
-
-
-def _origin_of_flags(
-    lines: Mapping[str, xr.Dataset], flagged: Mapping[str, Flagged], flagged_lines: frozenset[str]
-) -> str:
-    origins = []
-    for name, line in lines.items():
-        if name in flagged:
-            origins.append(str(flagged[name].line["quality"].attrs["flags_from"]))
-        else:
-            text = str(line["quality"].attrs.get("flags_from", "not said from what"))
-            origins.append(f"those of the store, {text}" if name in flagged_lines else NOT_DETECTED)
-    return "; ".join(dict.fromkeys(origins))
 
 
 def _propose(
@@ -295,23 +289,21 @@ def validate_files(
     signatures = open_library(library)
     name_pairs = None if pairs is None else read_pairs(pairs)
     certificate = None if panel is None else read_certificate(panel)
-    spectra = open_references(references or [_store_beside(signatures, Path(library))])
+    if not references:
+        name = signatures.attrs.get("store")
+        store = Path(library).absolute().parent / str(name)
+        # a plain name only: a path stored in a file must not lead out of the folder
+        is_name = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
+        if not is_name or not (store / "references").is_dir():
+            raise SchemaError(
+                f"no references: the store of {library} has none, or is not beside it",
+                mend="pass references=",
+                option="pass files with --reference",
+                code="references-missing",
+            )
+        references = [store]
+    spectra = open_references(references)
     return validate(signatures, spectra, name_pairs, panel=certificate, **options)
-
-
-def _store_beside(signatures: xr.Dataset, library: Path) -> Path:
-    name = signatures.attrs.get("store")
-    path = library.absolute().parent / str(name)
-    # a plain name only: a path stored in a file must not lead out of the folder
-    is_name = isinstance(name, str) and name not in ("", ".", "..") and Path(name).name == name
-    if not is_name or not (path / "references").is_dir():
-        raise SchemaError(
-            f"no references: the store of {library} has none, or is not beside it",
-            mend="pass references=",
-            option="pass files with --reference",
-            code="references-missing",
-        )
-    return path
 
 
 # --- tables ------------------------------------------------------------------------------------------------
@@ -329,27 +321,43 @@ def write_table(validation: Validation, path: str | os.PathLike[str], *, overwri
     """
     path = Path(path)
     check_table(path, overwrite=overwrite)
-    text = _csv_text(validation) if path.suffix.lower() == ".csv" else _json_text(validation)
-    publish_file(path, text.encode(), overwrite=overwrite)
+    statistics, between = validation.statistics, validation.between
+    names = _names_by_part(statistics)
+    if path.suffix.lower() == ".csv":
+        columns, text = [*_PAIR_COLUMNS, "part", *names, *_OXYGEN], io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(columns)
+        for table in (statistics, *([] if between is None else [between.statistics])):
+            for pair, part in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
+                row = table.isel(pair=pair, part=part)
+                cells = [_json_value(row[name].values.item()) for name in columns]
+                safe = (safe_cell(cell) if isinstance(cell, str) else cell for cell in cells)
+                writer.writerow(["" if cell is None else cell for cell in safe])
+        content = text.getvalue()
+    else:
+        spans = (statistics[name].values for name in ("part", "first_wavelength", "last_wavelength"))
+        document = {
+            "passed": validation.passed,
+            "tolerance": dict(validation.tolerance),
+            "units": {
+                name: statistics[name].attrs["units"] for name in names if "units" in statistics[name].attrs
+            },
+            "parts": {
+                str(part): [_json_value(float(edge)) for edge in edges]
+                for part, *edges in zip(*spans, strict=True)
+            },
+            "pairs": _pair_entries(validation),
+            "references_against_one_another": [] if between is None else _pair_entries(between),
+            "unpaired_signatures": list(validation.unpaired_signatures),
+            "unpaired_references": list(validation.unpaired_references),
+            "missing": list(validation.missing),
+        }
+        content = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    publish_file(path, content.encode(), overwrite=overwrite)
 
 
 def _names_by_part(table: xr.Dataset) -> list[str]:
     return [str(name) for name, array in table.data_vars.items() if array.dims == ("pair", "part")]
-
-
-def _csv_text(validation: Validation) -> str:
-    names = [*_PAIR_COLUMNS, "part", *_names_by_part(validation.statistics), *_OXYGEN]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    tables = [] if validation.between is None else [validation.between.statistics]
-    for table in (validation.statistics, *tables):
-        for pair, part in itertools.product(range(table.sizes["pair"]), range(table.sizes["part"])):
-            row_statistics = table.isel(pair=pair, part=part)
-            cells = [_json_value(row_statistics[name].values.item()) for name in names]
-            safe = (safe_cell(cell) if isinstance(cell, str) else cell for cell in cells)
-            writer.writerow(["" if cell is None else cell for cell in safe])
-    return text.getvalue()
 
 
 def _pair_entries(validation: Validation) -> list[dict[str, Any]]:
@@ -365,33 +373,6 @@ def _pair_entries(validation: Validation) -> list[dict[str, Any]]:
         }
         pairs.append(entry)
     return pairs
-
-
-def _json_text(validation: Validation) -> str:
-    table = validation.statistics
-    names = _names_by_part(table)
-    document = {
-        "passed": validation.passed,
-        "tolerance": dict(validation.tolerance),
-        "units": {name: table[name].attrs["units"] for name in names if "units" in table[name].attrs},
-        "parts": {
-            str(part): [_json_value(float(edge)) for edge in edges]
-            for part, *edges in zip(
-                table["part"].values,
-                table["first_wavelength"].values,
-                table["last_wavelength"].values,
-                strict=True,
-            )
-        },
-        "pairs": _pair_entries(validation),
-        "references_against_one_another": []
-        if validation.between is None
-        else _pair_entries(validation.between),
-        "unpaired_signatures": list(validation.unpaired_signatures),
-        "unpaired_references": list(validation.unpaired_references),
-        "missing": list(validation.missing),
-    }
-    return json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _json_value(value: Any) -> Any:

@@ -96,7 +96,10 @@ def location_of(
     """
     location: dict[str, Any] = {"ground": ground, "boresight": boresight, "lever_arm": lever_arm, "crs": crs}
     location["clock_offset_s"] = clock_offset
-    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid, _track(flightline))
+    names = ("longitude", "latitude", "altitude")
+    is_flown = set(names) <= set(flightline.variables)
+    track: Any = tuple(flightline[name].values for name in names) if is_flown else None
+    location["dem"] = None if dem is None else _heights(dem, dem_heights, geoid, track)
     if (field_of_view, focal_length_mm, pixel_pitch_um) != (None, None, None):
         location["camera"] = PinholeCamera(
             flightline.sizes["cross_track"],
@@ -196,14 +199,13 @@ def write_map(
             to_store(orthomap, path, overwrite=overwrite, progress=progress)
         return ""
     notes = []
-    foreign = None if is_tiff else _foreign_store
-    with (
-        plan,
-        published_files([*companions, path], overwrite=overwrite, foreign=foreign) as (
-            *companion_paths,
-            target,
-        ),
-    ):
+
+    def foreign(folder: Path) -> str:
+        # empty for a store of one map, which may be replaced
+        return "" if list_groups(folder) == [""] else "something other than a map"
+
+    product = published_files([*companions, path], overwrite=overwrite, foreign=None if is_tiff else foreign)
+    with plan, product as (*companion_paths, target):
         texts = [] if seams is None else [json.dumps(seamlines(orthomap))]
         if is_tiff:
             draw_geotiff(orthomap, target, path)
@@ -238,11 +240,6 @@ def map_planned(orthomap: xr.Dataset, subject: str) -> AbstractContextManager[No
     return budget.planned(subject, a_thread=3 * tile, fixed=budget.LOADED + shared)
 
 
-def _foreign_store(folder: Path) -> str:
-    # empty for a store of one map, which may be replaced
-    return "" if list_groups(folder) == [""] else "something other than a map"
-
-
 def line_of_store(store: Path, line: str | None) -> xr.Dataset:
     """Return a flight line of a store by its name, by default the only one; or the map of a store."""
     prefix = "flightlines/"
@@ -266,11 +263,6 @@ def line_of_store(store: Path, line: str | None) -> xr.Dataset:
         )
     flightline: xr.Dataset = open_store(store, f"{prefix}{name}") if lines else open_store(store, "")
     return flightline
-
-
-def _track(line: xr.Dataset) -> tuple[Any, Any, Any] | None:
-    names = ("longitude", "latitude", "altitude")
-    return tuple(line[name].values for name in names) if set(names) <= set(line.variables) else None  # type: ignore[return-value]
 
 
 def _heights(

@@ -69,32 +69,24 @@ def settings_of(parameters: Mapping[str, Any]) -> str:
     return f"numerics={NUMERICS_VERSION} digest={hashlib.sha256(text.encode()).hexdigest()[:32]}"
 
 
-def _header_form(cube: Path) -> str:
-    # fields of the header that change the values read from the same file
-
-    header = read_header(find_pair(cube)[0])
-    factors = [
-        None if values is None else values.tolist()
-        for values in (header.data_gain_values, header.data_offset_values)
-    ]
-    form = (
-        header.header_offset,
-        header.dtype.str,
-        header.interleave,
-        header.data_ignore_value,
-        header.reflectance_scale_factor,
-        *factors,
-    )
-    return repr(form)
-
-
 def inputs_digest(dataset: xr.Dataset, cubes: tuple[Path, ...], settings: str) -> str:
     """Return a digest of settings, of all values except cubes, and of samples of the cubes' files."""
     import dask
 
     digest = hashlib.sha256(settings.encode())
     for cube in cubes:
-        digest.update(f"{cube.name} {_header_form(cube)} {sampled_digest(cube)}".encode())
+        # fields of the header that change the values read from the same file
+        header = read_header(find_pair(cube)[0])
+        factors = (header.data_gain_values, header.data_offset_values)
+        form = (
+            header.header_offset,
+            header.dtype.str,
+            header.interleave,
+            header.data_ignore_value,
+            header.reflectance_scale_factor,
+            *(None if values is None else values.tolist() for values in factors),
+        )
+        digest.update(f"{cube.name} {form!r} {sampled_digest(cube)}".encode())
     digest.update(json.dumps(dataset.attrs, sort_keys=True, default=str).encode())
     for name, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
         digest.update(f"{name} {variable.dims} {variable.shape} {variable.dtype} {variable.attrs}".encode())
@@ -158,14 +150,6 @@ def refuse_findings(
             problems=refused,
         )
     return accepted
-
-
-def check_accepted(accept: Collection[str], problems: Problems) -> None:
-    """Add names in ``accept`` that are no kinds of finding to ``problems``."""
-    for name in [accept] if isinstance(accept, str) else accept:
-        if name not in KINDS or isinstance(accept, str):
-            expected = f"a list of some of {', '.join(KINDS)}"
-            problems.add(f"accept={name!r}", expected=expected, code="choice-unknown")
 
 
 def _findings(opened: OpenedCollect, lines: Iterable[str], *, lit: bool) -> dict[str, list[Finding]]:
@@ -348,7 +332,10 @@ def run(
         ("layout", layout, get_args(Layout)),
     ):
         one_of(value, allowed, word, problems=problems)
-    check_accepted(accept, problems)
+    for name in [accept] if isinstance(accept, str) else accept:
+        if name not in KINDS or isinstance(accept, str):
+            expected = f"a list of some of {', '.join(KINDS)}"
+            problems.add(f"accept={name!r}", expected=expected, code="choice-unknown")
     problems.raise_if_any()
     check_codec(codec)
     out = local_folder(out, "process")

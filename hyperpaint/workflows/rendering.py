@@ -35,7 +35,7 @@ import os
 import shutil
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -110,70 +110,46 @@ _DARK_FRAMES = 64  # number of frames averaged for a dark
 _NOISE, _DARK = 20, 21
 
 
-@dataclass(frozen=True)
-class Render:
-    """Light, camera and paints, with which a traced scene becomes a flight line."""
-
-    atmosphere: Atmosphere
-    camera: Camera
-    platform: Platform
-    #: Spectra of the user by name: (wavelength [nm], reflectance), or a paint library.
-    spectra: Mapping[str, Any]
-    paints: Mapping[str, str]  #: New spectrum by the name of a spectrum, material or instance.
-    hold_edges: bool = False  #: See `hyperpaint.simulation.relight`.
-
-    def of(
-        self, traced: xr.Dataset, *, product: str, true_reflectance: bool, seed: int, noise: bool
-    ) -> xr.Dataset:
-        """Return the flight line of a traced scene, lazily; see `hyperpaint.render_scene`.
-
-        ``product`` is "radiance" or "counts"; ``true_reflectance``: whether to include it; ``seed`` and
-        ``noise`` apply to the camera. Raises `SchemaError` as `relight`.
-        """
-        relit = relight(
-            traced,
-            self._bands(product),
-            paints=dict(self.paints),
-            atmosphere=self.atmosphere,
-            spectra=dict(self.spectra),
-            hold_edges=self.hold_edges,
-        )
-        picture = overview(relit)
-        line = relit.rename(reflectance="true_reflectance")
-        line["true_reflectance"] = _rounded(line["true_reflectance"])
-        if not true_reflectance:
-            line = line.drop_vars("true_reflectance")
-        if product == "counts":
-            counts = counts_of(
-                line["radiance"],
-                self.camera,
-                self.platform.exposure_time,
-                seed,
-                self.atmosphere.name,
-                noise=noise,
-            )
-            line = line.drop_vars("radiance").merge(counts)
-        line = irradiance_series(line, self.platform).assign_coords(pose_of(self.platform))
-        line = line.assign(look_angle=_look_angle(self.platform))
-        if picture is not None:
-            line = line.assign(overview=picture)
-        return line
-
-    def _bands(self, product: str) -> BandSet:
-        # Bands of counts are weighted by the responsivity of the detector. Bands of radiance are not: readers
-        # of radiance do not know the responsivity, and resample the irradiance without it.
-
-        bands = BandSet.of(self.camera.imager)
-        return bands if product == "counts" else replace(bands, responsivity=None)
-
-
-def _rounded(cube: xr.DataArray) -> xr.DataArray:
-    # round to the mantissa bits of a stored reflectance, half to even
-    rounded: xr.DataArray = xr.apply_ufunc(
-        round_bits, cube, KEPT_BITS, dask="parallelized", output_dtypes=[np.float32], keep_attrs=True
+def flight_line(
+    traced: xr.Dataset, atmosphere: Atmosphere, file: SceneFile, parts: RenderParts
+) -> xr.Dataset:
+    """Return the flight line of a traced scene under an atmosphere, lazily; see `hyperpaint.render_scene`."""
+    # Bands of counts are weighted by the responsivity of the detector. Bands of radiance are not: readers of
+    # radiance do not know the responsivity, and resample the irradiance without it.
+    bands = BandSet.of(parts.camera.imager)
+    relit = relight(
+        traced,
+        bands if file.product == "counts" else dataclasses.replace(bands, responsivity=None),
+        paints=dict(file.paints),
+        atmosphere=atmosphere,
+        spectra=dict(parts.spectra),
+        hold_edges=file.hold_edges,
     )
-    rounded.attrs |= {"long_name": "Reflectance factor without noise", "keep_bits": KEPT_BITS}
-    return rounded
+    picture = overview(relit)
+    line = relit.rename(reflectance="true_reflectance")
+    if file.true_reflectance:
+        # rounded to the mantissa bits of a stored reflectance, half to even
+        rounded: xr.DataArray = xr.apply_ufunc(
+            round_bits,
+            line["true_reflectance"],
+            KEPT_BITS,
+            dask="parallelized",
+            output_dtypes=[np.float32],
+            keep_attrs=True,
+        )
+        rounded.attrs |= {"long_name": "Reflectance factor without noise", "keep_bits": KEPT_BITS}
+        line["true_reflectance"] = rounded
+    else:
+        line = line.drop_vars("true_reflectance")
+    if file.product == "counts":
+        exposure_time, seed = parts.platform.exposure_time, file.sampling["seed"]
+        counts = counts_of(
+            line["radiance"], parts.camera, exposure_time, seed, atmosphere.name, noise=parts.noise
+        )
+        line = line.drop_vars("radiance").merge(counts)
+    line = irradiance_series(line, parts.platform).assign_coords(pose_of(parts.platform))
+    line = line.assign(look_angle=look_angle_of(parts.platform))
+    return line if picture is None else line.assign(overview=picture)
 
 
 def irradiance_series(relit: xr.Dataset, platform: Platform) -> xr.Dataset:
@@ -204,8 +180,8 @@ def pose_of(platform: Platform) -> dict[str, xr.Variable]:
     return {name: _variable(name, values) for name, values in pose.items()}
 
 
-def _look_angle(platform: Platform) -> xr.Variable:
-    # angles of column centres from the camera's axis, positive to the right
+def look_angle_of(platform: Platform) -> xr.Variable:
+    """Return the angles of column centres from the camera's axis, positive to the right [degree]."""
     edges = platform.column_edges
     return _variable("look_angle", np.degrees(np.arctan(0.5 * (edges[1:] + edges[:-1]))))
 
@@ -453,13 +429,39 @@ def run(
         )
     parts = build_parts(file)
     if library is not None:
-        file, parts = _with_library(file, parts, Path(library))
+        # paints of the file take precedence over those of the library
+        paints = by_name(read_paints(Path(library)))
+        targets = assigned_paints(SceneRecord.of(parts.scene), list(paints))
+        file = dataclasses.replace(file, paints={**targets, **file.paints})
+        parts = dataclasses.replace(parts, spectra={**paints, **parts.spectra})
     names = [light.name for light in chosen_atmospheres(parts, atmospheres)]
     with contextlib.ExitStack() as stack:
         client = stack.enter_context(computing_on(scheduler))
         stack.enter_context(errors_of_the_cluster(f"cannot render {path}"))
         lines = CHUNK_LINES if client is None else CLUSTER_LINES
-        traced = _traced(file, parts, lines)
+        traced = trace(
+            parts.scene,
+            parts.platform,
+            parts.suns,
+            **arguments_of(SCHEMA["sampling"], file.sampling),
+            overcast=parts.overcast,
+            chunk_lines=lines,
+        )
+        meshes = []
+        for mesh in file.meshes:
+            with open_input(mesh.path, "an input of a scene") as content:
+                digest = hashlib.file_digest(content, "sha256").hexdigest()
+            meshes.append([digest, mesh.name, dict(mesh.options)])
+        inputs = {
+            "format": [FORMAT_VERSION, NUMERICS_VERSION],
+            "scene": {**file.scene, "name": file.name},
+            "meshes": meshes,
+            "platform": dict(file.platform),
+            "sampling": dict(file.sampling),
+            "suns": parts.suns,
+            "overcast": parts.overcast,
+        }
+        traced = traced.assign_coords(pose_of(parts.platform)).assign_attrs({INPUTS: digest_of(inputs)[:32]})
         settings = {SETTINGS: f"numerics={NUMERICS_VERSION}"}
         planned = {TRANSPORT: traced, **_renders(traced, file, parts, names)}
         planned = {name: dataset.assign_attrs(settings) for name, dataset in planned.items()}
@@ -523,38 +525,7 @@ def _with_options(file: SceneFile, samples: int | None, to: str | None) -> Scene
     return file if to is None else dataclasses.replace(file, product=to)
 
 
-def _with_library(file: SceneFile, parts: RenderParts, paints: Path) -> tuple[SceneFile, RenderParts]:
-    # add the paints of a library; paints of the file take precedence
-
-    library = by_name(read_paints(paints))
-    targets = assigned_paints(SceneRecord.of(parts.scene), list(library))
-    file = dataclasses.replace(file, paints={**targets, **file.paints})
-    return file, dataclasses.replace(parts, spectra={**library, **parts.spectra})
-
-
 # --- groups to write ---------------------------------------------------------------------------------------
-
-
-def _traced(file: SceneFile, parts: RenderParts, lines: int) -> xr.Dataset:
-
-    traced = trace(
-        parts.scene,
-        parts.platform,
-        parts.suns,
-        **arguments_of(SCHEMA["sampling"], file.sampling),
-        overcast=parts.overcast,
-        chunk_lines=lines,
-    )
-    inputs = {
-        "format": [FORMAT_VERSION, NUMERICS_VERSION],
-        "scene": {**file.scene, "name": file.name},
-        "meshes": [[_file_digest(mesh.path), mesh.name, dict(mesh.options)] for mesh in file.meshes],
-        "platform": dict(file.platform),
-        "sampling": dict(file.sampling),
-        "suns": parts.suns,
-        "overcast": parts.overcast,
-    }
-    return traced.assign_coords(pose_of(parts.platform)).assign_attrs({INPUTS: digest_of(inputs)[:32]})
 
 
 def _renders(
@@ -563,9 +534,14 @@ def _renders(
     renders = {}
     for atmosphere in parts.atmospheres:
         if atmosphere.name in names:
+            light = hashlib.sha256()
+            for field in dataclasses.fields(atmosphere):
+                value = getattr(atmosphere, field.name)
+                light.update(f"{field.name} ".encode())
+                light.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
             inputs = {
                 "transport": traced.attrs[INPUTS],
-                "atmosphere": _light_digest(atmosphere),
+                "atmosphere": light.hexdigest(),
                 "camera": dict(file.camera),
                 "exposure_time": parts.platform.exposure_time,
                 "spectra": spectra_digest(parts.spectra),
@@ -573,31 +549,10 @@ def _renders(
                 "paints": dict(file.paints),
                 "product": [file.product, file.true_reflectance, file.sampling["seed"]],
             }
-            render = Render(
-                atmosphere, parts.camera, parts.platform, parts.spectra, file.paints, file.hold_edges
+            renders[RENDERS + atmosphere.name] = flight_line(traced, atmosphere, file, parts).assign_attrs(
+                {INPUTS: digest_of(inputs)[:32]}
             )
-            renders[RENDERS + atmosphere.name] = render.of(
-                traced,
-                product=file.product,
-                true_reflectance=file.true_reflectance,
-                seed=file.sampling["seed"],
-                noise=parts.noise,
-            ).assign_attrs({INPUTS: digest_of(inputs)[:32]})
     return renders
-
-
-def _light_digest(atmosphere: Any) -> str:
-    digest = hashlib.sha256()
-    for field in dataclasses.fields(atmosphere):
-        value = getattr(atmosphere, field.name)
-        digest.update(f"{field.name} ".encode())
-        digest.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-    return digest.hexdigest()
-
-
-def _file_digest(path: Path) -> str:
-    with open_input(path, "an input of a scene") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 _PICTURE_INCH, _DPI = 4.0, 150

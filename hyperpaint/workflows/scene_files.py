@@ -448,7 +448,11 @@ def _atmosphere(reader: TableReader, place: str, table: Mapping[str, Any]) -> At
 
 def _check_size(scene_file: SceneFile, problems: Problems) -> None:
     if scene_file.scene["kind"] == "car_park":
-        triangles = _triangles(scene_file.scene)
+        # 1300 triangles a car, two a leaf
+        park = park_arguments(scene_file.scene)
+        bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
+        trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
+        triangles = float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
         if triangles > _MAX_TRIANGLES:
             problems.add(
                 f"[scene] would have some {triangles:.1e} triangles",
@@ -465,14 +469,6 @@ def _check_size(scene_file: SceneFile, problems: Problems) -> None:
             mend="cut the flight into several",
             code="cube-too-large",
         )
-
-
-def _triangles(scene: Mapping[str, Any]) -> float:
-    # 1300 a car, two a leaf
-    park = park_arguments(scene)
-    bays = park["length"] / BAY[1] * (park["rows"] or park["width"] / 8.0)
-    trees = park["length"] / 7.5 + bays / 10.0 if "trees" in park["neighbours"] else 0.0
-    return float(1300.0 * bays * park["occupancy"] + 2.0 * trees * park["leaves"])
 
 
 _TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", "")
@@ -537,18 +533,14 @@ def _dirsig_paints(path: Path) -> dict[str, xr.Dataset]:
             paint, record = open_library(path.parent / file), records.get(str(material.id), {})
             centre = path.parent / str(record.get("reflectance_file", file))
             if centre.is_file():  # an emissivity file of many curves lacks the centre of the paint
-                paint = _with_centre(paint, open_library(centre))
+                curve = open_library(centre)
+                nm, centre_nm = paint["wavelength"].values, curve["wavelength"].values
+                if nm.shape == centre_nm.shape and np.allclose(nm, centre_nm, rtol=0.0, atol=1e-3):
+                    values = curve["reflectance"].values
+                    paint = paint.assign(reflectance=(paint["reflectance"].dims, values, {"units": "1"}))
             paints[str(record.get("paint", material.name))] = paint
     problems.raise_if_any()
     return paints
-
-
-def _with_centre(paint: xr.Dataset, centre: xr.Dataset) -> xr.Dataset:
-    # take the reflectance of another file, if it is on the same wavelengths
-    nm, centre_nm = paint["wavelength"].values, centre["wavelength"].values
-    if nm.shape != centre_nm.shape or not np.allclose(nm, centre_nm, rtol=0.0, atol=1e-3):
-        return paint
-    return paint.assign(reflectance=(paint["reflectance"].dims, centre["reflectance"].values, {"units": "1"}))
 
 
 def _export_records(folder: Path) -> dict[str, dict[str, Any]]:
@@ -613,7 +605,10 @@ def build_parts(file: SceneFile) -> RenderParts:
     # build every part, so that all problems are listed
     builders: dict[str, tuple[str, Callable[[], Any]]] = {
         "scene": ("[scene]", lambda: _built_scene(file)),
-        "camera": ("[camera]", lambda: _camera(file)),
+        "camera": (
+            "[camera]",
+            lambda: Camera.of(SimulationSettings.of(camera_fields(file.platform, file.camera))),
+        ),
         "atmospheres": ("[[atmospheres]]", lambda: _built_atmospheres(file)),
         "spectra": ("[spectra]", lambda: _spectra(file)),
         "platform": ("[platform]", lambda: _platform(file, parts.get("scene"))),
@@ -646,25 +641,16 @@ def chosen_atmospheres(parts: RenderParts, names: Sequence[str]) -> tuple[Atmosp
 
 
 def _built_scene(file: SceneFile) -> Scene:
-    builders = {"car_park": _car_park, "plane": _plane}
-    kind = file.scene["kind"]
-    parts = [builders[kind](file)] if kind in builders else []
+    kind, parts = file.scene["kind"], []
+    if kind == "car_park":
+        coat: Any = (_coat(file.scene) or "own") if file.scene.get("coat", True) else None
+        parts.append(car_park(**park_arguments(file.scene), coat=coat))
+    elif kind == "plane":
+        ground = arguments_of(SCHEMA["scene"], filled(SCHEMA["scene"], file.scene))
+        surface = "asphalt" if ground["spectrum"] == "asphalt" else "other"
+        parts.append(plane(ground["size_m"], Material("ground", ground["spectrum"], surface)))
     parts += [_mesh(entry) for entry in file.meshes]
     return replace(parts[0], name=file.name) if len(parts) == 1 else Scene.join(parts, file.name)
-
-
-def _car_park(file: SceneFile) -> Scene:
-    options = park_arguments(file.scene)
-    if not file.scene.get("coat", True):
-        return car_park(**options, coat=None)
-    return car_park(**options, coat=_coat(file.scene) or "own")
-
-
-def _plane(file: SceneFile) -> Scene:
-    facts = SCHEMA["scene"]
-    ground = arguments_of(facts, filled(facts, file.scene))
-    kind = "asphalt" if ground["spectrum"] == "asphalt" else "other"
-    return plane(ground["size_m"], Material("ground", ground["spectrum"], kind))
 
 
 def _mesh(entry: MeshEntry) -> Scene:
@@ -731,10 +717,6 @@ def _platform(file: SceneFile, scene: Scene | None) -> Platform:
     return pushbroom(**options)
 
 
-def _camera(file: SceneFile) -> Camera:
-    return Camera.of(SimulationSettings.of(camera_fields(file.platform, file.camera)))
-
-
 # --- light -------------------------------------------------------------------------------------------------
 
 
@@ -743,32 +725,27 @@ def _built_atmospheres(file: SceneFile) -> tuple[Atmosphere, ...]:
     atmospheres = []
     for entry in file.atmospheres:
         try:
-            atmospheres.append(_built_atmosphere(entry))
+            options = dict(entry.options)
+            oktas = options.pop("oktas", None)
+            if entry.table is not None:
+                atmosphere = Atmosphere.from_table(entry.table, **options)
+            elif entry.irradiance:
+                atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), **options)
+            else:
+                atmosphere = preset_atmosphere(entry.preset or entry.name)
+                share = options.pop("overcast_share", None)
+                if options or oktas is not None:
+                    oktas = 8.0 if oktas is None and atmosphere.overcast_share > 0.0 else oktas
+                    sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth}
+                    atmosphere = Atmosphere.clear(**{**sun, **options})
+                if share is not None:
+                    atmosphere = replace(atmosphere, overcast_share=share)
+            atmosphere = atmosphere.clouded(oktas) if oktas else atmosphere
+            atmospheres.append(replace(atmosphere, name=entry.name))
         except (PaintError, OSError) as error:
             problems.add_error(entry.name, error)
     problems.raise_if_any()
     return tuple(atmospheres)
-
-
-def _built_atmosphere(entry: AtmosphereEntry) -> Atmosphere:
-    options = dict(entry.options)
-    oktas = options.pop("oktas", None)
-    if entry.table is not None:
-        atmosphere = Atmosphere.from_table(entry.table, **options)
-    elif entry.irradiance:
-        atmosphere = Atmosphere.from_irradiance(open_irradiance(entry.irradiance), **options)
-    else:
-        atmosphere = preset_atmosphere(entry.preset or entry.name)
-        share = options.pop("overcast_share", None)
-        if options or oktas is not None:
-            oktas = 8.0 if oktas is None and atmosphere.overcast_share > 0.0 else oktas
-            sun = {"sun_zenith": atmosphere.sun_zenith, "sun_azimuth": atmosphere.sun_azimuth}
-            atmosphere = Atmosphere.clear(**{**sun, **options})
-        if share is not None:
-            atmosphere = replace(atmosphere, overcast_share=share)
-    if oktas:
-        atmosphere = atmosphere.clouded(oktas)
-    return replace(atmosphere, name=entry.name)
 
 
 def _spectra(file: SceneFile) -> dict[str, Any]:
