@@ -228,7 +228,8 @@ class _FileSearch:
         calibration, sweep = self._calibration()
         irradiance, references = self._instruments()
         cubes = tuple(self._flight_cubes())
-        record = _record_times([path for folder, _ in irradiance for path in self.spectra[folder, ".asd"]])
+        record = [path for folder, _ in irradiance for path in self.spectra[folder, ".asd"]]
+        utc_offset_h, clock_offsets_s = _record_times(record, cubes)
         return FieldFolder(
             folder=self.folder,
             cubes=cubes,
@@ -237,8 +238,8 @@ class _FileSearch:
             sweep=sweep,
             irradiance=tuple(irradiance),
             references=tuple(references),
-            utc_offset_h=record.utc_offset_h,
-            clock_offsets_s=record.offsets_for(cubes),
+            utc_offset_h=utc_offset_h,
+            clock_offsets_s=clock_offsets_s,
             survey=self._survey(),
             notes=tuple(self.notes),
         )
@@ -364,53 +365,34 @@ def _read_quietly(files: list[Path]) -> tuple[list[Spectrum], str]:
         return read_spectra(files, None)
 
 
-@dataclass(frozen=True)
-class _Record:
-    # first and last time of the irradiance record, by the clock of its PC
-    first: np.datetime64 | None = None
-    last: np.datetime64 | None = None
-    utc_offset_h: float | None = None
-
-    def offsets_for(self, cubes: Iterable[FlightCube]) -> tuple[float, float] | None:
-        # minimum and maximum clock offset [s] with which the record covers all cubes
-        spans = [span for cube in cubes if (span := _flight_times(cube)) is not None]
-        if self.first is None or self.last is None or self.utc_offset_h is None or not spans:
-            return None
-        zone = np.timedelta64(round(self.utc_offset_h * 3600), "s")
-        least = max(most for _, most in spans) - (self.last - zone)
-        most = min(least for least, _ in spans) - (self.first - zone)
-        return least / np.timedelta64(1, "s"), most / np.timedelta64(1, "s")
-
-
-def _record_times(files: list[Path]) -> _Record:
-    # times of the first and the last file by name
-    if not files:
-        return _Record()
-    ordered = sorted(files)
+def _record_times(
+    files: list[Path], cubes: Iterable[FlightCube]
+) -> tuple[float | None, tuple[float, float] | None]:
+    # clock of the PC of the irradiance record minus UTC [h], and minimum and maximum clock offset [s] with
+    # which the record covers all cubes; from the first and the last file by name
     try:
-        spectra = _read_quietly(list(dict.fromkeys((ordered[0], ordered[-1]))))[0]
+        ordered = sorted(files)
+        spectra = _read_quietly(list(dict.fromkeys((ordered[0], ordered[-1]))))[0] if files else []
     except PaintError:
-        return _Record()
-    zones = [spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None]
+        return None, None
+    zone_h = next((spectrum.utc_offset_h for spectrum in spectra if spectrum.utc_offset_h is not None), None)
     stamps = [
         np.datetime64(spectrum.local_time, "ns") for spectrum in spectra if spectrum.local_time is not None
     ]
-    zone = zones[0] if zones else None
-    return _Record(min(stamps), max(stamps), zone) if stamps else _Record(utc_offset_h=zone)
-
-
-def _flight_times(cube: FlightCube) -> tuple[np.datetime64, np.datetime64] | None:
-    # UTC times of the first and the last line
-
-    if cube.frame_index is None or cube.navigation is None:
-        return None
-    try:
-        index = read_frame_index(cube.frame_index)
-        times = read_imu_gps(cube.navigation).clock_for(index).at(index.stamp)
-    except PaintError:
-        return None
-    times = times[~np.isnat(times)]
-    return (times.min(), times.max()) if times.size else None
+    spans = []  # UTC times of the first and the last line
+    for cube in cubes:
+        if cube.frame_index is not None and cube.navigation is not None:
+            with contextlib.suppress(PaintError):
+                index = read_frame_index(cube.frame_index)
+                times = read_imu_gps(cube.navigation).clock_for(index).at(index.stamp)
+                times = times[~np.isnat(times)]
+                spans += [(times.min(), times.max())] if times.size else []
+    if zone_h is None or not stamps or not spans:
+        return zone_h, None
+    zone, second = np.timedelta64(round(zone_h * 3600), "s"), np.timedelta64(1, "s")
+    least = max(end for _, end in spans) - (max(stamps) - zone)
+    most = min(start for start, _ in spans) - (min(stamps) - zone)
+    return zone_h, (least / second, most / second)
 
 
 def _walk(folder: Path) -> Iterator[Path]:

@@ -116,7 +116,23 @@ def virtualise(
     lines = {name: tree[name] for name in opened.cubes}
     cubes = _cubes(opened, lines, prefix)
     if out.exists():
-        difference = _difference(out, lines, cubes)
+        # difference of the existing store from the collect, in words; empty if there is none
+        difference, summary = "", summary_of({name: (line, cubes[name]) for name, line in lines.items()})
+        try:
+            if not is_virtual(out):
+                difference = "and is not a virtual store"
+            elif virtual_groups(out) != summary:
+                difference = "from other inputs"
+        except StoreError as error:
+            difference = f"and cannot be read ({error})"
+        if not difference:
+            # allow access only to the files of the collect, not to places named in the store
+            allow = [file.url for cube in cubes.values() for file in cube.files]
+            try:
+                for name in summary:
+                    open_virtual(out, name, allow=allow)
+            except StoreError:
+                difference = _INCOMPLETE
         if not difference:
             staging_area = Staging(out.absolute())
             if staging_area.folder.exists():  # leftovers of a run killed at its end
@@ -134,7 +150,17 @@ def virtualise(
     apply = alignment or opened.settings.alignment
     groups = {}
     for name, line in lines.items():
-        companions = _companions(aligned_group(line, name, "reflectance", apply))
+        # all variables except the cube, in memory
+        aligned = aligned_group(line, name, "reflectance", apply)
+        companions = aligned.drop_vars("counts")
+        if panels := declared_panels(aligned):
+            product = aligned.paint.reflectance(panel=panels)
+            companions = companions.assign(
+                {variable: product[variable] for variable in product if str(variable).startswith("panel_")}
+            )
+        split = split_of_lines(aligned)
+        companions = (companions if split is None else companions.assign(split.data_vars)).compute()
+        companions.attrs.pop(SETTINGS, None)
         groups[name] = companions.assign_attrs(accepted.get(name, {})), cubes[name]
     attrs = {str(key): value for key, value in opened.tree.attrs.items()}
     with published_folder(
@@ -143,44 +169,6 @@ def virtualise(
         write_icechunk(folder, groups, attrs)
     corrected = corrections_of({name: companions for name, (companions, _) in groups.items()})
     return Outcome(out, tuple(groups), (), corrected)
-
-
-def _difference(out: Path, lines: Mapping[str, xr.Dataset], cubes: Mapping[str, VirtualCube]) -> str:
-    # difference of an existing store from the collect, in words; empty if there is none
-    if not is_virtual(out):
-        return "and is not a virtual store"
-    summary = summary_of({name: (line, cubes[name]) for name, line in lines.items()})
-    try:
-        if virtual_groups(out) != summary:
-            return "from other inputs"
-    except StoreError as error:
-        return f"and cannot be read ({error})"
-    try:
-        # allow access only to the files of the collect, not to places named in the store
-        allow = [file.url for cube in cubes.values() for file in cube.files]
-        for name in summary:
-            open_virtual(out, name, allow=allow)
-    except StoreError:
-        return _INCOMPLETE
-    return ""
-
-
-def _companions(line: xr.Dataset) -> xr.Dataset:
-    # all variables except the cube, in memory
-
-    companions = line.drop_vars("counts")
-    panels = declared_panels(line)
-    if panels:
-        product = line.paint.reflectance(panel=panels)
-        companions = companions.assign(
-            {name: product[name] for name in product if str(name).startswith("panel_")}
-        )
-    split = split_of_lines(line)
-    if split is not None:
-        companions = companions.assign(split.data_vars)
-    companions = companions.compute()
-    companions.attrs.pop(SETTINGS, None)
-    return companions
 
 
 def _cubes(
