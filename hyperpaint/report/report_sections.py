@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -61,9 +61,9 @@ def line_section(
     if note:
         yield "origin of flags", lambda: page_part("paragraph", text=note)
     if "irradiance" in line.variables:
-        yield "irradiance", partial(_irradiance, line)
+        yield "irradiance", partial(_chart, "irradiance", line)
     if "panel_factor" in line.variables:
-        yield "panels", partial(_panels, line)
+        yield "panels", partial(_chart, "panels", line)
     if "reflectance" in line.variables or "irradiance" in line.variables:
         yield "reflectance", partial(_reflectance, line)
     yield from trust_parts(line, regions)
@@ -77,15 +77,11 @@ def card_parts(line: xr.Dataset, cards: Sequence[tuple[xr.Dataset, str]], most: 
     """
     for number, (library, paint) in enumerate(cards[:most]):
         heading = "" if number else "Paint by paint"
-        yield f"card of {paint}", partial(_card, line, library, paint, heading)
+        caption = f"{paint}: its region, the pixels used, and its signature."
+        yield f"card of {paint}", partial(_drawn, partial(paint_card, line, library, paint), caption, heading)
     if len(cards) > most:
         text = f"and {len(cards) - most} more paints, without a card"
         yield "more cards", lambda: page_part("paragraph", text=text)
-
-
-def _card(line: xr.Dataset, library: xr.Dataset, paint: str, heading: str) -> Markup:
-    caption = f"{paint}: its region, the pixels used, and its signature."
-    return figure_part(paint_card(line, library, paint), caption, heading)
 
 
 def map_section(orthomap: xr.Dataset, rows: int) -> Iterator[Part]:
@@ -154,23 +150,6 @@ def _layer(line: xr.Dataset, lines: int, layer: str) -> Markup:
     return figure_part(axes.figure, f"{schema.VARIABLES[layer].meaning}.")
 
 
-def _irradiance(line: xr.Dataset) -> Markup:
-    axes = _new_axes(3.2, _CHART_INCH)
-    draw_irradiance(axes, line)
-    caption = "Downwelling irradiance around the line; the time of the line is shaded."
-    return figure_part(axes.figure, caption, "Irradiance over time", kind="chart")
-
-
-def _panels(line: xr.Dataset) -> Markup:
-    axes = _new_axes(4.0, _CHART_INCH)
-    draw_panels(axes, line)
-    caption = (
-        "Ratio of measured to certified reflectance of the panels, with twice the combined standard "
-        "uncertainty: where the shade misses 1, calibration, irradiance or panel is wrong."
-    )
-    return figure_part(axes.figure, caption, "Panels", kind="chart")
-
-
 def _reflectance(line: xr.Dataset) -> Markup:
     axes = _new_axes(3.6, _CHART_INCH)
     step = max(1, line.sizes[ALONG_TRACK] // 50)
@@ -203,7 +182,7 @@ def library_section(library: xr.Dataset) -> Iterator[Part]:
     caption = "Colour in daylight, centre, middle half and 5 to 95 % of the pixels of every paint."
     yield "spectra", lambda: figure_part(library_overview(usable), caption)
     if "reflectance_u_random" in usable.variables:
-        yield "uncertainty", partial(_uncertainty, usable)
+        yield "uncertainty", partial(_chart, "uncertainty", usable)
     yield "paints", lambda: _table_of_paints(usable)
     if refused := library.attrs.get("refused"):
         pairs = [str(text).partition(": ")[::2] for text in np.atleast_1d(refused)]
@@ -280,18 +259,49 @@ def _new_axes(height: float, width: float = 10.0) -> Any:
     return new_figure("a report", figsize=(width, height), layout="constrained").add_subplot()
 
 
+#: Charts of a line or library: function that draws them, size [inch], heading, caption, kind of figure.
+_CHARTS: Mapping[str, tuple[Callable[[Any, xr.Dataset], None], tuple[float, float], str, str, str]] = {
+    "irradiance": (
+        draw_irradiance,
+        (_CHART_INCH, 3.2),
+        "Irradiance over time",
+        "Downwelling irradiance around the line; the time of the line is shaded.",
+        "chart",
+    ),
+    "panels": (
+        draw_panels,
+        (_CHART_INCH, 4.0),
+        "Panels",
+        "Ratio of measured to certified reflectance of the panels, with twice the combined standard "
+        "uncertainty: where the shade misses 1, calibration, irradiance or panel is wrong.",
+        "chart",
+    ),
+    "uncertainty": (
+        draw_uncertainties,
+        (10.0, 3.8),
+        "Uncertainty",
+        "Standard uncertainty of the mean reflectance; dashed: its random part.",
+        "wide",
+    ),
+}
+
+
+def _chart(name: str, dataset: xr.Dataset) -> Markup:
+    draw, (width, height), heading, caption, kind = _CHARTS[name]
+    axes = _new_axes(height, width)
+    draw(axes, dataset)
+    return figure_part(axes.figure, caption, heading, kind)
+
+
+def _drawn(draw: Callable[[], Any], caption: str, heading: str = "") -> Markup:
+    return figure_part(draw(), caption, heading)
+
+
 def _gain(calibration: xr.Dataset) -> Markup:
     figure = new_figure("a report", figsize=(10, 3.4), layout="constrained")
     draw_gain(figure, calibration)
     caption = "Gain and width of every band, and wavelength shift over the columns."
     return figure_part(figure, caption, "Gain, width and smile", kind="chart wide")
-
-
-def _uncertainty(library: xr.Dataset) -> Markup:
-    axes = _new_axes(3.8)
-    draw_uncertainties(axes, library)
-    caption = "Standard uncertainty of the mean reflectance; dashed: its random part."
-    return figure_part(axes.figure, caption, "Uncertainty")
 
 
 def _provenance(attrs: Mapping[Any, Any]) -> Markup:
@@ -412,12 +422,8 @@ def validation_section(
                 yield name, partial(page_part, "paragraph", text=f"{name} cannot be compared: {error}")
                 continue
         yield "verdict", partial(page_part, "paragraph", text=agreement.verdict, heading=name)
-        yield "agreement", partial(_agreement, agreement)
+        caption = "Signatures over their references, and the differences with their standard uncertainty."
+        yield "agreement", partial(_drawn, partial(validation_figure, agreement), caption)
         yield "statistics", partial(page_part, "preformatted", lines=agreement.table().splitlines())
         for message in dict.fromkeys(str(warning.message) for warning in caught):
             yield "remark", partial(page_part, "paragraph", text=message)
-
-
-def _agreement(agreement: Any) -> Markup:
-    caption = "Signatures over their references, and the differences with their standard uncertainty."
-    return figure_part(validation_figure(agreement), caption)

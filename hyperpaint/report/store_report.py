@@ -9,8 +9,9 @@ from __future__ import annotations
 import contextlib
 import datetime
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -141,7 +142,15 @@ def write_report(
         raise SchemaError(f"cards={cards}", expected="0 or more", code="value-out-of-range")
     groups = groups_to_show(store, flightlines, library)
     lines, maps, libraries, problems = groups.lines, groups.maps, groups.libraries, groups.problems
-    paints_by_line = _paints_by_line(lines, libraries, problems)
+    paints: list[tuple[str, xr.Dataset, str, Region]] = []  # flight line, library, name and region of paints
+    for name, library_of_paints in libraries.items():
+        try:
+            paints += [
+                (line, library_of_paints, paint, region)
+                for line, paint, region in regions_of(library_of_paints)
+            ]
+        except Exception as error:  # see _draw_section
+            problems.append(f"/{name}, regions: {message_of(error)}")
     calibration = groups.groups.get("calibration")
     references = [group for name, group in groups.groups.items() if name.startswith("references/")]
     has_validation = bool(libraries and references)
@@ -149,8 +158,9 @@ def write_report(
     sections: list[tuple[str, Iterator[Part]]] = []
     for number, (name, line) in enumerate(lines.items()):
         share = part_of(progress, number, steps)
-        section = _flagged_section(line, max_lines, paints_by_line[name], cards, flags, sun_zenith, share)
-        sections.append((name, section))
+        on_line = [row for row in paints if row[0] in ("", name, name.rpartition("/")[2])]
+        detect = partial(flagged, sun_zenith=sun_zenith, progress=share) if flags else None
+        sections.append((name, _line_parts(line, max_lines, on_line, cards, detect)))
     sections += [(name, map_section(group, max_lines)) for name, group in maps.items()]
     sections += [(name, library_section(paints)) for name, paints in libraries.items()]
     if has_validation:
@@ -170,51 +180,22 @@ def write_report(
     return Written(page_path, tuple(lines), tuple(maps), tuple(problems))
 
 
-def _flagged_section(
+def _line_parts(
     line: xr.Dataset,
     lines: int,
-    paints: Sequence[_PaintOnLine],
+    paints: Sequence[tuple[str, xr.Dataset, str, Region]],
     cards: int,
-    flags: bool,
-    sun_zenith: float | None,
-    progress: Progress | None,
+    detect: Callable[[xr.Dataset], tuple[xr.Dataset, str]] | None,
 ) -> Iterator[Part]:
-    line, note = flagged(line, sun_zenith, progress) if flags else (line, "")
-    for section_part in line_section(line, lines, [paint.region for paint in paints], note):
+    line, note = (line, "") if detect is None else detect(line)
+    for section_part in line_section(line, lines, [region for *_, region in paints], note):
         yield section_part
         # detected flags lie in memory-mapped files, which a picture reads completely
         for name in ("quality", *LAYERS):
             values = line.variables[name]._data if name in line.variables else None
             if isinstance(values, np.ndarray):
                 release(values)
-    yield from card_parts(line, [(paint.library, paint.paint) for paint in paints], cards)
-
-
-# --- paints on their lines ---------------------------------------------------------------------------------
-
-
-class _PaintOnLine(NamedTuple):
-    library: xr.Dataset
-    paint: str
-    region: Region
-
-
-def _paints_by_line(
-    lines: dict[str, xr.Dataset], libraries: dict[str, xr.Dataset], problems: list[str]
-) -> dict[str, list[_PaintOnLine]]:
-    # paints measured on each flight line, by its group
-    paints: list[tuple[str, _PaintOnLine]] = []
-    for name, library in libraries.items():
-        try:
-            paints += [
-                (line, _PaintOnLine(library, paint, region)) for line, paint, region in regions_of(library)
-            ]
-        except Exception as error:  # see _draw_section
-            problems.append(f"/{name}, regions: {message_of(error)}")
-    return {
-        group: [paint for name, paint in paints if name in ("", group, group.rpartition("/")[2])]
-        for group in lines
-    }
+    yield from card_parts(line, [(library, paint) for _, library, paint, _ in paints], cards)
 
 
 # --- the page ----------------------------------------------------------------------------------------------
@@ -272,14 +253,49 @@ def groups_to_show(
     Raises `SchemaError` for an unknown flight line, or if ``signatures`` is not a paint library; `StoreError`
     if the store has nothing to show.
     """
-    groups, problems = _open_groups(store)
-    lines = _select_lines({name: line for name, line in groups.items() if _is_line(line)}, flightlines, store)
+    listed, groups = list_groups(store), {}
+    # an unfinished store is a problem, but its finished groups are shown
+    problems = list(store_state(place_of(store)[0] or Location.of(store), listed).problems)
+    for name in listed:
+        try:
+            groups[name] = with_new_names(open_group(store, name))
+        except StoreError as error:
+            problems.append(f"/{name}: {error}")
+            with contextlib.suppress(StoreError):  # show the readable variables
+                groups[name] = open_unverified(store, name)
+    cubes = {"counts", "radiance", "reflectance", "quality"}
+    lines = {
+        name: group
+        for name, group in groups.items()
+        if {ALONG_TRACK, CROSS_TRACK} <= set(group.dims) and cubes & set(group.variables)
+    }
+    if flightlines is None:
+        lines = dict(list(lines.items())[:MAX_LINES])
+    else:
+        keys = {
+            name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None)
+            for name in flightlines
+        }
+        if unknown := [name for name, key in keys.items() if key is None]:
+            raise SchemaError(
+                f"{store} has no flight line {', '.join(map(repr, unknown))}",
+                expected=", ".join(lines) or "none",
+                code="flightline-unknown",
+            )
+        lines = {key: lines[key] for key in keys.values() if key is not None}
     maps = {
         name or Path(store).name: group for name, group in groups.items() if {"y", "x"} <= set(group.dims)
     }
     libraries = {name: group for name, group in groups.items() if _is_library(group)}
     if signatures is not None:
-        libraries[Path(signatures).name] = _library(signatures)
+        library = with_new_names(open_store(signatures, ""))
+        if not _is_library(library):
+            raise SchemaError(
+                f"{signatures} is no paint library",
+                expected="reflectance (signature, band), as `hyperpaint signatures` writes",
+                code="library-missing",
+            )
+        libraries[Path(signatures).name] = library
     if not lines and not libraries and not maps:
         reason = "; ".join(problems) or f"its groups are {', '.join(groups) or 'none'}"
         raise StoreError(
@@ -288,57 +304,8 @@ def groups_to_show(
     return ShownGroups(groups, lines, maps, libraries, problems)
 
 
-def _open_groups(store: str | os.PathLike[str]) -> tuple[dict[str, xr.Dataset], list[str]]:
-    # readable groups, and the reasons why groups are unreadable
-    groups = list_groups(store)
-    datasets = {}
-    # an unfinished store is a problem, but its finished groups are shown
-    problems = list(store_state(place_of(store)[0] or Location.of(store), groups).problems)
-    for group in groups:
-        try:
-            datasets[group] = with_new_names(open_group(store, group))
-        except StoreError as error:
-            problems.append(f"/{group}: {error}")
-            with contextlib.suppress(StoreError):  # show the readable variables
-                datasets[group] = open_unverified(store, group)
-    return datasets, problems
-
-
-def _is_line(group: xr.Dataset) -> bool:
-    cubes = {"counts", "radiance", "reflectance", "quality"} & set(group.variables)
-    return {ALONG_TRACK, CROSS_TRACK} <= set(group.dims) and bool(cubes)
-
-
 def _is_library(group: xr.Dataset) -> bool:
     return "reflectance" in group.variables and SIGNATURE in group["reflectance"].dims
-
-
-def _select_lines(
-    lines: dict[str, xr.Dataset], names: Sequence[str] | None, store: str | os.PathLike[str]
-) -> dict[str, xr.Dataset]:
-    if names is None:
-        return dict(list(lines.items())[:MAX_LINES])
-    matches = {
-        name: next((key for key in lines if name in (key, key.rpartition("/")[2])), None) for name in names
-    }
-    if unknown := [name for name, key in matches.items() if key is None]:
-        raise SchemaError(
-            f"{store} has no flight line {', '.join(map(repr, unknown))}",
-            expected=", ".join(lines) or "none",
-            code="flightline-unknown",
-        )
-    return {key: lines[key] for key in matches.values() if key is not None}
-
-
-def _library(path: str | os.PathLike[str]) -> xr.Dataset:
-    library = with_new_names(open_store(path, ""))
-    if not _is_library(library):
-        raise SchemaError(
-            f"{path} is no paint library",
-            expected="reflectance (signature, band), as `hyperpaint signatures` writes",
-            code="library-missing",
-        )
-    return library
 
 
 def flagged(line: xr.Dataset, sun_zenith: float | None, progress: Progress | None) -> tuple[xr.Dataset, str]:

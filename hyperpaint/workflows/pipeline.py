@@ -517,7 +517,15 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
     """
     location = Location.of(store)
     manifest = Manifest.read(location)
-    command = _process_command(location, manifest)
+    try:
+        command = shlex.split(manifest.command) if manifest is not None else []
+    except ValueError:  # unbalanced quotes, which hyperpaint does not write
+        command = []
+    if command[:2] != ["hyperpaint", "process"] or len(command) < 3:
+        raise StoreError(
+            f"{location.url} was not written by hyperpaint process and has no record of inputs",
+            code="inputs-unrecorded",
+        )
     source = Path(command[2]) if collect is None else collect
     if not source.is_file():
         raise StoreError(
@@ -546,19 +554,6 @@ def compare_inputs(store: Path, collect: Path | None = None) -> InputReport:
                 blocks += -(-stored.sizes[ALONG_TRACK] // CHUNK_LINES)
                 problems += _different_blocks(group, dataset[name], stored[name])
     return InputReport(source, blocks, tuple(problems))
-
-
-def _process_command(location: Location, manifest: Manifest | None) -> list[str]:
-    try:
-        words = shlex.split(manifest.command) if manifest is not None else []
-    except ValueError:  # unbalanced quotes, which hyperpaint does not write
-        words = []
-    if words[:2] != ["hyperpaint", "process"] or len(words) < 3:
-        raise StoreError(
-            f"{location.url} was not written by hyperpaint process and has no record of inputs",
-            code="inputs-unrecorded",
-        )
-    return words
 
 
 def _different_blocks(group: str, cube: xr.DataArray, stored: xr.DataArray) -> Iterator[str]:

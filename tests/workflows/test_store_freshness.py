@@ -102,7 +102,7 @@ def test_large_files_are_told_apart_by_samples(tmp_path: Path, monkeypatch: pyte
 def test_other_numerics_are_said_and_computed_on_request(
     collect: Path, store: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in ("workflows.pipeline", "io.store.manifest"):
+    for module in ("workflows.pipeline", "workflows.products", "io.store.manifest"):
         monkeypatch.setattr(f"hyperpaint.{module}.NUMERICS_VERSION", 7)
     report = hp.verify(store)
     assert report.ok
