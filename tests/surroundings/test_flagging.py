@@ -170,8 +170,6 @@ def test_flags_of_the_store_stay(tmp_path: Path, surveys: list[dict[str, Any]]) 
 def test_regions_are_proposed_with_the_same_survey(
     lot: Path, tmp_path: Path, surveys: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import hyperpaint.regions.proposals as proposals
-
     given: list[Any] = []
 
     def propose(line: xr.Dataset, model: Any = None, **options: Any) -> hp.Regions:
@@ -181,7 +179,7 @@ def test_regions_are_proposed_with_the_same_survey(
         )
         return Proposals((HOOD,), refused=hp.Regions((window,)))
 
-    monkeypatch.setattr(proposals, "propose_regions", propose)
+    monkeypatch.setattr(library_files, "propose_regions", propose)
     told: list[tuple[int, int]] = []
     made = write_signatures(
         lot, None, tmp_path / "a.zarr", flags={"glint": 0.03}, progress=lambda *step: told.append(step)
