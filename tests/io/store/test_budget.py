@@ -41,7 +41,7 @@ from hyperpaint.io.store.budget import (
     thread_space,
 )
 from hyperpaint.io.store.disk import check_disk, disk_needed
-from hyperpaint.workflows import pipeline
+from hyperpaint.workflows import pipeline, products
 
 MIB = 2**20
 Usage = namedtuple("Usage", "total used free")
@@ -349,7 +349,7 @@ def test_process_takes_fewer_threads_and_the_same_bits_come_out(
         threads.append(dask.config.get("num_workers", None))
 
     monkeypatch.setattr(budget, "fit", spy)
-    monkeypatch.setattr(pipeline, "_compute_first_slabs", rehearse)
+    monkeypatch.setattr(products, "check_room", rehearse)
     monkeypatch.setattr(pipeline, "CHUNK_LINES", 64)
     with dask.config.set(num_workers=3):
         wide = hp.process(collect, tmp_path / "wide.zarr", memory_limit="1 GiB")
