@@ -34,8 +34,8 @@ from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .settings import PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
 from .trajectories import TransverseMercator
-from .transport.path_blocks import Block
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
+from .transport.paths import Block
 
 #: Reflectance added by the sun mirrored in a clear coat, above which a pixel is glint [1].
 GLINT = 0.02

@@ -21,7 +21,14 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Array, Floats, Floats32, Ints
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.transport.mixing import index_paths, integrate_bands, mix, mix_shifted, through_air
+from hyperpaint.simulation.transport.mixing import (
+    Texture,
+    index_paths,
+    integrate_bands,
+    mix,
+    mix_shifted,
+    through_air,
+)
 from hyperpaint.simulation.transport.path_codes import (
     CLEAR_SKY_FUNCTIONS,
     FIRST_CLEAR_SKY,
@@ -35,7 +42,6 @@ from hyperpaint.simulation.transport.path_codes import (
     is_mirrored,
     source_of,
 )
-from hyperpaint.simulation.transport.texturing import Texture
 
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperpaint.base.arrays import Array, Floats, Floats32
-from hyperpaint.simulation.transport.texturing import Grain, Texture, member_rows
+from hyperpaint.simulation.transport.mixing import Grain, Texture, member_rows
 
 from .camera_bands import BandSet
 from .painting import FactorSpectra
@@ -34,7 +34,7 @@ class Populations(NamedTuple):
     ratio: Floats32  # (row, band) member over mean
 
     def texture(self, material: Array, instance: Array, position: Array, seed: int) -> Texture:
-        # members of pixels at positions (3, line, column) [m]; see `texturing.member_rows`
+        # members of pixels at positions (3, line, column) [m]; see `mixing.member_rows`
         return self.of_rows(member_rows(material, instance, position, self.grain, seed))
 
     def of_rows(self, rows: Array) -> Texture:
@@ -80,5 +80,5 @@ def populations_of(record: SceneRecord, painted: FactorSpectra, bands: BandSet) 
 def rows_of_pixels(
     material: Array, instance: Array, east: Array, north: Array, up: Array, *, grain: Grain, seed: int
 ) -> Array:
-    """Return the member rows of pixels, (line, column); see `texturing.member_rows`."""
+    """Return the member rows of pixels, (line, column); see `mixing.member_rows`."""
     return member_rows(material, instance, np.stack([east, north, up]), grain, seed)

@@ -33,9 +33,8 @@ from hyperpaint.base.schema import (
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.sky_functions import function_shapes
 from hyperpaint.simulation.transport.hierarchy import Geometry, build_geometry
-from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings, Sources
 from hyperpaint.simulation.transport.path_codes import PathCodes
-from hyperpaint.simulation.transport.paths import trace_lines
+from hyperpaint.simulation.transport.paths import Block, Rays, Settings, Sources, trace_lines
 from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 
 from .four_curves import Atmosphere, preset_atmosphere

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from support.transport_scenes import COMPILED, code
 
-from hyperpaint.simulation.transport.codes import PathTable, add_path, with_factor, write_paths
 from hyperpaint.simulation.transport.path_codes import SKY
+from hyperpaint.simulation.transport.paths import PathTable, add_path, with_factor, write_paths
 
 
 def table(size: int = 4096) -> PathTable:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from concurrent.futures import ThreadPoolExecutor
 
@@ -26,14 +27,14 @@ from support.transport_scenes import (
 
 from hyperpaint.simulation.transport.draws import even_pair, philox, pixel_key, uniforms
 from hyperpaint.simulation.transport.hierarchy import build_geometry
-from hyperpaint.simulation.transport.path_blocks import Block, Rays, Settings
-from hyperpaint.simulation.transport.paths import trace_lines
+from hyperpaint.simulation.transport.paths import Block, Rays, Settings, trace_lines
 
 PLANE = (ground(), QUAD, 0)
 SKY, OVERCAST, SUN = 0, 1, 2
 LINES, COLUMNS, SAMPLES = (12, 16, 16) if COMPILED else (2, 3, 3)
 
 
+@functools.cache
 def car_park() -> tuple:
     """Return a ground, three boxes and a wall, of five materials, coated and bare, with flakes."""
     wall = rectangle([-3, 2.5, 0], [6, 0, 0], [0, 0, 2])
