@@ -42,10 +42,10 @@ from .instruments import (
 )
 from .painted_regions import REGIONS, PaintedRectangles
 from .plan_flight import PlanFlight
+from .rendering.platforms import CONVENTION
 from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
 from .stores import TruthStore, line_dataset, store_sweep, write_calibration
 from .sweep import Sweep, SweepSettings
-from .trajectories import CONVENTION
 
 SVC_FOLDER, ASD_FOLDER = "svc", "asd_reflectance"
 

@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 from hyperpaint.base.arrays import Floats, Floats32
 
 from .atmosphere import Light, Sky, spectral_grid
-from .camera import Camera, convolve_gaussian, expected_counts
+from .camera import Camera, Optics, convolve_gaussian, expected_counts
 from .instruments import ASD_AVERAGES, ASD_INTEGRATION_MS, ASD_WAVELENGTH
-from .optics import Optics
 from .paint_spectra import reflectance
+from .rendering.platforms import LocalFrame, Trajectory, TransverseMercator
 from .rendering.sky_models import cloud_transmittance, relative_air_mass
 from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
-from .trajectories import LocalFrame, Trajectory, TransverseMercator
 
 _OVERCAST_OKTAS = 8.0
 

@@ -25,7 +25,7 @@ from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
 from .rendering.lighting import ProductTable, source_spectra
 from .rendering.painting import factor_spectra
-from .rendering.platform_geometry import Platform
+from .rendering.platforms import Platform, TransverseMercator, pixel_edges
 from .rendering.populations import populations_of
 from .rendering.scene import Scene
 from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
@@ -33,7 +33,6 @@ from .rendering.scene_spectra import paint_spec, spectrum_of
 from .rendering.sky_models import CIE_OVERCAST_SHARE, clear_spread
 from .rendering.tracing import PreparedScene, prepare_scene, trace_block
 from .settings import PIXEL_ANGLE_RAD, SWATH_M, SimulationSettings
-from .trajectories import TransverseMercator
 from .transport.path_codes import is_direct, is_indirect, is_mirrored
 from .transport.paths import Block
 
@@ -168,11 +167,8 @@ class RenderedFlight(Flight):
         # camera poses at start and end of every exposure
         settings = self.settings
         moment = self.line_times[:, None] / 1e9 + settings.exposure_time * np.array([-0.5, 0.5])
-        columns = np.asarray(np.arange(settings.columns + 1) - 0.5 * settings.columns, np.float64)
-        edges, along = columns * PIXEL_ANGLE_RAD, np.array([-0.5, 0.5]) * PIXEL_ANGLE_RAD
-        return Platform(
-            *self.trajectory.camera(moment), edges, along, self.line_times, settings.exposure_time
-        )
+        edges = pixel_edges(settings.columns, PIXEL_ANGLE_RAD)
+        return Platform(*self.trajectory.camera(moment), *edges, self.line_times, settings.exposure_time)
 
     def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
         block = self._trace(start, stop)

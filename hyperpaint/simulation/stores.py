@@ -32,8 +32,8 @@ from hyperpaint.base.schema import (
 from .checkerboard_flight import CheckerboardFlight
 from .flight import Flight, Lines
 from .instruments import ASD_WAVELENGTH
+from .rendering.platforms import CONVENTION
 from .sweep import SWEEP_NAME, Sweep, SweepSettings, is_simulated_sweep
-from .trajectories import CONVENTION
 
 ALONG_TRACK, BAND, CROSS_TRACK = CUBE
 _PLANE = (ALONG_TRACK, CROSS_TRACK)

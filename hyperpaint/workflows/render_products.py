@@ -16,11 +16,10 @@ from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.schema import CUBE, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES
 
 if TYPE_CHECKING:
-    from hyperpaint.simulation.camera import Camera, Detector
-    from hyperpaint.simulation.optics import Optics
+    from hyperpaint.simulation.camera import Camera, Detector, Optics
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
-    from hyperpaint.simulation.rendering.platform_geometry import Platform
+    from hyperpaint.simulation.rendering.platforms import Platform
 
 _INTERVAL_S = 2  # time between samples of the spectrometer
 _MARGIN_S = 6  # record before and after the flight

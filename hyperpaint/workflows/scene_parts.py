@@ -15,8 +15,7 @@ from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere, preset_atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
 from hyperpaint.simulation.rendering.mesh_files import read_mesh
-from hyperpaint.simulation.rendering.platform_geometry import Platform
-from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.platforms import Platform, pushbroom
 from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
 from hyperpaint.simulation.settings import SimulationSettings
 

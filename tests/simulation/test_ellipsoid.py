@@ -6,7 +6,7 @@ import numpy as np
 import pyproj
 import pytest
 
-from hyperpaint.simulation.trajectories import (
+from hyperpaint.simulation.rendering.platforms import (
     LocalFrame,
     TransverseMercator,
     geocentric,

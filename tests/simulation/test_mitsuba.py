@@ -22,7 +22,7 @@ from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
-from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
+from hyperpaint.simulation.rendering.platforms import Platform, matrices
 from hyperpaint.simulation.rendering.primitives import box
 from hyperpaint.simulation.rendering.scene import Scene, plane
 
@@ -64,7 +64,7 @@ def our_image(scene: Scene, sky: Atmosphere, camera: FrameCamera, samples: int, 
     across = np.linspace(-half, half, camera.columns + 1)
     along = np.linspace(half, -half, STRIPS + 1) * camera.rows / camera.columns
     origin = np.broadcast_to(np.array(camera.position), (LINES, 2, 3))
-    down = np.broadcast_to(matrices(quaternions(0.0, 0.0, 0.0)), (LINES, 2, 3, 3))
+    down = np.broadcast_to(matrices(0.0, 0.0, 0.0), (LINES, 2, 3, 3))
     strips = []
     for strip in range(STRIPS):
         still = Platform(origin, down, across, along[[strip + 1, strip]], np.arange(LINES))

@@ -24,7 +24,7 @@ from hyperpaint.simulation.rendering.appearance import gloss_units
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, base_albedo
-from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
+from hyperpaint.simulation.rendering.platforms import Platform, matrices
 from hyperpaint.simulation.rendering.scene import Scene, plane
 from hyperpaint.simulation.rendering.scene_record import sun_vectors
 
@@ -152,7 +152,7 @@ def our_image(scene: Scene, sky: Atmosphere, samples: int, depth: int, window: W
     """Return radiance (row, column, band) of a window (first row and column, size), north up."""
     half = np.tan(np.radians(FIELD_DEG / 2))
     edges = np.linspace(-half, half, PIXELS + 1)
-    down = np.broadcast_to(matrices(quaternions(0.0, 0.0, 0.0)), (1, 2, 3, 3))
+    down = np.broadcast_to(matrices(0.0, 0.0, 0.0), (1, 2, 3, 3))
     origin = np.broadcast_to(np.array([0.0, 0.0, HEIGHT]), (1, 2, 3))
     bands = BandSet(NM, np.array(2.0))
     spectra = {name: ([400.0, 900.0], [level] * 2) for name, level in (("paint", PAINT), ("ground", GROUND))}

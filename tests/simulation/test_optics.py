@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from hyperpaint.base.errors import FormatError, SchemaError
 from hyperpaint.simulation import SimulationSettings, simulate_collect, simulate_line, simulate_sweep
-from hyperpaint.simulation.camera import Camera
-from hyperpaint.simulation.collect import _create_flight
-from hyperpaint.simulation.optics import (
+from hyperpaint.simulation.camera import (
+    Camera,
     Optics,
     OpticsSettings,
     keystone,
     point_spread,
     stray_light_wings,
 )
+from hyperpaint.simulation.collect import _create_flight
 from hyperpaint.workflows import render_products
 from hyperpaint.workflows.scene_files import example_scene, read_scene_file
 

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from support.refusals import refusal
 
 from hyperpaint.base.errors import SchemaError
-from hyperpaint.simulation.rendering.platform_geometry import Platform
-from hyperpaint.simulation.rendering.platforms import platform_from_poses, pushbroom
+from hyperpaint.simulation.rendering.platforms import Platform, platform_from_poses, pushbroom
 
 NED_TO_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 ANGLE = st.floats(-80.0, 80.0)

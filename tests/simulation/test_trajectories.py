@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation import SimulationSettings
+from hyperpaint.simulation.rendering.platforms import LocalFrame, Trajectory
 from hyperpaint.simulation.settings import ORIGIN
-from hyperpaint.simulation.trajectories import LocalFrame, Trajectory
 
 SECONDS = np.arange(0.0, 600.0, 0.01)
 

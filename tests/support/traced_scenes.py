@@ -11,8 +11,7 @@ from hyperpaint.simulation.camera import line_shape
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, measured_factor
-from hyperpaint.simulation.rendering.platform_geometry import Platform
-from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.platforms import Platform, pushbroom
 from hyperpaint.simulation.rendering.primitives import box
 from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord

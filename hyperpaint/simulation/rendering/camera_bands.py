@@ -22,8 +22,7 @@ from hyperpaint.base.arrays import Floats
 from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.facts import one_of
 from hyperpaint.simulation.camera import cubic_weights, line_shape
-from hyperpaint.simulation.setting_checks import finite_floats
-from hyperpaint.simulation.settings import SHAPES, SimulationSettings
+from hyperpaint.simulation.settings import SHAPES, SimulationSettings, finite_floats
 
 _GAUSSIAN_REACH = 2.5  # full widths, beyond which the area of a Gaussian is below 1e-8
 #: Distance of the shifts at which products are computed: maximum [nm], and as a fraction 1 / n of the

@@ -18,7 +18,7 @@ from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import require
 from hyperpaint.base.units import conversion_factor, convert
 from hyperpaint.light.sky_functions import fit_sky
-from hyperpaint.simulation.setting_checks import moment_of
+from hyperpaint.simulation.settings import moment_of
 
 from .sky_models import Spread, check_curves, check_wavelengths
 

@@ -38,7 +38,7 @@ from hyperpaint.simulation.transport.paths import Block, Rays, Settings, Sources
 from hyperpaint.simulation.transport.surfaces import Surfaces, surfaces_of
 
 from .four_curves import Atmosphere, preset_atmosphere
-from .platform_geometry import Platform
+from .platforms import Platform
 from .scene import Scene
 from .scene_record import LabelTables, SceneRecord, TraceSettings, sun_vectors
 
