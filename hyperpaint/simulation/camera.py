@@ -26,15 +26,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.schema import BAND, VARIABLES
 
 from .atmosphere import spectral_grid
+from .rendering.camera_bands import BandSet, line_shape
 from .settings import OpticsSettings, SimulationSettings
 
 #: Distance from the centre of a Gaussian, in full widths, beyond which its area is below 1e-13.
@@ -59,44 +58,6 @@ def filled_etendue(slit: float = 20e-6, pitch: float = 7.4e-6, f_number: float =
 
 #: Etendue of the simulated imager [m2 sr].
 ETENDUE = filled_etendue()
-
-
-def line_shape(offset: Floats, fwhm: float, spacing: float, shape: str, step: float) -> Floats:
-    """Return the line shape of a band [nm-1], of unit area on a grid of ``step`` nm.
-
-    Parameters
-    ----------
-    offset
-        Distance from the centre of the band [nm], any shape.
-    fwhm
-        Full width at half maximum [nm]; for "slit" the width of the slit's image.
-    spacing
-        Width of a pixel [nm], over which the slit's image is averaged.
-    shape
-        "gaussian", or "slit": a box ``fwhm`` wide convolved with a box ``spacing`` wide.
-    step
-        Grid step [nm]. The shape of a slit has corners and is averaged exactly over every grid cell.
-
-    Examples
-    --------
-    >>> from hyperpaint.simulation.settings import SHAPES
-    >>> offset = np.arange(-400, 401) * 0.05
-    >>> [round(float(line_shape(offset, 6.0, 2.2, shape, 0.05).sum() * 0.05), 9) for shape in SHAPES]
-    [1.0, 1.0]
-    """
-    if shape == "gaussian":
-        height = 2.0 * np.sqrt(np.log(2.0) / np.pi) / fwhm
-        return np.asarray(height * np.exp(-4.0 * np.log(2.0) * (offset / fwhm) ** 2))
-    # The convolution of two boxes is a sum of four ramps. A ramp integrates to a square, whose difference
-    # over a cell gives the mean.
-    corners = [(1, fwhm + spacing), (-1, fwhm - spacing), (-1, spacing - fwhm), (1, -fwhm - spacing)]
-    # both sides are computed as the rising one, because squares would not cancel exactly on the falling side
-    rising = -np.abs(offset)
-    upper, lower = rising + step / 2, rising - step / 2
-    total = np.zeros_like(offset, dtype=np.float64)
-    for sign, corner in corners:
-        total += sign * (np.maximum(upper + corner / 2, 0.0) ** 2 - np.maximum(lower + corner / 2, 0.0) ** 2)
-    return total / (2.0 * fwhm * spacing * step)
 
 
 def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: float) -> Floats:
@@ -124,20 +85,6 @@ def convolve_gaussian(spectra: Floats, grid: Floats, centres: Floats, fwhm: floa
         weights = line_shape(grid[start:stop] - centre, fwhm, 0.0, "gaussian", step)
         convolved[:, index] = spectra[:, start:stop] @ weights / weights.sum()
     return convolved
-
-
-def cubic_weights(fraction: Floats) -> Floats:
-    """Return Lagrange's cubic weights of points at -1, 0, 1 and 2 at fractions from 0 to 1, (..., 4)."""
-    t = np.asarray(fraction, np.float64)
-    return np.stack(
-        [
-            -t * (t - 1) * (t - 2) / 6,
-            (t + 1) * (t - 1) * (t - 2) / 2,
-            -(t + 1) * t * (t - 2) / 2,
-            (t + 1) * t * (t - 1) / 6,
-        ],
-        axis=-1,
-    )
 
 
 def smile(columns: int, nanometres: float) -> Floats:
@@ -171,62 +118,36 @@ def nominal_responsivity(electrons_per_count: float) -> Callable[[Floats], Float
     return responsivity
 
 
-@dataclass(frozen=True)
-class Imager:
-    """Spectral side of a pushbroom imager.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Imager(BandSet):
+    """Spectral side of a pushbroom imager: its bands, and the differences between its elements.
 
     Attributes
     ----------
-    wavelength
-        Centre wavelengths at the centre column, shape (band,) [nm].
-    wavelength_shift
-        Smile, shape (cross_track,) [nm].
-    fwhm
-        Full width at half maximum [nm] of every band, shape (band,), or of all bands.
-    shape
-        One of `SHAPES`.
-    responsivity
-        R0(lambda) [count nm J-1].
     element_factor
         f_b,x, shape (band, cross_track).
     """
 
-    wavelength: Floats
     wavelength_shift: Floats
-    fwhm: Floats | float
-    shape: str
     responsivity: Callable[[Floats], Floats]
     element_factor: Floats
 
     @cached_property
-    def spacing(self) -> Floats:
-        """Distance between neighbouring bands, shape (band,) [nm]."""
-        return np.gradient(self.wavelength)
-
-    @cached_property
-    def band_fwhm(self) -> Floats:
-        """Full width at half maximum of every band, shape (band,) [nm]."""
-        return np.broadcast_to(np.asarray(self.fwhm, dtype=np.float64), self.wavelength.shape)
-
-    @cached_property
-    def reach(self) -> float:
+    def whole_reach(self) -> float:
         """Distance from the nominal centre of a band beyond which no column responds [nm]."""
         smile_reach = float(np.abs(self.wavelength_shift).max())
-        return (
-            GAUSSIAN_REACH * float(self.band_fwhm.max()) + smile_reach
-            if self.shape == "gaussian"
-            else float((self.band_fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
-        )
+        if self.shape == "gaussian":
+            return GAUSSIAN_REACH * float(self.fwhm.max()) + smile_reach
+        return float((self.fwhm + self.spacing).max()) / 2 + smile_reach + 0.1
 
-    def _common_response(self, band: int, grid: Floats, shift: Floats) -> Floats:
-        # response R_b without element factors, at wavelength shifts [nm], shape (grid, shift)
+    def response(self, band: int, grid: Floats, shift: Floats) -> Floats:
+        """Return R_b without element factors at wavelength shifts [nm], shape (grid, shift)."""
         offset = grid[:, None] - (self.wavelength[band] + shift)
-        shape = self.line_shape(band, offset, grid[1] - grid[0])
-        return np.asarray(self.responsivity(grid)[:, None] * shape)
+        return np.asarray(self.responsivity(grid)[:, None] * self.line_shape(band, offset, grid[1] - grid[0]))
 
     def line_shape(self, band: int, offset: Floats, step: float) -> Floats:
         """Return the line shape of a band [nm-1] at distances from its centre [nm], on a grid of ``step``."""
-        return line_shape(offset, float(self.band_fwhm[band]), float(self.spacing[band]), self.shape, step)
+        return line_shape(offset, float(self.fwhm[band]), float(self.spacing[band]), self.shape, step)
 
     def integrals(self, spectra: Floats, grid: Floats) -> Floats:
         """Return INT S(lambda) R_b,x(lambda) d lambda of every spectrum and element.
@@ -248,7 +169,7 @@ class Imager:
             The grid ends inside a response.
         """
         step = grid[1] - grid[0]
-        min_nm, max_nm = self.wavelength.min() - self.reach, self.wavelength.max() + self.reach
+        min_nm, max_nm = self.wavelength.min() - self.whole_reach, self.wavelength.max() + self.whole_reach
         if grid[0] > min_nm or grid[-1] < max_nm:
             raise ValueError(
                 f"grid covers {grid[0]:.1f} to {grid[-1]:.1f} nm, responses {min_nm:.1f} to {max_nm:.1f} nm"
@@ -257,8 +178,8 @@ class Imager:
         integrals = np.empty((len(spectra), len(self.wavelength), len(self.wavelength_shift)))
         responses = np.empty((len(spectra), len(shifts)))
         for band, centre in enumerate(self.wavelength):
-            start, stop = np.searchsorted(grid, (centre - self.reach, centre + self.reach))
-            response = self._common_response(band, grid[start:stop], shifts)
+            start, stop = np.searchsorted(grid, (centre - self.whole_reach, centre + self.whole_reach))
+            response = self.response(band, grid[start:stop], shifts)
             for start_column in range(0, len(shifts), _COLUMNS_AT_ONCE):
                 columns = slice(start_column, start_column + _COLUMNS_AT_ONCE)
                 responses[:, columns] = spectra[:, start:stop] @ response[:, columns]
@@ -410,12 +331,6 @@ def stray_light_wings(wavelength: Floats, share: float) -> Floats:
     return np.asarray(share * wing)
 
 
-# A separable term of a point spread: weights of lines (line,), and of columns in every band (band, column).
-class _Term(NamedTuple):
-    along: Floats
-    across: Floats
-
-
 class Optics:
     """Blur, keystone and stray light of a camera; `image` applies them to a scene.
 
@@ -450,8 +365,13 @@ class Optics:
         if settings.psf_kernel is None:
             pairs = [(point_spread(settings.psf_along_lines), point_spread(settings.psf_across_columns))]
         else:
-            pairs = _separable_terms(np.asarray(settings.psf_kernel, np.float64))
-        self._terms = [_Term(along, _displaced(across, self.keystone)) for along, across in pairs]
+            # a kernel (line, column) as a sum of products of weights along and across the track
+            kernel = np.asarray(settings.psf_kernel, np.float64)
+            along, scales, across = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
+            rank = int(np.count_nonzero(scales > _RANK * scales[0]))
+            pairs = [(along[:, k] * scales[k], across[k]) for k in range(rank)]
+        # weights of lines (line,), and of columns in every band (band, column)
+        self._terms = [(along, _displaced(across, self.keystone)) for along, across in pairs]
         self.reach = len(pairs[0][0]) // 2
 
     @classmethod
@@ -495,13 +415,6 @@ class Optics:
         """
         numbers = np.arange(line - self.reach, line + self.reach + 1) % (2 * lines)
         return [int(row) for row in np.minimum(numbers, 2 * lines - 1 - numbers)]
-
-
-def _separable_terms(kernel: Floats) -> list[tuple[Floats, Floats]]:
-    # write a kernel (line, column) as a sum of products of weights along and across the track
-    along, singular_values, across = np.linalg.svd(kernel / kernel.sum(), full_matrices=False)
-    rank = int(np.count_nonzero(singular_values > _RANK * singular_values[0]))
-    return [(along[:, k] * singular_values[k], across[k]) for k in range(rank)]
 
 
 def _displaced(across: Floats, shift: Floats) -> Floats:
@@ -571,7 +484,7 @@ class Camera:
 
         Examples
         --------
-        >>> Camera.of(SimulationSettings(bands=4, columns=3, fwhm_nm=5.0)).imager.band_fwhm
+        >>> Camera.of(SimulationSettings(bands=4, columns=3, fwhm_nm=5.0)).imager.fwhm
         array([5., 5., 5., 5.])
         """
         shape = settings.bands, settings.columns
@@ -583,12 +496,12 @@ class Camera:
         band_place = np.linspace(-1.0, 1.0, settings.bands)
         wavelength = np.linspace(settings.first_wavelength, settings.last_wavelength, settings.bands)
         imager = Imager(
-            wavelength + settings.dispersion_bow_nm * (1.0 - band_place**2),
-            smile(settings.columns, settings.smile_nm),
-            settings.fwhm_nm * (1.0 + settings.fwhm_slope * band_place),
-            settings.srf_shape,
-            nominal_responsivity(settings.electrons_per_count),
-            (1.0 + settings.nonuniformity * normal(_ELEMENTS))
+            wavelength=wavelength + settings.dispersion_bow_nm * (1.0 - band_place**2),
+            wavelength_shift=smile(settings.columns, settings.smile_nm),
+            fwhm=settings.fwhm_nm * (1.0 + settings.fwhm_slope * band_place),
+            shape=settings.srf_shape,
+            responsivity=nominal_responsivity(settings.electrons_per_count),
+            element_factor=(1.0 + settings.nonuniformity * normal(_ELEMENTS))
             * (1.0 + settings.column_nonuniformity * normal(_COLUMNS, shape[1:])),
         )
         bad = np.zeros(shape, dtype=bool)
@@ -618,31 +531,10 @@ class Camera:
         """Etendue of an element [m2 sr]."""
         return ETENDUE
 
-    @property
-    def imperfections(self) -> dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]]:
-        """Dims, values and attributes of the optical and electronic imperfections of this camera, by name."""
-        values: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {}
-        if self.optics is not None and self.optics.has_stray_light:
-            row = VARIABLES["stray_light"]
-            values["stray_light"] = row.dims, self.optics.stray_matrix, dict(row.attrs)
-        if self.optics is not None and self.optics.keystone.any():
-            values["keystone"] = (
-                (BAND,),
-                self.optics.keystone,
-                {"long_name": "Displacement of a band's image to the right", "units": "column"},
-            )
-        if self.pedestal:
-            values["pedestal"] = (
-                (),
-                np.asarray(self.pedestal),
-                {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"},
-            )
-        return values
-
     @cached_property
     def response_area(self) -> Floats:
         """INT R of every element, shape (band, cross_track) [count nm J-1]."""
-        centres, reach = self.imager.wavelength, self.imager.reach
+        centres, reach = self.imager.wavelength, self.imager.whole_reach
         grid = spectral_grid(centres.min() - reach - 1.0, centres.max() + reach + 1.0)
         return np.asarray(self.imager.integrals(np.ones((1, len(grid))), grid)[0])
 

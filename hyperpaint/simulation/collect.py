@@ -25,8 +25,7 @@ from hyperpaint.base.schema import CHUNK_LINES
 
 from .atmosphere import spectral_grid
 from .camera import convolve_gaussian
-from .checkerboard_flight import CheckerboardFlight
-from .flight import Flight, Lines, sky_irradiance
+from .flight import CheckerboardFlight, Flight, Lines, PlanFlight, sky_irradiance
 from .instruments import (
     ASD_WAVELENGTH,
     SVC_DETECTORS,
@@ -41,7 +40,6 @@ from .instruments import (
     write_svc,
 )
 from .painted_regions import REGIONS, PaintedRectangles
-from .plan_flight import PlanFlight
 from .rendering.platforms import CONVENTION
 from .settings import ORIGIN, PIXEL_ANGLE_RAD, SimulationSettings
 from .stores import TruthStore, line_dataset, store_sweep, write_calibration
@@ -232,7 +230,7 @@ def simulate_collect(
         store_sweep(lab, root / "lab" / "sweep.zarr", truth=truth)
     _write_flight(flight, root, block_lines, progress, truth)
     # surveyed points on the ground under the first, middle and last scan line; heights above the ellipsoid
-    pose = flight.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
+    pose = flight.trajectory.pose(np.array([0.0, 0.5, 1.0]) * flight.line_times[-1] / 1e9)
     ground = flight.frame.local(pose["latitude"], pose["longitude"], flight.frame.height)
     ground[:, 2] = 0.0
     rows = "".join(
@@ -379,7 +377,7 @@ def _write_flight(
         dtype=np.int64,
     )
     utc = (flight.start + since).astype("datetime64[ns]")
-    pose = flight.pose(since / 1e9)
+    pose = flight.trajectory.pose(since / 1e9)
     write_navigation(folder / "imu_gps.txt", pose, _instrument_stamps(since), utc)
     write_sbet(folder / "trajectory.sbet", pose, utc)
 

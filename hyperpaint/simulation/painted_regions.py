@@ -35,7 +35,7 @@ class PaintedRectangles:
 
     Examples
     --------
-    >>> from .plan_flight import PlanFlight
+    >>> from .flight import PlanFlight
     >>> from .settings import SimulationSettings
     >>> flight = PlanFlight(SimulationSettings(lines=64, bands=2, columns=160, scene="plan"))
     >>> rectangles = PaintedRectangles(flight)

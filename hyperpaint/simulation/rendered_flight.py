@@ -190,7 +190,7 @@ class RenderedFlight(Flight):
         )
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
-        return LineView(record, lambda row: record.radiance[row] * per_element)
+        return record, lambda row: record.radiance[row] * per_element
 
     def _trace(self, start: int, stop: int) -> Block:
         # threads run in parallel, because the kernel releases the interpreter lock

@@ -29,8 +29,7 @@ from hyperpaint.base.schema import (
     Variable,
 )
 
-from .checkerboard_flight import CheckerboardFlight
-from .flight import Flight, Lines
+from .flight import CheckerboardFlight, Flight, Lines
 from .instruments import ASD_WAVELENGTH
 from .rendering.platforms import CONVENTION
 from .sweep import SWEEP_NAME, Sweep, SweepSettings, is_simulated_sweep
@@ -70,7 +69,7 @@ def _variable(name: str, values: Any, dims: tuple[str, ...] | None = None) -> xr
 def _band_coords(flight: Flight) -> dict[str, xr.Variable]:
     return {
         "wavelength": _variable("wavelength", flight.wavelength),
-        "fwhm": _variable("fwhm", flight.imager.band_fwhm),
+        "fwhm": _variable("fwhm", flight.imager.fwhm),
         "good": _variable("good", np.ones(flight.settings.bands)),
         "wavelength_shift": _variable("wavelength_shift", flight.imager.wavelength_shift, (CROSS_TRACK,)),
     }
@@ -252,7 +251,8 @@ def line_dataset(flight: Flight, block: Lines, *, matched: bool) -> xr.Dataset:
             **_band_coords(flight),
             **_line_coords(flight, recorded),
             **{
-                name: _variable(name, values) for name, values in flight.pose(flight.line_times / 1e9).items()
+                name: _variable(name, values)
+                for name, values in flight.trajectory.pose(flight.line_times / 1e9).items()
             },
             "irradiance_time": _variable(
                 "irradiance_time", (flight.start + samples.middle).astype("datetime64[ns]")
@@ -315,7 +315,7 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
         "responsivity": np.where(camera.bad, np.nan, camera.response_area / imager.spacing[:, None]),
         "wavelength": imager.wavelength,
         "wavelength_shift": imager.wavelength_shift,
-        "fwhm": imager.band_fwhm,
+        "fwhm": imager.fwhm,
         "dark_bias": camera.dark_bias,
         "dark_rate": camera.dark_rate,
         "electrons_per_count": camera.electrons_per_count,
@@ -333,7 +333,16 @@ def sweep_truth(sweep: Sweep) -> xr.Dataset:
         sweep.power[:, None] * sweep.beam,
         {**SWEEP_VARIABLES["flux"].attrs, "long_name": "Radiant flux, as every column receives it"},
     )
-    variables |= {name: xr.Variable(*fields) for name, fields in camera.imperfections.items()}
+    optics = camera.optics
+    if optics is not None and optics.has_stray_light:
+        row = VARIABLES["stray_light"]
+        variables["stray_light"] = xr.Variable(row.dims, optics.stray_matrix, row.attrs)
+    if optics is not None and optics.keystone.any():
+        attrs = {"long_name": "Displacement of a band's image to the right", "units": "column"}
+        variables["keystone"] = xr.Variable((BAND,), optics.keystone, attrs)
+    if camera.pedestal:
+        attrs = {"long_name": "Counts of a frame beyond its light and its dark", "units": "count"}
+        variables["pedestal"] = xr.Variable((), np.asarray(camera.pedestal), attrs)
     return xr.Dataset(
         {f"{TRUTH}{name}": variable for name, variable in variables.items()},
         attrs={f"{TRUTH}srf_shape": imager.shape},

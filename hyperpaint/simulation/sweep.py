@@ -28,7 +28,8 @@ from hyperpaint.base.facts import check_fields, declared, fact
 from hyperpaint.base.input_files import read_limited
 from hyperpaint.base.schema import MONOCHROMATOR_SHAPES
 
-from .camera import GAUSSIAN_REACH, Camera, cubic_weights
+from .camera import GAUSSIAN_REACH, Camera
+from .rendering.camera_bands import cubic_weights
 from .settings import CAMERA_FIELDS, SimulationSettings
 
 SWEEP_NAME = "simulated monochromator sweep"
@@ -306,11 +307,11 @@ class Sweep:
         imager, centre = self.camera.imager, self.wavelength[step]
         fwhm = float(self.settings.monochromator_fwhm[step])
         offset, weights = _line_quadrature(
-            fwhm, self.settings.monochromator_shape, float(imager.band_fwhm.min()) / order
+            fwhm, self.settings.monochromator_shape, float(imager.fwhm.min()) / order
         )
         grid = centre + offset
         weights = weights * imager.responsivity(grid)
-        reach = imager.reach + order * offset[-1]
+        reach = imager.whole_reach + order * offset[-1]
         integrals = np.zeros((len(imager.wavelength), self.settings.camera.columns))
         cell = order * (offset[1] - offset[0])
         for band in np.flatnonzero(np.abs(imager.wavelength - order * centre) <= reach).tolist():

@@ -15,9 +15,8 @@ from click.testing import CliRunner, Result
 import hyperpaint as hp
 from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect
-from hyperpaint.simulation.flight import Lines
+from hyperpaint.simulation.flight import Lines, PlanFlight
 from hyperpaint.simulation.painted_regions import PaintedRectangles
-from hyperpaint.simulation.plan_flight import PlanFlight
 
 SIZE: dict[str, Any] = {"lines": 96, "bands": 40, "columns": 160, "samples": 8, "seed": 3, "fleet": "solid"}
 DROPPED = [30, 60, 61, 150]

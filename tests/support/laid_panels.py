@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 import hyperpaint as hp
-from hyperpaint.simulation.plan_flight import PlanFlight
+from hyperpaint.simulation.flight import PlanFlight
 from hyperpaint.simulation.settings import SimulationSettings
 from hyperpaint.simulation.stores import line_dataset
 
