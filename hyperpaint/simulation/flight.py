@@ -168,7 +168,7 @@ class Flight(abc.ABC):
         self.sky = sky_irradiance(settings.sky, settings.sun[0], self.grid)
         incident = self.imager.integrals(np.concatenate([self.sky, np.ones((1, len(self.grid)))]), self.grid)
         #: INT E_k R of the direct and the diffuse light, shape (2, band, cross_track)
-        self._incident = incident[:2]
+        self.incident = incident[:2]
         #: INT R of every element, shape (band, cross_track) [count nm J-1]
         self.response_area = incident[2]
 
@@ -218,25 +218,6 @@ class Flight(abc.ABC):
         period = self.settings.frame_period_ms * 1e6
         return np.asarray(np.rint(np.arange(self.settings.lines) * period), dtype=np.int64)
 
-    @property
-    def radiance_gain(self) -> Floats:
-        # 1 / (etendue INT R), NaN at bad elements, shape (band, cross_track) [W m-2 sr-1 nm-1 s count-1].
-        return self.camera.radiance_gain(self.response_area)
-
-    def matched_irradiance(self, factors: Floats) -> Floats:
-        """Return the irradiance weighted by the response of each element, INT E R / INT R.
-
-        Parameters
-        ----------
-        factors
-            Factors of direct and diffuse light, shape (2, time).
-
-        Returns
-        -------
-        Shape (time, band, cross_track) [W m-2 nm-1].
-        """
-        return np.asarray(np.einsum("kt,kbx->tbx", factors, self._incident) / self.response_area)
-
     def lines(self, start: int, stop: int, into: Lines | None = None) -> Lines:
         """Return scan lines ``start`` to ``stop``; values do not depend on the grouping of lines.
 
@@ -259,8 +240,8 @@ class Flight(abc.ABC):
         def record(row: int) -> Floats:
             # store reflectance and radiance of a row; return pi INT L R of its elements (band, column)
             light, (direct, diffuse) = element_light(row), self._factors(first_line + row)[:, 0]
-            incident = self._incident[0] * direct
-            incident += diffuse * self._incident[1]
+            incident = self.incident[0] * direct
+            incident += diffuse * self.incident[1]
             np.divide(light, incident, out=lines.reflectance[row], casting="same_kind")
             np.divide(light, np.pi * self.response_area, out=lines.radiance[row], casting="same_kind")
             return light if optics is None else light / factor
@@ -514,7 +495,7 @@ class PlanFlight(Flight):
             normal = np.clip(self._rng(_TEXTURE, line).standard_normal(surface.shape), -3.0, 3.0)
             radiance *= np.where(_TEXTURED[surface], 1.0 + self.settings.texture * normal, 1.0)
         if mirrored.any():
-            radiance += mirrored * direct * self._incident[0]
+            radiance += mirrored * direct * self.incident[0]
         return np.asarray(radiance)
 
 

@@ -220,8 +220,8 @@ class RenderedFlight(Flight):
         # pixels in which mirrored sun adds more than `GLINT`, shape (line, column)
         mirrored = is_direct(block.code) & is_mirrored(block.code) & ~is_indirect(block.code)
         weight = np.where(mirrored, block.weight, 0.0).sum(axis=1)
-        level = self._incident.mean(axis=(1, 2)) @ factors
-        normal = self._incident[0].mean() / self._cosine * factors[0]
+        level = self.incident.mean(axis=(1, 2)) @ factors
+        normal = self.incident[0].mean() / self._cosine * factors[0]
         return np.asarray(weight * (normal / level)[:, None] > GLINT)
 
 

@@ -23,7 +23,7 @@ from hyperpaint.simulation.camera import (
     point_spread,
     stray_light_wings,
 )
-from hyperpaint.simulation.collect import _create_flight
+from hyperpaint.simulation.collect import flight_of
 from hyperpaint.workflows import render_products
 from hyperpaint.workflows.scene_files import example_scene, read_scene_file
 
@@ -179,7 +179,7 @@ def test_counts_are_those_of_the_blurred_scene() -> None:
 @pytest.mark.parametrize("scene", ["plan", "checkerboard", pytest.param("rendered", marks=pytest.mark.slow)])
 def test_lines_do_not_depend_on_how_they_are_grouped(scene: str) -> None:
     size = {"lines": 23, "bands": 5, "columns": 12, "samples": 2, "scene": scene, "seed": 3}
-    flight = _create_flight(SimulationSettings(**size, **EVERYTHING))
+    flight = flight_of(SimulationSettings(**size, **EVERYTHING))
     whole = flight.lines(0, 23)
     memory = None
     for first, last in itertools.pairwise((0, 1, 8, 10, 23)):
@@ -204,9 +204,7 @@ def test_files_do_not_depend_on_how_lines_are_grouped(tmp_path: Path) -> None:
 
 def test_memory_does_not_grow_with_the_flight() -> None:
     def peak(lines: int) -> int:
-        flight = _create_flight(
-            SimulationSettings(lines=lines, bands=20, columns=64, scene="plan", **EVERYTHING)
-        )
+        flight = flight_of(SimulationSettings(lines=lines, bands=20, columns=64, scene="plan", **EVERYTHING))
         flight.lines(0, 32)
         tracemalloc.start()
         memory = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,8 @@ from click.testing import CliRunner, Result
 import hyperpaint as hp
 from hyperpaint.cli.program import main
 from hyperpaint.simulation import SimulationSettings, simulate_collect
+from hyperpaint.simulation.collect import PaintedRectangles
 from hyperpaint.simulation.flight import Lines, PlanFlight
-from hyperpaint.simulation.painted_regions import PaintedRectangles
 
 SIZE: dict[str, Any] = {"lines": 96, "bands": 40, "columns": 160, "samples": 8, "seed": 3, "fleet": "solid"}
 DROPPED = [30, 60, 61, 150]
@@ -170,7 +171,11 @@ def _found(label: Any, up: Any = None) -> list[dict[str, Any]]:
     rectangles.add(
         Lines(label, np.zeros(label.shape, bool), none, none, none, layers), np.ones(len(label), bool)
     )
-    return rectangles.features()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "regions.geojson"
+        rectangles.write(path, "a test")
+        features: list[dict[str, Any]] = json.loads(path.read_text("utf-8"))["features"]
+    return features
 
 
 def test_the_largest_rectangle_is_that_of_all_rectangles() -> None:

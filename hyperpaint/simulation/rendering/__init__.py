@@ -13,7 +13,7 @@ The scene
 The light
     `four_curves`, the atmosphere, from `sky_models` or `measured_light`; `broken_clouds` over it.
 The camera
-    `platform_geometry` and the flights of `platforms`; `camera_bands`.
+    `platforms` and their flights; `camera_bands`.
 Tracing
     `scene_record` (attributes of a traced dataset), `tracing`.
 Relighting
