@@ -87,6 +87,13 @@ def pixel_edges(columns: int, ifov: float) -> tuple[Floats, Floats]:
     return edges, np.array([-0.5, 0.5]) * ifov
 
 
+def note_faults(problems: Problems, *rows: tuple[object, str, str, str]) -> None:
+    # rows: whether there is a fault; what was found, what was expected, and the code
+    for is_fault, found, expected, code in rows:
+        if is_fault:
+            problems.add(found, expected=expected, code=code)
+
+
 @dataclass(frozen=True, eq=False)
 class Platform:
     """The geometry of a flight line for ray tracing.
@@ -129,51 +136,59 @@ class Platform:
             object.__setattr__(self, name, finite_floats(getattr(self, name), name, problems))
         problems.raise_if_any()
         lines = len(self.origin) if self.origin.ndim else 0
-        if not 1 <= lines <= MAX_LINES:
-            problems.add(f"{lines} lines", expected=f"1 to {MAX_LINES}", code="value-out-of-range")
-        # shapes
-        expected = {
+        shapes = {
             "origin": (lines, 2, 3),
             "rotation": (lines, 2, 3, 3),
             "along_edges": (2,),
             "time": (lines,),
         }
-        for name, shape in expected.items():
-            actual = np.shape(getattr(self, name))
-            if actual != shape:
-                problems.add(f"{name} has shape {actual}", expected=f"{shape}", code="dims-wrong")
-        edges = self.column_edges.shape
-        if len(edges) != 1 or not 2 <= edges[0] <= MAX_COLUMNS + 1:
-            problems.add(
-                f"column_edges has shape {edges}",
-                expected=f"(columns + 1,) with 1 to {MAX_COLUMNS} columns",
-                code="dims-wrong",
-            )
-        if np.asarray(self.time).dtype != np.int64:
-            problems.add(
-                f"time is {np.asarray(self.time).dtype}",
-                expected="int64 nanoseconds after the first line",
-                code="type-wrong",
-            )
-        problems.raise_if_any()
-        # values
-        products = self.rotation @ self.rotation.swapaxes(-1, -2)
-        if not np.allclose(products, np.eye(3), atol=1e-6) or (np.linalg.det(self.rotation) < 0).any():
-            problems.add("rotation contains matrices that are not rotations", code="rotation-invalid")
-        for name in ("column_edges", "along_edges"):
-            edges = getattr(self, name)
-            if not (np.diff(edges) > 0).all() or np.abs(edges).max() > MAX_VIEW_TANGENT:
-                problems.add(
-                    f"{name} do not increase, or exceed 85 degrees",
-                    expected="tangents of view angles",
-                    code="edges-invalid",
+        edges, kind = self.column_edges.shape, np.asarray(self.time).dtype
+        note_faults(
+            problems,
+            (not 1 <= lines <= MAX_LINES, f"{lines} lines", f"1 to {MAX_LINES}", "value-out-of-range"),
+            *(
+                (
+                    np.shape(getattr(self, name)) != shape,
+                    f"{name} has shape {np.shape(getattr(self, name))}",
+                    f"{shape}",
+                    "dims-wrong",
                 )
-        if not 0 <= self.exposure_time < 3600:
-            problems.add(
+                for name, shape in shapes.items()
+            ),
+            (
+                len(edges) != 1 or not 2 <= edges[0] <= MAX_COLUMNS + 1,
+                f"column_edges has shape {edges}",
+                f"(columns + 1,) with 1 to {MAX_COLUMNS} columns",
+                "dims-wrong",
+            ),
+            (kind != np.int64, f"time is {kind}", "int64 nanoseconds after the first line", "type-wrong"),
+        )
+        problems.raise_if_any()
+        products = self.rotation @ self.rotation.swapaxes(-1, -2)
+        note_faults(
+            problems,
+            (
+                not np.allclose(products, np.eye(3), atol=1e-6) or (np.linalg.det(self.rotation) < 0).any(),
+                "rotation contains matrices that are not rotations",
+                "",
+                "rotation-invalid",
+            ),
+            *(
+                (
+                    not (np.diff(tangents) > 0).all() or np.abs(tangents).max() > MAX_VIEW_TANGENT,
+                    f"{name} do not increase, or exceed 85 degrees",
+                    "tangents of view angles",
+                    "edges-invalid",
+                )
+                for name, tangents in (("column_edges", self.column_edges), ("along_edges", self.along_edges))
+            ),
+            (
+                not 0 <= self.exposure_time < 3600,
                 f"exposure_time={self.exposure_time!r}",
-                expected="a number of seconds from 0 to below 3600",
-                code="value-out-of-range",
-            )
+                "a number of seconds from 0 to below 3600",
+                "value-out-of-range",
+            ),
+        )
         problems.raise_if_any()
 
     @property
@@ -839,44 +854,59 @@ def platform_from_poses(
     arrays = {"east": east, "north": north, "up": up, "roll": roll, "pitch": pitch, "heading": heading}
     mounting = {"boresight": boresight, "lever_arm": lever_arm}
     poses = {name: finite_floats(values, name, problems) for name, values in {**arrays, **mounting}.items()}
-    if not (np.diff(seconds) > 0).all():
-        problems.add("time does not increase from pose to pose", code="time-unordered")
-    elif seconds[-1] - seconds[0] > 1e8:
-        problems.add("time spans more than three years", expected="seconds", code="value-out-of-range")
-    for name, values in poses.items():
-        expected = (3,) if name in mounting else seconds.shape
-        if values.shape != expected:
-            problems.add(f"{name} has shape {values.shape}", expected=f"{expected}", code="dims-wrong")
-        elif values.size and not np.abs(values).max() <= 1e6:
-            problems.add(
-                f"{name} has values beyond 1e6",
-                expected="a local frame in metres, angles in degrees",
-                code="value-out-of-range",
+    increases = (np.diff(seconds) > 0).all()
+    shapes = {name: (3,) if name in mounting else seconds.shape for name in poses}
+    note_faults(
+        problems,
+        (not increases, "time does not increase from pose to pose", "", "time-unordered"),
+        (
+            increases and seconds[-1] - seconds[0] > 1e8,
+            "time spans more than three years",
+            "seconds",
+            "value-out-of-range",
+        ),
+        *(
+            (
+                values.shape != shapes[name],
+                f"{name} has shape {values.shape}",
+                f"{shapes[name]}",
+                "dims-wrong",
             )
+            for name, values in poses.items()
+        ),
+        *(
+            (
+                values.shape == shapes[name] and not np.abs(values).max(initial=0.0) <= 1e6,
+                f"{name} has values beyond 1e6",
+                "a local frame in metres, angles in degrees",
+                "value-out-of-range",
+            )
+            for name, values in poses.items()
+        ),
+    )
     problems.raise_if_any()
     angles = np.stack([poses[name] for name in ("heading", "pitch", "roll")], axis=-1)
     turned = Rotation.from_euler("ZYX", angles, degrees=True)
     steps = turned[:-1].inv() * turned[1:]
-    if (steps.magnitude() > np.pi / 2).any():
-        where = int(np.argmax(steps.magnitude()))
-        problems.add(
-            f"the platform turns by over 90 degrees between poses {where} and {where + 1}",
-            code="turn-too-large",
-        )
+    where = int(np.argmax(steps.magnitude()))
+    turn_fault = f"the platform turns by over 90 degrees between poses {where} and {where + 1}"
+    note_faults(problems, (steps.magnitude()[where] > np.pi / 2, turn_fault, "", "turn-too-large"))
     check_values(PUSHBROOM, {"columns": columns}, problems)
     PUSHBROOM["ifov"].note(problems, as_argument("ifov", ifov), ifov)
     PUSHBROOM["exposure_time"].note(problems, as_argument("exposure_time", exposure_time), exposure_time)
     problems.raise_if_any()
     slack = exposure_time / 2 if line_time is None else 1e-9
     early, late = at.min() - exposure_time / 2, at.max() + exposure_time / 2
-    if early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9:
-        problems.add(
+    note_faults(
+        problems,
+        (
+            early < seconds[0] - slack - 1e-9 or late > seconds[-1] + slack + 1e-9,
             f"lines are exposed from {early:.6f} to {late:.6f} s",
-            expected=f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
-            code="lines-outside-poses",
-        )
-    if len(at) > MAX_LINES:
-        problems.add(f"{len(at)} lines", expected=f"at most {MAX_LINES}", code="size-too-large")
+            f"times within the poses, {seconds[0]:.6f} to {seconds[-1]:.6f} s",
+            "lines-outside-poses",
+        ),
+        (len(at) > MAX_LINES, f"{len(at)} lines", f"at most {MAX_LINES}", "size-too-large"),
+    )
     problems.raise_if_any()
     moment = at[:, None] + exposure_time * np.array([-0.5, 0.5])
     before = np.clip(np.searchsorted(seconds, moment, side="right") - 1, 0, len(seconds) - 2)
@@ -898,25 +928,31 @@ def _clock(
     # The zero moment (None for seconds), and both times as seconds.
     poses = np.asarray(time)
     lines = poses if line_time is None else np.asarray(line_time)
-    if poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines):
-        problems.add(
+    is_date = poses.dtype.kind == "M"
+    for row in (
+        (
+            poses.ndim != 1 or lines.ndim != 1 or len(poses) < 2 or not len(lines),
             f"{poses.size} pose times and {lines.size} line times",
-            expected="at least two poses and one line",
-            code="pose-missing",
-        )
-        problems.raise_if_any()
-    if (poses.dtype.kind == "M") != (lines.dtype.kind == "M"):
-        problems.add(
+            "at least two poses and one line",
+            "pose-missing",
+        ),
+        (
+            is_date != (lines.dtype.kind == "M"),
             f"time is {poses.dtype}, line_time {lines.dtype}",
-            expected="both datetime64 or both seconds",
-            code="type-wrong",
-        )
+            "both datetime64 or both seconds",
+            "type-wrong",
+        ),
+        (
+            any(times.dtype.kind == "M" and np.isnat(times).any() for times in (poses, lines)),
+            "time or line_time contains NaT",
+            "a time for each",
+            "time-missing",
+        ),
+    ):
+        note_faults(problems, row)
         problems.raise_if_any()
     base = None
-    if poses.dtype.kind == "M":
-        if np.isnat(poses).any() or np.isnat(lines).any():
-            problems.add("time or line_time contains NaT", expected="a time for each", code="time-missing")
-            problems.raise_if_any()
+    if is_date:
         base = poses[0].astype("datetime64[ns]")
         poses, lines = (
             (times.astype("datetime64[ns]") - base) / np.timedelta64(1, "s") for times in (poses, lines)

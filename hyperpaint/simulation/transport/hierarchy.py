@@ -281,15 +281,26 @@ def build_geometry(
     shading = np.asarray(normals, np.float64).reshape(-1, 3)
     material = np.asarray(face_material, np.int32)
     instance = np.asarray(face_instance, np.int32)
-    if material.shape != (len(corners),) or instance.shape != (len(corners),):
-        raise ValueError(f"{len(corners)} faces, materials {material.shape} and instances {instance.shape}")
-    if len(shading) not in (0, len(points)):
-        raise ValueError(f"{len(shading)} normals for {len(points)} vertices")
-    if len(corners) and not (corners.min() >= 0 and corners.max() < len(points)):
-        raise ValueError(f"faces number corners {corners.min()} to {corners.max()} of {len(points)} vertices")
-    if not (np.abs(points) <= _MAX_COORDINATE_M).all():
-        raise ValueError(f"vertices must be finite and within {_MAX_COORDINATE_M:g} m")
-
+    count, known = len(corners), len(points)
+    lowest, highest = (int(corners.min()), int(corners.max())) if count else (0, -1)
+    checks = (
+        (
+            material.shape != (count,) or instance.shape != (count,),
+            f"{count} faces, materials {material.shape} and instances {instance.shape}",
+        ),
+        (len(shading) not in (0, known), f"{len(shading)} normals for {known} vertices"),
+        (
+            lowest < 0 or highest >= known,
+            f"faces number corners {lowest} to {highest} of {known} vertices",
+        ),
+        (
+            not (np.abs(points) <= _MAX_COORDINATE_M).all(),
+            f"vertices must be finite and within {_MAX_COORDINATE_M:g} m",
+        ),
+    )
+    for is_fault, fault in checks:
+        if is_fault:
+            raise ValueError(fault)
     triangles = points[corners]
     cross_products = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     area = np.sqrt((cross_products**2).sum(axis=1))

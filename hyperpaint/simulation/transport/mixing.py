@@ -98,23 +98,15 @@ def member_rows(material: Array, instance: Array, place: Array, grain: Grain, se
     np.True_
     """
     rows = np.full(material.shape, -1, np.int32)
-    pixel = _pixel_sizes(place)
+    # median distance of neighbouring pixels [m], by scan line
+    pixel = np.zeros(place.shape[1])
+    if place.shape[2] > 1:
+        for line, distances in enumerate(np.hypot(*np.diff(place[:2], axis=2))):
+            if np.isfinite(distances).any():
+                pixel[line] = np.median(distances[np.isfinite(distances)])
     labels = np.ascontiguousarray(material, np.int32), np.ascontiguousarray(instance, np.int32)
     _write_rows(*labels, np.ascontiguousarray(place, np.float64), pixel, grain, int(seed) & _MASK, rows)
     return rows
-
-
-def _pixel_sizes(place: Array) -> Array:
-    # median distance of neighbouring pixels [m], by scan line
-    if place.shape[2] < 2:
-        return np.zeros(place.shape[1])
-    distances = np.hypot(*np.diff(place[:2], axis=2))
-    sizes = np.zeros(place.shape[1])
-    for line, row in enumerate(distances):
-        finite = row[np.isfinite(row)]
-        if finite.size:
-            sizes[line] = np.median(finite)
-    return sizes
 
 
 @borrowing_kernel
@@ -301,31 +293,43 @@ def mix_shifted(
         For shapes that do not fit, and rows or nodes outside the table.
     """
     spectra = np.ascontiguousarray(table, np.float32)
-    # refuse shapes with which the loops would exceed their arrays
-    lines, _, columns = weight.shape
-    shape = spectra.shape[1:]
-    if index.shape != weight.shape or out.shape != (lines, shape[1], columns):
-        raise ValueError(
-            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit"
-        )
-    if out.dtype != np.float32 or not out.flags.c_contiguous:
-        raise ValueError(f"out must be contiguous float32, not {out.dtype}")
-    if index.size and int(index.max()) >= shape[0]:
-        raise ValueError(f"index {index.max()} is outside a table of {shape[0]} spectra")
-    first_node = np.ascontiguousarray(node, np.int64)
-    share = np.ascontiguousarray(node_weight, np.float32)
-    if first_node.shape != (columns,) or share.ndim != 2 or len(share) != columns:
-        raise ValueError(f"nodes {first_node.shape} and weights {share.shape} for {columns} columns")
-    if columns and not (first_node.min() >= 0 and first_node.max() + share.shape[1] <= len(spectra)):
-        raise ValueError(
-            f"columns need nodes up to {first_node.max() + share.shape[1] - 1}, the table has {len(spectra)}"
-        )
+    (lines, _, columns), bands, shape = weight.shape, out.shape[1], spectra.shape[1:]
     weights, rows = np.ascontiguousarray(weight, np.float32), np.ascontiguousarray(index, np.int32)
+    first_node, share = np.ascontiguousarray(node, np.int64), np.ascontiguousarray(node_weight, np.float32)
     if texture is None:
-        row, empty = np.full((out.shape[0], columns), -1, np.int32), np.zeros(0, np.int64)
-        texture = Texture(row, empty, np.zeros((0, out.shape[1]), np.float32), empty[:, None])
-    elif texture.row.shape != (out.shape[0], columns) or texture.ratio.shape[1] != out.shape[1]:
-        raise ValueError(f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}")
+        row, empty = np.full((len(out), columns), -1, np.int32), np.zeros(0, np.int64)
+        texture = Texture(row, empty, np.zeros((0, bands), np.float32), empty[:, None])
+    last_node = int(first_node.max(initial=-1)) + (share.shape[1] if share.ndim == 2 else 0)
+    # refuse shapes with which the loops would exceed their arrays
+    checks = (
+        (
+            index.shape != weight.shape or out.shape != (lines, shape[1], columns),
+            f"weights {weight.shape}, index {index.shape}, table {shape}, out {out.shape} do not fit",
+        ),
+        (
+            out.dtype != np.float32 or not out.flags.c_contiguous,
+            f"out must be contiguous float32, not {out.dtype}",
+        ),
+        (
+            rows.max(initial=-1) >= shape[0],
+            f"index {rows.max(initial=-1)} is outside a table of {shape[0]} spectra",
+        ),
+        (
+            first_node.shape != (columns,) or share.ndim != 2 or len(share) != columns,
+            f"nodes {first_node.shape} and weights {share.shape} for {columns} columns",
+        ),
+        (
+            columns and not (first_node.min(initial=0) >= 0 and last_node <= len(spectra)),
+            f"columns need nodes up to {last_node - 1}, the table has {len(spectra)}",
+        ),
+        (
+            texture.row.shape != (len(out), columns) or texture.ratio.shape[1] != bands,
+            f"texture {texture.row.shape}, {texture.ratio.shape} for {out.shape}",
+        ),
+    )
+    for is_fault, fault in checks:
+        if is_fault:
+            raise ValueError(fault)
     sums = np.empty((2, _TILE, out.shape[1]), np.float32)
     _mix_shifted(weights, rows, spectra, first_node, share, texture, sums, out)
 

@@ -209,53 +209,74 @@ def check(
     ValueError
         Inputs are inconsistent; the message lists all faults.
     """
-    faults = []
     first_line, samples, depth, digit_bits, seed = settings
-    if FIRST_DIGIT + depth * digit_bits > USABLE_BITS:
-        faults.append(f"{depth} factors of {digit_bits} bits do not fit a code of {USABLE_BITS} bits")
-    if min(samples, depth, digit_bits) < 1 or min(seed, first_line) < 0:
-        faults.append("samples, depth and digit_bits must be positive, seed and first_line not negative")
-    if seed >= 2**63 or max(first_line + len(rays.origin), samples) > 2**32:
-        faults.append("seed must fit 63 bits, the numbers of lines and samples 32")
-    suns = len(sources.suns)
-    if suns > MAX_SUNS or np.shape(sources.sun_radius) != (suns,) or np.shape(sources.suns) != (suns, 3):
-        faults.append(
-            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MAX_SUNS}"
-        )
-    elif np.size(sources.shapes) and np.shape(sources.shapes) != (suns, CLEAR_SKY_FUNCTIONS, 8):
-        faults.append(f"shapes {np.shape(sources.shapes)} of clear skies for {suns} suns")
-    elif not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6):
-        faults.append("directions to suns must be unit vectors")
-    if len({len(array) for array in surfaces}) > 1:
-        faults.append("surfaces have parts of unequal length")
-    index, shares = surfaces.numbers[:, 0], surfaces.numbers[:, 1:6]
-    if not (np.isfinite(index).all() and ((shares >= 0) & (shares <= 1)).all() and (shares[:, 4] > 0).all()):
-        faults.append("refractive indices must be finite, roughness, slopes and shares from 0 to 1")
-    factors = int(max(factor.max(initial=-1) for factor in surfaces[1:])) + 1
-    if factors >= 1 << digit_bits:
-        faults.append(f"{factors} factors need more than {digit_bits} bits")
-    if surfaces.base_factor.min(initial=0) < 0:
-        faults.append("every surface needs a base factor")
-    if geometry.face_instance.min(initial=0) < 0:
-        faults.append("instances must not be negative: -1 is the sky")
-    material = geometry.face_material
-    if material.size and not (material.min() >= 0 and material.max() < len(surfaces.base_factor)):
-        faults.append(
-            f"faces name materials {material.min()} to {material.max()} of {surfaces.base_factor.size}"
-        )
-    lines, columns = len(rays.origin), len(rays.column_edges) - 1
-    if rays.origin.shape != (lines, 2, 3) or rays.rotation.shape != (lines, 2, 3, 3):
-        faults.append(f"origins {rays.origin.shape} and rotations {rays.rotation.shape} do not fit")
-    if not all(np.isfinite(array).all() for array in rays):
-        faults.append("positions, rotations and edges of the camera must be finite")
-    layout = _layout(lines, block.weight.shape[1], columns, suns)
-    for name, array, (shape, kind) in zip(block._fields, block, layout, strict=True):
-        if array.shape != shape or array.dtype != kind or not array.flags.c_contiguous:
-            faults.append(
-                f"block.{name} must be contiguous {shape} {kind.__name__}, not {array.shape} {array.dtype}"
+    lines, columns, suns = len(rays.origin), len(rays.column_edges) - 1, len(sources.suns)
+    numbers, factor_numbers = surfaces[0], surfaces[1:]
+    shares, factors = numbers[:, 1:6], int(max(part.max(initial=-1) for part in factor_numbers)) + 1
+    has_suns = (
+        suns <= MAX_SUNS and np.shape(sources.sun_radius) == (suns,) and np.shape(sources.suns) == (suns, 3)
+    )
+    material, known = geometry.face_material, len(surfaces.base_factor)
+    lowest, highest = (int(material.min()), int(material.max())) if material.size else (0, -1)
+    rows = [
+        (
+            FIRST_DIGIT + depth * digit_bits > USABLE_BITS,
+            f"{depth} factors of {digit_bits} bits do not fit a code of {USABLE_BITS} bits",
+        ),
+        (
+            min(samples, depth, digit_bits) < 1 or min(seed, first_line) < 0,
+            "samples, depth and digit_bits must be positive, seed and first_line not negative",
+        ),
+        (
+            seed >= 2**63 or max(first_line + lines, samples) > 2**32,
+            "seed must fit 63 bits, the numbers of lines and samples 32",
+        ),
+        (
+            not has_suns,
+            f"suns {np.shape(sources.suns)} with radii {np.shape(sources.sun_radius)}; at most {MAX_SUNS}",
+        ),
+        (
+            np.size(sources.shapes) and np.shape(sources.shapes) != (suns, CLEAR_SKY_FUNCTIONS, 8),
+            f"shapes {np.shape(sources.shapes)} of clear skies for {suns} suns",
+        ),
+        (
+            has_suns and not np.allclose(np.linalg.norm(sources.suns, axis=1), 1.0, atol=1e-6),
+            "directions to suns must be unit vectors",
+        ),
+        (len({len(array) for array in surfaces}) > 1, "surfaces have parts of unequal length"),
+        (
+            not np.isfinite(numbers[:, 0]).all()
+            or not ((shares >= 0) & (shares <= 1)).all()
+            or not (shares[:, 4] > 0).all(),
+            "refractive indices must be finite, roughness, slopes and shares from 0 to 1",
+        ),
+        (factors >= 1 << digit_bits, f"{factors} factors need more than {digit_bits} bits"),
+        (surfaces.base_factor.min(initial=0) < 0, "every surface needs a base factor"),
+        (geometry.face_instance.min(initial=0) < 0, "instances must not be negative: -1 is the sky"),
+        (
+            lowest < 0 or highest >= known,
+            f"faces name materials {lowest} to {highest} of {known}",
+        ),
+        (
+            rays.origin.shape != (lines, 2, 3) or rays.rotation.shape != (lines, 2, 3, 3),
+            f"origins {rays.origin.shape} and rotations {rays.rotation.shape} do not fit",
+        ),
+        (
+            not all(np.isfinite(array).all() for array in rays),
+            "positions, rotations and edges of the camera must be finite",
+        ),
+        *(
+            (
+                array.shape != shape or array.dtype != kind or not array.flags.c_contiguous,
+                f"block.{name} must be contiguous {shape} {kind.__name__}, not {array.shape} {array.dtype}",
             )
-    if faults:
-        raise ValueError("; ".join(faults))
+            for name, array, (shape, kind) in zip(
+                block._fields, block, _layout(lines, block.weight.shape[1], columns, suns), strict=True
+            )
+        ),
+    ]
+    if any(is_fault for is_fault, _ in rows):
+        raise ValueError("; ".join(fault for is_fault, fault in rows if is_fault))
 
 
 _MULTIPLIER = np.uint64(0x9E3779B1)
