@@ -302,7 +302,7 @@ def test_radiance_is_the_weighted_irradiance_over_pi() -> None:
     made = flight.lines(0, 1)  # seen at t = 0, where both factors are one
     index = list(MATERIALS).index("green")
     column = slice(index * 32, (index + 1) * 32)
-    table = flight._reflected[:, :, column].sum(axis=0) / flight._incident.sum(axis=0)
+    table = flight._reflected[:, :, column].sum(axis=0) / flight.incident.sum(axis=0)
     np.testing.assert_allclose(table, by_hand, rtol=1e-12)
     assert made.counts.dtype == np.float32
 
