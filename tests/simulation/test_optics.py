@@ -179,7 +179,7 @@ def test_counts_are_those_of_the_blurred_scene() -> None:
 @pytest.mark.parametrize("scene", ["plan", "checkerboard", pytest.param("rendered", marks=pytest.mark.slow)])
 def test_lines_do_not_depend_on_how_they_are_grouped(scene: str) -> None:
     size = {"lines": 23, "bands": 5, "columns": 12, "samples": 2, "scene": scene, "seed": 3}
-    flight = flight_of(SimulationSettings(**size, **EVERYTHING))
+    flight = flight_of(SimulationSettings(**size, fleet="solid", neighbours=False, **EVERYTHING))
     whole = flight.lines(0, 23)
     memory = None
     for first, last in itertools.pairwise((0, 1, 8, 10, 23)):
