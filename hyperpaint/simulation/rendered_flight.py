@@ -171,7 +171,15 @@ class RenderedFlight(Flight):
         return Platform(*self.trajectory.camera(moment), *edges, self.line_times, settings.exposure_time)
 
     def _view(self, start: int, stop: int, into: Lines | None) -> LineView:
-        block = self._trace(start, stop)
+        platform = self.platform
+
+        def trace(begin: int) -> Block:
+            return trace_block(self._scene, platform, begin, min(begin + _LINES_AT_ONCE, stop))
+
+        # threads run in parallel, because the kernel releases the interpreter lock
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+            blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
+        block = Block(*map(np.concatenate, zip(*blocks, strict=True)))
         factors = self._factors(start, stop)
         record = Lines(
             self._surface[block.material],
@@ -191,17 +199,6 @@ class RenderedFlight(Flight):
         self._products.mix(weight, block.code, record.radiance, texture)
         per_element = np.pi * self.imager.element_factor
         return record, lambda row: record.radiance[row] * per_element
-
-    def _trace(self, start: int, stop: int) -> Block:
-        # threads run in parallel, because the kernel releases the interpreter lock
-        platform = self.platform
-
-        def trace(begin: int) -> Block:
-            return trace_block(self._scene, platform, begin, min(begin + _LINES_AT_ONCE, stop))
-
-        with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
-            blocks = list(pool.map(trace, range(start, stop, _LINES_AT_ONCE)))
-        return Block(*map(np.concatenate, zip(*blocks, strict=True)))
 
     def _labels(self, block: Block) -> dict[str, NDArray[Any]]:
         latitude, longitude, height = self.frame.geodetic(np.moveaxis(block.position, 1, -1))
@@ -241,10 +238,7 @@ def _layers(labels: LabelTables, plane: TransverseMercator) -> dict[str, Layer]:
         **{name: ("float64", {"long_name": text, "units": "m"}) for name, text in meters.items()},
     }
     # convert arrays to lists, because attributes are written as JSON
-    json_attrs = {
-        name: {
-            key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in attrs.items()
-        }
-        for name, (_, attrs) in layers.items()
+    return {
+        name: Layer(dtype, {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in attrs.items()})
+        for name, (dtype, attrs) in layers.items()
     }
-    return {name: Layer(dtype, json_attrs[name]) for name, (dtype, _) in layers.items()}
