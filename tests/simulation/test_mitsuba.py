@@ -23,8 +23,7 @@ from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material
 from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
-from hyperpaint.simulation.rendering.primitives import box
-from hyperpaint.simulation.rendering.scene import Scene, plane
+from hyperpaint.simulation.rendering.scene import Scene, box, plane
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (extra oracles)"

@@ -15,8 +15,7 @@ from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Material, fresnel_reflectance, measured_factor
 from hyperpaint.simulation.rendering.platform_geometry import Platform, matrices, quaternions
-from hyperpaint.simulation.rendering.primitives import box
-from hyperpaint.simulation.rendering.scene import Scene, plane
+from hyperpaint.simulation.rendering.scene import Scene, box, plane
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 
 BANDS = BandSet(np.array([450.0, 550.0, 650.0, 850.0]), np.array(6.0))

@@ -344,7 +344,7 @@ def test_a_mesh_of_another_world_is_refused(tmp_path: Path, options: dict[str, A
 
 
 def test_normals_of_a_fan_take_time_with_its_triangles() -> None:
-    from hyperpaint.simulation.rendering.primitives import MAX_FACES_AROUND, Mesh, smoothed
+    from hyperpaint.simulation.rendering.scene import MAX_FACES_AROUND, Mesh, smoothed
 
     count = 20_000  # held against one another they would take minutes
     around = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)

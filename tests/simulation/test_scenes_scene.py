@@ -10,8 +10,19 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import PaintWarning, SchemaError
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material
-from hyperpaint.simulation.rendering.primitives import box, cuboid, polygon, put_together, smoothed, tube
-from hyperpaint.simulation.rendering.scene import PARTS, Factor, Instance, Scene, plane
+from hyperpaint.simulation.rendering.scene import (
+    PARTS,
+    Factor,
+    Instance,
+    Scene,
+    box,
+    cuboid,
+    plane,
+    polygon,
+    put_together,
+    smoothed,
+    tube,
+)
 
 GREY = Material("grey", "panel_20", "panel")
 RED = Material("red", "red", "paint", Coat(), Flakes(0.3))

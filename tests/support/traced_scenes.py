@@ -13,8 +13,7 @@ from hyperpaint.simulation.rendering.four_curves import Atmosphere
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, measured_factor
 from hyperpaint.simulation.rendering.platform_geometry import Platform
 from hyperpaint.simulation.rendering.platforms import pushbroom
-from hyperpaint.simulation.rendering.primitives import box
-from hyperpaint.simulation.rendering.scene import Instance, Scene, plane
+from hyperpaint.simulation.rendering.scene import Instance, Scene, box, plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
 

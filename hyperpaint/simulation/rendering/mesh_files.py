@@ -29,8 +29,7 @@ from hyperpaint.base.errors import FormatError, SchemaError, needs_extra
 from hyperpaint.base.input_files import read_limited
 
 from .materials import Material
-from .primitives import Mesh, smoothed
-from .scene import Instance, Scene, has_area, warn_of_dropped
+from .scene import Instance, Mesh, Scene, has_area, smoothed, warn_of_dropped
 
 _MAX_TRIANGLES = 50_000_000
 _MAX_VERTEX_INDEX = 2**40
