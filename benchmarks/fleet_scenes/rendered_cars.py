@@ -178,8 +178,7 @@ def truth_of(line: Any, along: Any, across: Any, *, spectrum: bool = True) -> An
     one with flakes there is no such: its reflectance factor under this sun and sky as seen from here, on a
     level panel. Both without the mirror image in the coat.
     """
-    from hyperpaint.simulation.rendering.fleet import fleet_paint
-    from hyperpaint.simulation.rendering.scene_spectra import paint_spec, spectrum_of
+    from hyperpaint.simulation.rendering.scene_spectra import fleet_paint, paint_spec, spectrum_of
 
     from .verdicts import Truth
 

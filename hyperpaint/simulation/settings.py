@@ -42,7 +42,7 @@ MOST_SAMPLES = 1 << 14
 #: Largest seed of a random generator.
 MAX_SEED = 2**63 - 1
 
-#: Paints of the cars: fourteen solid paints, or the paints of a real fleet (`rendering.fleet`).
+#: Paints of the cars: fourteen solid paints, or the paints of a real fleet (`rendering.scene_spectra`).
 FLEETS = ("solid", "real")
 
 #: Kinds of light.

@@ -13,17 +13,21 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.rendered_flight import RenderedFlight
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.car_parks import car_park
-from hyperpaint.simulation.rendering.fleet import (
-    COLOUR_SHARES,
-    FINISH_SHARES,
-    HUE_SHARES,
-    fleet_paint,
-)
 from hyperpaint.simulation.rendering.materials import Material
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import plane
-from hyperpaint.simulation.rendering.scene_spectra import is_paint, paint_spec, spectrum_of
-from hyperpaint.simulation.rendering.weathering import DUST, WEATHERED, dusty
+from hyperpaint.simulation.rendering.scene_spectra import (
+    COLOUR_SHARES,
+    DUST,
+    FINISH_SHARES,
+    HUE_SHARES,
+    WEATHERED,
+    dusty,
+    fleet_paint,
+    is_paint,
+    paint_spec,
+    spectrum_of,
+)
 
 NM = np.arange(400.0, 1001.0, 10.0)
 TEN_BANDS = BandSet(np.linspace(430.0, 970.0, 10), np.array(20.0))

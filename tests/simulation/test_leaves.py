@@ -12,8 +12,7 @@ from hyperpaint.simulation.rendering.car_parks import car_park
 from hyperpaint.simulation.rendering.materials import Coat, Material, hemispherical_reflectance
 from hyperpaint.simulation.rendering.platforms import pushbroom
 from hyperpaint.simulation.rendering.scene import Scene, plane
-from hyperpaint.simulation.rendering.scene_spectra import spectrum_of
-from hyperpaint.simulation.rendering.weathering import LEAF_INDEX, leaf_optics
+from hyperpaint.simulation.rendering.scene_spectra import LEAF_INDEX, leaf_optics, spectrum_of
 
 NM = np.arange(400.0, 1001.0, 25.0)
 REFLECTED, PASSED = 0.45, 0.40

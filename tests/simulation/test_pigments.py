@@ -13,12 +13,13 @@ from support.refusals import refusal
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.simulation.paint_spectra import CAR_PAINTS, MATERIALS
-from hyperpaint.simulation.rendering.base_coats import FAMILIES, Pigments
 from hyperpaint.simulation.rendering.materials import Coat, base_albedo
 from hyperpaint.simulation.rendering.scene_spectra import (
+    FAMILIES,
     FINISHES,
     FOURTEEN,
     SPECTRA,
+    Pigments,
     generate_paint,
     paint_spec,
     pigments_of,

@@ -264,8 +264,8 @@ class Thing(NamedTuple):
     at
         East and north of its origin [m].
     parts
-        Its parts, of surfaces of `_SURROUNDINGS`; or a function of a random generator and the number of leaves
-        of a tree that returns them.
+        Its parts, of surfaces of `_SURROUNDINGS`; or a function of a random generator and the number of
+        leaves of a tree that returns them.
     key
         Distinguishes its random numbers.
     jitter

@@ -18,8 +18,7 @@ from hyperpaint.base.schema import BAND, MEMBER, SIGNATURE
 from hyperpaint.base.units import convert
 
 from .camera_bands import BandSet
-from .scene_spectra import Spectrum, spectrum_of
-from .weathering import MEASURED
+from .scene_spectra import MEASURED, Spectrum, spectrum_of
 
 #: Maximum number of members of a population in a render; more would change its quantiles by less than 0.2 %.
 MAX_MEMBERS = 512

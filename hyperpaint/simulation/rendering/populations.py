@@ -18,7 +18,7 @@ from hyperpaint.simulation.transport.texturing import Grain, Texture, member_row
 from .camera_bands import BandSet
 from .painting import FactorSpectra
 from .scene_record import SceneRecord
-from .weathering import Octaves
+from .scene_spectra import Octaves
 
 #: Minimum mean by which members are divided [1].
 _MIN_MEAN = 1e-4
