@@ -69,11 +69,11 @@ def line_of(seed: int, sky: str, cache: Path) -> Any:
 
 def _rendered(seed: int) -> dict[str, Any]:
     import hyperpaint as hp
-    from hyperpaint.simulation.rendering.broken_clouds import BrokenClouds
     from hyperpaint.simulation.rendering.camera_bands import BandSet
     from hyperpaint.simulation.rendering.car_parks import car_park
     from hyperpaint.simulation.rendering.four_curves import Atmosphere
     from hyperpaint.simulation.rendering.platforms import pushbroom
+    from hyperpaint.simulation.rendering.sky_models import BrokenClouds
 
     light = conditions_of(seed)
     lines, columns = round(LENGTH_M / light.gsd), round(SWATH_M / light.gsd)

@@ -88,7 +88,7 @@ class RenderedFlight(Flight):
         bands = BandSet.of(self.imager)
         # light without path radiance and with unit transmittance
         direct, diffuse = self.sky
-        spread = clear_spread(self.grid, direct, settings.sun[0])
+        shares = clear_spread(self.grid, direct, settings.sun[0])
         atmosphere = Atmosphere(
             self.grid,
             direct / self._cosine,
@@ -97,8 +97,7 @@ class RenderedFlight(Flight):
             0.0 * self.grid,
             *settings.sun,
             overcast_share=CIE_OVERCAST_SHARE if overcast else 0.0,
-            molecular=spread.molecular,
-            aureole=spread.aureole,
+            **shares,
         )
         light = source_spectra(atmosphere, trace)
         factors = factor_spectra(record, bands)

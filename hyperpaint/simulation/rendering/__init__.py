@@ -11,7 +11,7 @@ The scene
     `materials` with their spectra and paints (`scene_spectra`); `scene`, triangles of materials, and shapes
     as tables of parts; `car_bodies` and `car_parks` of such shapes; `mesh_files` reads a scene.
 The light
-    `four_curves`, the atmosphere, from `sky_models` or `measured_light`; `broken_clouds` over it.
+    `four_curves`, the atmosphere, from `sky_models`, a spectrometer or a table; `BrokenClouds` over it.
 The camera
     `platform_geometry` and the flights of `platforms`; `camera_bands`.
 Tracing

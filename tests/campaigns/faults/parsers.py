@@ -298,7 +298,7 @@ PARSERS: Mapping[str, Parser] = {
         ("lab_calibration/*certificate.csv", "spectra_ascii/R90.txt"),
     ),
     "light-table": Parser(
-        _reader("simulation.rendering.measured_light", "read_table"),
+        _reader("simulation.rendering.four_curves", "read_table"),
         (FormatError, SchemaError),
         ("light.csv",),
     ),

@@ -32,7 +32,7 @@ def _flightline(name: str) -> Callable[[Any], object]:
 
 
 def _light(path: Any) -> object:
-    from hyperpaint.simulation.rendering.measured_light import read_table
+    from hyperpaint.simulation.rendering.four_curves import read_table
 
     return read_table(path)
 
