@@ -269,8 +269,7 @@ def _with_options(file: SceneFile, samples: int | None, to: str | None) -> Scene
 
 def _with_library(file: SceneFile, parts: RenderParts, paints: Path) -> tuple[SceneFile, RenderParts]:
     # add the paints of a library; paints of the file take precedence
-    from hyperpaint.simulation.rendering.given_spectra import by_name
-    from hyperpaint.simulation.rendering.painting import assigned_paints
+    from hyperpaint.simulation.rendering.painting import assigned_paints, by_name
     from hyperpaint.simulation.rendering.scene_record import SceneRecord
 
     library = by_name(read_paints(paints))

@@ -35,8 +35,7 @@ from hyperpaint.simulation.camera import convolve_gaussian
 from .camera_bands import BandResponses, BandSet, cell_means
 from .four_curves import Atmosphere, preset_atmosphere
 from .lighting import SHARES, Lighting, make_lighting, traced_sun
-from .painting import FactorSpectra, factor_spectra
-from .populations import Populations, populations_of, rows_of_pixels
+from .painting import FactorSpectra, Populations, factor_spectra, populations_of, rows_of_pixels
 from .scene_record import LabelTables, SceneRecord
 from .sky_models import BrokenClouds
 
