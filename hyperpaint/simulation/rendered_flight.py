@@ -23,9 +23,9 @@ from .flight import Flight, Layer, Lines, LineView
 from .rendering.camera_bands import BandSet
 from .rendering.car_parks import car_park
 from .rendering.four_curves import Atmosphere
-from .rendering.lighting import ProductTable, source_spectra
 from .rendering.painting import factor_spectra, populations_of
 from .rendering.platform_geometry import Platform
+from .rendering.relighting import ProductTable, source_spectra
 from .rendering.scene import Scene
 from .rendering.scene_record import LabelTables, SceneRecord, TraceSettings
 from .rendering.scene_spectra import paint_spec, spectrum_of

@@ -28,10 +28,10 @@ from hyperpaint.simulation.camera import smile
 from hyperpaint.simulation.rendering import tracing as tracing_module
 from hyperpaint.simulation.rendering.camera_bands import BandSet
 from hyperpaint.simulation.rendering.four_curves import Atmosphere
-from hyperpaint.simulation.rendering.lighting import SHARES
 from hyperpaint.simulation.rendering.materials import Coat, Flakes, Material, base_albedo, coated_reflectance
 from hyperpaint.simulation.rendering.painting import factor_spectra
 from hyperpaint.simulation.rendering.platforms import pushbroom
+from hyperpaint.simulation.rendering.relighting import SHARES
 from hyperpaint.simulation.rendering.scene import plane
 from hyperpaint.simulation.rendering.scene_record import SceneRecord
 from hyperpaint.simulation.rendering.scene_spectra import paint_spec, spectrum_of
@@ -392,7 +392,7 @@ def test_a_stored_scene_is_relit_without_tracing(
 
 
 def test_radiance_alone_costs_no_truth(traced: xr.Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hyperpaint.simulation.rendering.lighting import Lighting
+    from hyperpaint.simulation.rendering.relighting import Lighting
 
     def refuse(*_: Any) -> None:
         msg = "truth was computed"

@@ -17,5 +17,5 @@ The camera
 Tracing
     `scene_record` (attributes of a traced dataset), `tracing`.
 Relighting
-    `painting` (spectra of all factors), `lighting` and `relighting`.
+    `painting` (spectra of all factors) and `relighting`.
 """
