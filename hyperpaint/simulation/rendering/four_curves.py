@@ -217,7 +217,7 @@ class Atmosphere:
         sun: Floats,
         sky: Floats,
         haze: Haze | None,
-        spread: Mapping[str, Floats],
+        spread: Mapping[str, Any],
         **options: Any,
     ) -> Atmosphere:
         # atmosphere whose extinction and path radiance are computed from haze, sun and sky

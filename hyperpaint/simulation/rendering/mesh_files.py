@@ -317,11 +317,12 @@ def strip_glb(data: bytes, where: str) -> Stripped:
     body += b"\0" * (-len(body) % 4)
     chunks = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(body), _BINARY) + body
     glb = struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-    names = [
+    material_names, mesh_names = (
         tuple(name if isinstance(name := entry.get("name"), str) else "" for entry in part)
         for part in (materials, meshes)
-    ]
-    return Stripped(glb, *names, sum(triangle_counts[node["mesh"]] for node in nodes if "mesh" in node))
+    )
+    triangles = sum(triangle_counts[node["mesh"]] for node in nodes if "mesh" in node)
+    return Stripped(glb, material_names, mesh_names, triangles)
 
 
 def _chunks(data: bytes, where: str) -> tuple[dict[str, Any], bytes]:

@@ -510,13 +510,13 @@ def _assign_spectra(
         # a repainted base gets the flakes of its new paint; scales correct the flake shares in the weights
         for number in factor_numbers:
             assigned[number] = name
-            material = record.factors[number].material
-            traced_flakes = record.materials[material].flakes
+            base = record.factors[number].material
+            traced_flakes = record.materials[base].flakes
             if record.factors[number].flakes or traced_flakes is None:
                 continue
             if traced_flakes.share >= 1.0:
                 problems.add(
-                    f"{record.materials[material].name!r} has flakes only and cannot be repainted",
+                    f"{record.materials[base].name!r} has flakes only and cannot be repainted",
                     code="paint-all-flakes",
                 )
                 continue
@@ -524,7 +524,7 @@ def _assign_spectra(
             new_flakes = paint_spec(name).flakes if is_named else None
             scales[number] = (1.0 - (new_flakes.share if new_flakes else 0.0)) / (1.0 - traced_flakes.share)
             for other_number, factor in enumerate(record.factors):
-                if factor.material == material and factor.flakes:
+                if factor.material == base and factor.flakes:
                     scales[other_number] = new_flakes.share / traced_flakes.share if new_flakes else 0.0
                     if new_flakes is not None:
                         turned = new_flakes.turned if factor.turned else ""

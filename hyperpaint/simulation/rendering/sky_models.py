@@ -39,6 +39,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -183,7 +184,7 @@ def relative_air_mass(sun_zenith: float) -> float:
 
 def clear_spread(
     wavelength: Floats, sun: Floats, sun_zenith: float, overcast_share: float = 0.0, aerosol: float = 0.1
-) -> dict[str, Floats]:
+) -> dict[str, Any]:
     """Return the shares of the clear-sky functions in the diffuse irradiance by name, see `Atmosphere`.
 
     0 where no sun shines (``sun`` [W m-2 nm-1]); under an ``overcast_share`` what it leaves of the sky.
