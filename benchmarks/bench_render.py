@@ -36,7 +36,7 @@ def prepared(samples):
     from hyperpaint.simulation.rendering.scene_record import TraceSettings
     from hyperpaint.simulation.rendering.tracing import prepare_scene
 
-    return prepare_scene(scene(), TraceSettings.of([SUN], samples=samples))
+    return prepare_scene(scene(), TraceSettings([SUN], samples=samples))
 
 
 @functools.cache
