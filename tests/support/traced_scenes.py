@@ -124,3 +124,19 @@ def seen_by(bands: BandSet, grid: np.ndarray, spectrum: np.ndarray, shift: float
             response = response * bands.responsivity(grid)
         made.append((response * spectrum).sum() / response.sum())
     return np.array(made)
+
+
+SERIES_NM = np.arange(400.0, 1001.0, 5.0)
+
+
+def irradiance_series(samples: int = 3, units: str = "W m-2 nm-1") -> xr.Dataset:
+    """Return an irradiance series every 10 s, of levels 1, 2, ..."""
+    level = (1.0 + np.arange(samples))[:, None] * np.ones(SERIES_NM.size)
+    times = np.datetime64("2020-06-21T17:00:00", "ns") + 10_000_000_000 * np.arange(samples)
+    return xr.Dataset(
+        {"irradiance": (("irradiance_time", "irradiance_wavelength"), level.astype("f4"), {"units": units})},
+        {
+            "irradiance_time": times,
+            "irradiance_wavelength": ("irradiance_wavelength", SERIES_NM, {"units": "nm"}),
+        },
+    )
