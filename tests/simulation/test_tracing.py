@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import logging
 import pickle
 import time as clock
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -70,28 +70,13 @@ def test_variables_are_those_of_the_table_before_and_after(whole: xr.Dataset, no
     assert set(whole.coords) == {"time", "sun_zenith", "sun_azimuth"}
 
 
-@pytest.mark.parametrize("scheduler", ["synchronous", "threads", "cluster"])
 @pytest.mark.parametrize("chunk_lines", [1, 7, 24])
 @pytest.mark.slow
 def test_the_same_bits_whatever_the_chunks(
-    whole: xr.Dataset, client: Any, chunk_lines: int, scheduler: str
+    whole: xr.Dataset, scheduler_of_lines: Callable[[int], Any], chunk_lines: int
 ) -> None:
-    where: Any = client.as_current() if scheduler == "cluster" else dask.config.set(scheduler=scheduler)
-    with where:
+    with scheduler_of_lines(chunk_lines):
         xr.testing.assert_identical(traced(chunk_lines).compute(), whole)
-
-
-@pytest.fixture(scope="module")
-def client() -> Any:
-    """Two workers in other processes."""
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
-        ) as cluster,
-        distributed.Client(cluster, set_as_default=False) as made,
-    ):
-        yield made
 
 
 def test_another_seed_another_draw(whole: xr.Dataset) -> None:
