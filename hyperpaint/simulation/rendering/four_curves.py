@@ -205,10 +205,8 @@ class Atmosphere:
         """
         grid = spectral_grid(*_RANGE_NM) if wavelength is None else np.asarray(wavelength, dtype=np.float64)
         sun, sky = built_in_sky(grid, sun_zenith, aerosol=aerosol, ozone=ozone, water=water)
-        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)
-        return cls._with_haze(
-            grid, sun, sky, haze, spread, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
-        )
+        options: dict[str, Any] = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "name": name}
+        return cls._with_haze(grid, sun, sky, haze, aerosol=aerosol, **options)
 
     @classmethod
     def _with_haze(
@@ -217,15 +215,19 @@ class Atmosphere:
         sun: Floats,
         sky: Floats,
         haze: Haze | None,
-        spread: Mapping[str, Any],
+        *,
+        spread: Mapping[str, Any] | None = None,
+        aerosol: float = 0.10,
         **options: Any,
     ) -> Atmosphere:
-        # atmosphere whose extinction and path radiance are computed from haze, sun and sky
+        # atmosphere whose extinction and path radiance are computed from haze, sun and sky, and shares of a
+        # clear sky, unless passed, from the sun
         extinction = path = np.zeros_like(grid)
+        zenith, overcast_share = options["sun_zenith"], options.get("overcast_share", 0.0)
         if haze is not None:
-            extinction = haze.extinction(grid)
-            path = haze.path_radiance(grid, sun, sky, options["sun_zenith"])
-        return cls(grid, sun, sky, extinction, path, haze=haze, **spread, **options)
+            extinction, path = haze.extinction(grid), haze.path_radiance(grid, sun, sky, zenith)
+        shares = spread or clear_spread(grid, sun, zenith, overcast_share, aerosol)
+        return cls(grid, sun, sky, extinction, path, haze=haze, **shares, **options)
 
     @classmethod
     def spectrl2(
@@ -297,10 +299,8 @@ class Atmosphere:
                 code="value-out-of-range",
             )
         sun, sky = (np.interp(grid, coarse, np.ravel(table[name])) for name in ("dni", "dhi"))
-        spread = clear_spread(grid, sun, sun_zenith, aerosol=aerosol)
-        return cls._with_haze(
-            grid, sun, sky, haze, spread, sun_zenith=sun_zenith, sun_azimuth=sun_azimuth, name=name
-        )
+        options: dict[str, Any] = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "name": name}
+        return cls._with_haze(grid, sun, sky, haze, aerosol=aerosol, **options)
 
     @classmethod
     def from_irradiance(
@@ -357,9 +357,12 @@ class Atmosphere:
             )
         sun = total * fraction / np.cos(np.radians(sun_zenith))
         sky = total * (1.0 - fraction)
-        options = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
-        spread = clear_spread(grid, sun, sun_zenith, overcast_share)
-        return cls._with_haze(grid, sun, sky, haze, spread, **options, name=name)
+        options: dict[str, Any] = {
+            "sun_zenith": sun_zenith,
+            "sun_azimuth": sun_azimuth,
+            "overcast_share": overcast_share,
+        }
+        return cls._with_haze(grid, sun, sky, haze, **options, name=name)
 
     @classmethod
     def from_table(
@@ -424,11 +427,14 @@ class Atmosphere:
             curves = read_table(table)
         if name is None:
             name = "table" if isinstance(table, Mapping) else Path(table).stem
-        options = {"sun_zenith": sun_zenith, "sun_azimuth": sun_azimuth, "overcast_share": overcast_share}
+        options: dict[str, Any] = {
+            "sun_zenith": sun_zenith,
+            "sun_azimuth": sun_azimuth,
+            "overcast_share": overcast_share,
+        }
         air = [curves[name] for name in ("extinction", "path_radiance") if name in curves]
         grid, sun, sky = curves["wavelength"], curves["sun"], curves["sky"]
-        spread = fitted or clear_spread(grid, sun, sun_zenith, overcast_share)
-        hazy = cls._with_haze(grid, sun, sky, None if air else haze, spread, **options, name=name)
+        hazy = cls._with_haze(grid, sun, sky, None if air else haze, spread=fitted, **options, name=name)
         return replace(hazy, extinction=air[0], path_radiance=air[1]) if air else hazy
 
     def clouded(self, oktas: float, *, colour: float = 0.24) -> Atmosphere:
@@ -456,14 +462,13 @@ class Atmosphere:
         transmittance = cloud_transmittance(self.wavelength, oktas, colour=colour)
         sun = self.sun * (1.0 - cover)
         sky = self.irradiance * transmittance - sun * self.sun_cosine
-        if self.haze is not None:
-            path = self.haze.path_radiance(self.wavelength, sun, sky, self.sun_zenith)
-        else:
-            # without haze the phase function is unknown: path radiance in proportion to the light in the air
-            light_before, light_after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
-            path = self.path_radiance * np.divide(
-                light_after, light_before, out=np.zeros_like(light_after), where=light_before > 0
-            )
+        # without haze the phase function is unknown: path radiance in proportion to the light in the air
+        before, after = self.sun + 2.0 * self.sky, sun + 2.0 * sky
+        path = (
+            self.path_radiance * np.divide(after, before, out=np.zeros_like(after), where=before > 0)
+            if self.haze is None
+            else self.haze.path_radiance(self.wavelength, sun, sky, self.sun_zenith)
+        )
         return replace(
             self,
             sun=sun,

@@ -380,15 +380,10 @@ class Scene:
         >>> arrow.moved((0, 0, 5), heading=90).vertices[1].round(6).tolist()
         [2.0, 0.0, 5.0]
         """
-        angle = np.radians(heading)
-        turn = np.array(
-            [[np.cos(angle), np.sin(angle), 0.0], [-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]]
-        )
-        return replace(
-            self,
-            vertices=self.vertices @ turn.T + np.asarray(offset, np.float64),
-            normals=self.normals @ turn.T,
-        )
+        sine, cosine = np.sin(np.radians(heading)), np.cos(np.radians(heading))
+        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        vertices = self.vertices @ turn + np.asarray(offset, np.float64)
+        return replace(self, vertices=vertices, normals=self.normals @ turn)
 
 
 def plane(
