@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperpaint.base.errors import PaintError
 from hyperpaint.regions import Region, Regions
-from hyperpaint.regions.polygons import contains
+from hyperpaint.regions.pixels_in_regions import contains
 
 from .explorer_figures import (
     COLOURS,

@@ -14,8 +14,7 @@ from hypothesis import given, settings, strategies as st
 
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.regions import Region, Regions, pixels, pixels_in_regions, pixels_of, region_mask
-from hyperpaint.regions.pixels_in_regions import renumbered
-from hyperpaint.regions.polygons import contains
+from hyperpaint.regions.pixels_in_regions import contains, renumbered
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
 
