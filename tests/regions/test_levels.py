@@ -8,9 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hyperpaint.regions.proposals.cars import Levelled, Place, level_light, level_place
-from hyperpaint.regions.proposals.footprints import Footprint
-from hyperpaint.regions.proposals.roofs import Roof
+from hyperpaint.regions.proposals.cars import Level, Place, level_light, level_place
+from hyperpaint.regions.proposals.footprints import Footprint, Roof
 
 Floats = npt.NDArray[np.float64]
 AXIS = np.array([0.0, 1.0])
@@ -55,11 +54,7 @@ def crowned(sun: Sun, flakes: float = 0.0, shape: tuple[int, int] = (40, 80)) ->
     return light(normal) / light(np.array([0.0, 0.0, 1.0]))
 
 
-def lean_change(level: Levelled) -> float:
-    return float(np.hypot(level.along_change, level.across_change))
-
-
-def level_of(brightness: Floats, place: Place = PLACE) -> Levelled:
+def level_of(brightness: Floats, place: Place = PLACE) -> Level:
     level = level_light(brightness, np.ones(brightness.shape, bool), place, AXIS)
     assert level is not None
     return level
@@ -82,14 +77,14 @@ def test_level__is_that_of_the_level_place(sun: Sun, flakes: float) -> None:
 @pytest.mark.parametrize("azimuth", [0.0, 35.0, 90.0])
 def test_change_with_lean__is_the_tangent_of_a_solid_paint(zenith: float, azimuth: float) -> None:
     """Rationale: d ln(cos) = tan(zenith) towards the sun. Expected: that, whatever the azimuth, to 2 %."""
-    change = lean_change(level_of(crowned(Sun(zenith, azimuth))))
+    change = level_of(crowned(Sun(zenith, azimuth))).lean_change
     assert change == pytest.approx(np.tan(np.radians(zenith)), rel=0.02)
 
 
 def test_change_with_lean__is_more_of_flakes() -> None:
     """Expected: more than three times that of a solid paint at 20 degrees from the mirror direction."""
     sun = Sun(40.0, 90.0)
-    assert lean_change(level_of(crowned(sun, 0.7))) > 3.0 * lean_change(level_of(crowned(sun)))
+    assert level_of(crowned(sun, 0.7)).lean_change > 3.0 * level_of(crowned(sun)).lean_change
 
 
 def test_glint__is_left_out() -> None:

@@ -18,10 +18,9 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.cli.program import main
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.regions import pixels_of
-from hyperpaint.regions.proposals.candidates import Measures, Picture
+from hyperpaint.regions.proposals.candidates import Measures, Picture, Piece, lean_to_sun
 from hyperpaint.regions.proposals.cars import Level, Verdict, judge_level
 from hyperpaint.regions.proposals.footprints import hull_of
-from hyperpaint.regions.proposals.leans import lean_to_sun
 from hyperpaint.regions.proposals.proposing import outline
 from hyperpaint.surroundings.corrections import remove_mirrored_sky
 
@@ -80,6 +79,12 @@ def parked(
 
 def propose(line: xr.Dataset, **options: Any) -> Any:
     return hp.regions.propose_regions(line, sun_zenith=ZENITH, **options)
+
+
+def roof_of(level: float) -> Verdict:
+    """Return a roof of 64 pixels without a verdict."""
+    piece = Piece(0, (0, 0), np.ones((8, 8), bool))
+    return Verdict(piece, Measures(piece.inside, np.full(24, level), {}, pixels=64), "roof")
 
 
 # --- outlines of pixels ------------------------------------------------------------------------------------
@@ -273,11 +278,9 @@ def test_flakes__make_levels_uncertain() -> None:
     """
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
     picture = Picture(model, np.empty(0), {}, 45.0)
-    measures = Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
-    solid = float(1.0 - model.diffuse_fraction.mean())
-    verdicts = [Verdict("roof") for _ in range(3)]
+    verdicts = [roof_of(0.3) for _ in range(3)]
     for verdict, times in zip(verdicts, (1.0, 4.0, 8.0), strict=True):
-        judge_level(verdict, measures, picture, 0.5, Level(along_change=times * solid))
+        judge_level(verdict, picture, 0.5, Level(along_change=times * picture.direct_share))
     assert verdicts[1].level_sd > 1.3 * verdicts[0].level_sd
     assert not verdicts[0].objections
     assert not verdicts[1].objections
@@ -298,9 +301,8 @@ def test_haze__makes_dark_levels_uncertain() -> None:
     for sky, model in zip(("clear", "hazy", "covered"), models, strict=True):
         mirrored = 0.04 * float((model.diffuse_fraction * model.zenith_radiance).mean())
         for level in (0.08, 0.7):
-            measures = Measures(np.ones((8, 8), bool), np.full(24, level + mirrored), {}, pixels=64)
-            verdict = verdicts[sky, level] = Verdict("roof")
-            judge_level(verdict, measures, Picture(model, np.empty(0), {}, 45.0), 0.5, Level(0.01, 0.9))
+            verdict = verdicts[sky, level] = roof_of(level + mirrored)
+            judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), 0.5, Level(1.0, 0.01, 0.9))
     refused = [key for key, verdict in verdicts.items() if verdict.objections]
     assert refused == [("hazy", 0.08)]
     assert "mirrored" in verdicts["hazy", 0.08].objections[0]
@@ -310,8 +312,8 @@ def test_haze__makes_dark_levels_uncertain() -> None:
 def test_level_that_is_not_known__is_refused() -> None:
     """Rationale: a comparison with NaN is False. Expected: an objection, and no region of a level of NaN."""
     model = hp.surroundings.survey(parked(), sun_zenith=45.0)
-    verdict, measures = Verdict("roof"), Measures(np.ones((8, 8), bool), np.full(24, 0.3), {}, pixels=64)
-    judge_level(verdict, measures, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level())
+    verdict = roof_of(0.3)
+    judge_level(verdict, Picture(model, np.empty(0), {}, 45.0), float("nan"), Level())
     assert verdict.objections
 
 
