@@ -27,8 +27,7 @@ from hyperpaint.radiometry.spectral_axis import to_nominal
 
 from . import SceneModel, survey
 from .detection_rules import FLAGS, MIRROR
-from .full_light import Light, max_excesses
-from .lobes import SATURATED_IN_LOBE
+from .full_light import SATURATED_IN_LOBE, Light, max_excesses
 from .model import SHADED
 from .surveying import to_channels, to_nominal_channels
 

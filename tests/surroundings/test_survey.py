@@ -15,9 +15,9 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.schema import Quality
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings.full_light import Light, Matches
+from hyperpaint.surroundings.light_split import measured_fraction, mirrored_radiances, shadow_side_of
 from hyperpaint.surroundings.model import LIT, SHADED, SceneModel
 from hyperpaint.surroundings.segments import divide, touching
-from hyperpaint.surroundings.sun_and_sky import measured_fraction, mirrored_radiances, shadow_side_of
 from hyperpaint.surroundings.surveying import (
     channel_noise,
     channel_numbers,
@@ -229,7 +229,7 @@ def test_the_side_of_shadows_from_sun_and_heading() -> None:
 
 def test_pvlib_gives_a_split_near_that_of_the_core() -> None:
     pytest.importorskip("pvlib")
-    from hyperpaint.surroundings.sun_and_sky import diffuse_from_clear_sky
+    from hyperpaint.surroundings.light_split import diffuse_from_clear_sky
 
     ours, theirs = (diffuse_from_clear_sky(source, NM, 30.0) for source in ("model", "pvlib"))
     np.testing.assert_allclose(ours, theirs, rtol=0.15, atol=0.01)

@@ -22,8 +22,7 @@ from hyperpaint.base.schema import BAND, LIBRARY_VARIABLES, SIGNATURE, Quality, 
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.light.coat_transmission import COAT_INDEX
 from hyperpaint.regions import Regions, pixels_of, regions_from
-from hyperpaint.surroundings.coat_correction import correct_coat
-from hyperpaint.surroundings.corrections import LEVELS, WIDTHS
+from hyperpaint.surroundings.corrections import LEVELS, WIDTHS, correct_coat
 
 from .coat_strength import with_coat_strength
 from .line_sources import RegionPixels, Smoothing, Source, distinct_pixels, lines_of, source_of

@@ -13,7 +13,7 @@ from hyperpaint.base.arrays import Array, Bools, Floats
 from hyperpaint.light.coat_transmission import interface_reflectance
 from hyperpaint.light.sun import diffuse_fraction
 from hyperpaint.surroundings import SceneModel
-from hyperpaint.surroundings.sun_and_sky import MAX_SUN_ZENITH_DEG
+from hyperpaint.surroundings.light_split import MAX_SUN_ZENITH_DEG
 
 from .candidates import (
     Limits,

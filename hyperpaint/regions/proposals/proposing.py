@@ -22,7 +22,7 @@ from hyperpaint.regions import Region, Regions
 from hyperpaint.regions.pixels_in_regions import renumbered
 from hyperpaint.surroundings import SceneModel, survey
 from hyperpaint.surroundings.flags import flag
-from hyperpaint.surroundings.sun_and_sky import shadow_side_of, sun_zenith_of
+from hyperpaint.surroundings.light_split import shadow_side_of, sun_zenith_of
 from hyperpaint.surroundings.surveying import to_channels
 
 from .candidates import Limits, Picture, height_model_of, measured, pieces, sunny_lines
