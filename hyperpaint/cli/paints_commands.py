@@ -305,7 +305,7 @@ that a paint is too similar to others for this rate (most white, silver and grey
 )
 @click.argument("store", metavar="STORE.zarr", type=EXISTING)
 @takes(
-    "paints.detection.detecting:detect",
+    "paints.detection:detect",
     only=["library", "others", "method", "false_alarm_rate", "background", "unknown_rate", "shrinkage"],
     library={"type": EXISTING, "help": "Paints to find: a store of signatures, or a file of spectra."},
     others={

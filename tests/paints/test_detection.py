@@ -12,8 +12,8 @@ from support.refusals import refusal
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintWarning, SchemaError
-from hyperpaint.paints.detection import detecting as false_alarms
-from hyperpaint.paints.detection.detecting import distances, projection, scores
+from hyperpaint.paints import detection as false_alarms
+from hyperpaint.paints.detection import distances, projection, scores
 
 NM = np.linspace(405.0, 995.0, 30)
 RED, GREEN = "Synthetic Signal Red", "Synthetic Alpine Green"

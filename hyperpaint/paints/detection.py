@@ -1,4 +1,7 @@
-"""Detection of paints in a flight line: labels, units and the lazy graph."""
+"""Detection of paints in an image: scores, thresholds at a stated false-alarm rate, regions.
+
+Reflectance and a paint library come in, detections go out. For pictures, the accessor and the command line.
+"""
 
 from __future__ import annotations
 
@@ -164,13 +167,16 @@ class Background(NamedTuple):
     block: Ints  #: (pixel,): Number of the block of a sample pixel.
 
 
-def block_background(cube: Array, is_valid: Bools, number: int, size: int) -> Background:
-    """Return the background of a block (line, band, column) with valid pixels (line, column).
+def block_background(cube: Array, mask: Bools, bands: Ints, number: int, size: int) -> Background:
+    """Return the background of a block (line, band, column), on some bands, in a mask (line, column).
 
-    The sample consists of the valid ones of ``size`` pixels drawn at random; the seed is the block's number.
+    Pixels with values in all these bands are valid. The sample consists of the valid ones of ``size`` pixels
+    drawn at random; the seed is the block's number.
     """
-    lines, bands, columns = cube.shape
-    total, products = np.zeros(bands), np.zeros((bands, bands))
+    cube = cube[:, bands]
+    is_valid = mask & np.isfinite(cube).all(axis=1)
+    lines, _, columns = cube.shape
+    total, products = np.zeros(bands.size), np.zeros((bands.size, bands.size))
     for line, valid in zip(cube, is_valid, strict=True):
         # zeros instead of a selection: products of equal shape have the same bits in any block
         spectra = np.where(valid, line, 0.0).astype(np.float64)
@@ -195,16 +201,6 @@ def joined_backgrounds(backgrounds: Sequence[Background]) -> Background:
     return Background(pixels, total, products, sample, block)
 
 
-class DetectorSettings(NamedTuple):
-    """Settings of a detector; see `detect`."""
-
-    method: str
-    rate: float  #: Rate of false alarms.
-    unknown_rate: float
-    shrinkage: float
-    has_targets: bool  #: Whether the paints may be among the background pixels.
-
-
 class Detector(NamedTuple):
     """Paints, transform and thresholds for the search of a block."""
 
@@ -220,12 +216,9 @@ class Detector(NamedTuple):
     checked_rate_u: float  #: Half of its 95 % interval.
     explained_share: float  #: Share of pixels excluded from the background since a paint explains them.
 
-    def is_near(self, distance: Array, level: Array) -> Bools:
-        """Return whether each paint explains spectra (spectrum, signature)."""
-        return _is_near(distance, level, self.distance_limit)
-
 
 def _is_near(distance: Array, level: Array, limit: Floats) -> Bools:
+    # Whether each paint explains spectra (spectrum, signature)
     in_range = (level >= DETECTION.min_level) & (level <= DETECTION.max_level)
     return np.asarray((distance <= limit) & in_range)
 
@@ -236,14 +229,20 @@ def make_detector(
     paints: Floats,
     sky: Floats | None,
     other_paints: Floats,
-    settings: DetectorSettings,
+    *,
+    method: str,
+    rate: float,
+    unknown_rate: float,
+    shrinkage: float,
+    has_targets: bool,
 ) -> Detector:
     """Return the detector for a line, from the background of the complete line.
 
     Takes ``bands``: indices of the compared bands in the cube; on these bands, ``paints`` (signature, band),
-    ``sky`` (band,) and ``other_paints`` (spectrum, band), spectra of paints that are not searched for. Raises
-    `SchemaError`: too few pixels. Warns where paints explain many pixels, which are excluded from the
-    background.
+    ``sky`` (band,) and ``other_paints`` (spectrum, band), spectra of paints that are not searched for;
+    ``rate``: rate of false alarms; ``has_targets``: whether the paints may be among the background pixels;
+    further settings as of `detect`. Raises `SchemaError`: too few pixels. Warns where paints explain many
+    pixels, which are excluded from the background.
     """
     if not background.pixels:
         raise SchemaError(
@@ -262,12 +261,10 @@ def make_detector(
     mean = background.total / background.pixels
     covariance = background.products - background.pixels * np.outer(mean, mean)
     covariance = covariance / (background.pixels - 1)
-    shrunk = (1.0 - settings.shrinkage) * covariance + settings.shrinkage * np.diag(np.diag(covariance))
+    shrunk = (1.0 - shrinkage) * covariance + shrinkage * np.diag(np.diag(covariance))
     try:
         project = (
-            projection(paints, sky)
-            if settings.method == "spectral_angle"
-            else projection(paints, sky, mean, shrunk)
+            projection(paints, sky) if method == "spectral_angle" else projection(paints, sky, mean, shrunk)
         )
     except np.linalg.LinAlgError as error:
         raise SchemaError(
@@ -277,10 +274,10 @@ def make_detector(
             code="covariance-singular",
         ) from error
     other_distances = distances(other_paints, paints, sky)
-    limit = _distance_limits(other_distances, settings.unknown_rate)
-    if settings.has_targets and settings.unknown_rate < 1.0:
+    limit = _distance_limits(other_distances, unknown_rate)
+    if has_targets and unknown_rate < 1.0:
         # pixels that a paint explains may show this paint: exclude them from the background
-        exclusion_rate = min(DETECTION.target_rate_ratio * settings.unknown_rate, 0.5)
+        exclusion_rate = min(DETECTION.target_rate_ratio * unknown_rate, 0.5)
         exclusion_limit = _distance_limits(other_distances, exclusion_rate)
     else:
         exclusion_limit = np.full(len(paints), -1.0)
@@ -290,13 +287,13 @@ def make_detector(
         batch = slice(start, start + PIXELS_AT_ONCE)
         spectra = sample[batch].astype(np.float64)
         is_background[batch] = ~_is_near(*distances(spectra, paints, sky), exclusion_limit).any(axis=1)
-        values[batch] = scores(spectra, project, settings.method)
+        values[batch] = scores(spectra, project, method)
     explained = 1.0 - float(is_background.sum() / max(1, is_background.size))
-    if explained > DETECTION.explained_ratio * settings.rate:
+    if explained > DETECTION.explained_ratio * rate:
         warnings.warn(
             PaintWarning(
                 f"{100.0 * explained:.2g} % of the pixels resemble the paints and were excluded from the "
-                f"background: false_alarm_rate={settings.rate:g} holds for the other pixels only; if some "
+                f"background: false_alarm_rate={rate:g} holds for the other pixels only; if some "
                 "of these pixels show other objects, pass background= (--background) with similar pixels "
                 "that show no paint of the library",
                 code="background-resembles-paints",
@@ -304,10 +301,10 @@ def make_detector(
             stacklevel=2,
         )
     values = values[is_background]
-    threshold = _score_thresholds(values, settings.rate)
-    checked_rate, checked_rate_u = _checked_rate(values, background.block[is_background], settings.rate)
+    threshold = _score_thresholds(values, rate)
+    checked_rate, checked_rate_u = _checked_rate(values, background.block[is_background], rate)
     return Detector(
-        settings.method,
+        method,
         bands,
         paints,
         sky,
@@ -576,7 +573,8 @@ def detect(
         bands,
         paints,
         other_paints,
-        DetectorSettings(method, false_alarm_rate, rate, shrinkage, background is None),
+        {"method": method, "rate": false_alarm_rate, "unknown_rate": rate, "shrinkage": shrinkage}
+        | {"has_targets": background is None},
         sky,
     )
     attrs = {"method": method, "false_alarm_rate": false_alarm_rate, "unknown_rate": rate}
@@ -660,7 +658,7 @@ def _lazy_detector(
     bands: Ints,
     paints: Floats,
     other_paints: Floats,
-    settings: DetectorSettings,
+    settings: dict[str, Any],
     sky: Any,
 ) -> Any:
     # Delayed detector: sums over blocks in their order, then thresholds
@@ -668,7 +666,7 @@ def _lazy_detector(
     pixels = max(1, cube.shape[0] * cube.shape[2])
     share = min(1.0, DETECTION.sample_bytes / (4.0 * bands.size * pixels))
     size = int(np.ceil(share * CHUNK_LINES * cube.shape[2]))
-    background = dask.delayed(_background_on_bands, pure=True)
+    background = dask.delayed(block_background, pure=True)
     backgrounds = [
         background(*block_and_mask, bands, number, size)
         for number, block_and_mask in enumerate(zip(blocks, masks, strict=True))
@@ -691,7 +689,9 @@ def _lazy_detector(
                 code="length-mismatch",
             )
         sky = sky[bands]
-    return dask.delayed(make_detector, pure=True)(backgrounds[0], bands, paints, sky, other_paints, settings)
+    return dask.delayed(make_detector, pure=True)(
+        backgrounds[0], bands, paints, sky, other_paints, **settings
+    )
 
 
 def _after(predecessor: Any, array: Any) -> Any:
@@ -724,11 +724,6 @@ def _value_after(_: Any, value: Any) -> Any:
 
 def _call_after(_: Any, function: Any, *args: Any, **options: Any) -> Any:
     return function(*args, **options)
-
-
-def _background_on_bands(cube: Array, mask: Bools, bands: Ints, number: int, size: int) -> Background:
-    cube = cube[:, bands]
-    return block_background(cube, mask & np.isfinite(cube).all(axis=1), number, size)
 
 
 def _mirrored_sky(line: xr.Dataset, bands: Ints) -> Floats | None:
@@ -796,7 +791,9 @@ def search_block(cube: Array, unflagged: Bools, detector: Detector) -> tuple[Arr
         spectra[~is_complete] = 0.0
         paint_scores = scores(spectra, detector.project, detector.method)
         paint_distances, levels = distances(spectra, detector.paints, detector.sky)
-        passes: Array = (paint_scores >= detector.threshold) & detector.is_near(paint_distances, levels)
+        passes: Array = (paint_scores >= detector.threshold) & _is_near(
+            paint_distances, levels, detector.distance_limit
+        )
         relative_scores = (paint_scores - detector.median_score) / scale
         any_passes = np.max(passes, axis=1, keepdims=True)
         candidates = np.where(passes >= any_passes, relative_scores, -np.inf)
