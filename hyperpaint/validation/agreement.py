@@ -10,7 +10,7 @@ import numpy.typing as npt
 from hyperpaint.base.arrays import Floats
 from hyperpaint.light.responses import Responses, matching_operator
 
-from .measured_spectra import Measured
+from .dataset_spectra import Measured
 from .validation_result import STATISTICS
 
 #: Minimum number of bands for the shape of a spectrum: with one band, angle and scale-free error are 0.

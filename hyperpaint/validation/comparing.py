@@ -17,8 +17,7 @@ from hyperpaint.base.errors import Problems, SchemaError
 from hyperpaint.base.schema import BAND
 
 from .agreement import Operator, bands_of, operator_onto
-from .coat_readings import as_body, difference
-from .measured_spectra import Measured
+from .dataset_spectra import Measured, as_body, difference
 from .validation_result import MEANINGS
 
 _MAX_LISTED_NAMES = 12
@@ -33,18 +32,13 @@ class Pair:
     between: bool = False  #: Whether ``signature`` is a reference, from another instrument.
 
 
-@dataclass(frozen=True)
-class Pairing:
-    """All pairs, and the signatures and references without a counterpart."""
+def paired(
+    signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None
+) -> tuple[list[Pair], tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    """Return the pairs of signatures and references, and the names of those without a counterpart.
 
-    pairs: tuple[Pair, ...]
-    signatures: tuple[str, ...]  #: Names of signatures without a reference.
-    references: tuple[str, ...]  #: Names of references without a signature, with their instrument.
-    missing: tuple[str, ...]  #: Entries of ``signatures`` whose property names an absent reference.
-
-
-def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs: Any = None) -> Pairing:
-    """Return the pairs of signatures and references.
+    Names of signatures without a reference; names of references without a signature, with their instrument;
+    and signatures whose property names an absent reference.
 
     ``signatures``, ``references``: spectra with their names; ``pairs``: one or several names of references by
     name of a paint. By default a signature's property ``reference`` names them, and without this property the
@@ -97,7 +91,7 @@ def paired(signatures: Sequence[Measured], references: Sequence[Measured], pairs
             option=mend.format("--pairs"),
             code="reference-unmatched",
         )
-    return Pairing(tuple(matched), tuple(unpaired), unpaired_references, tuple(missing))
+    return matched, tuple(unpaired), unpaired_references, tuple(missing)
 
 
 def _references_of_name(name: str, references: Sequence[Measured], problems: Problems) -> list[int]:
@@ -253,23 +247,22 @@ class Compared:
         return (self.bands.wavelength >= edges[0]) & (self.bands.wavelength < edges[1])
 
     @property
-    def overlap(self) -> str:
-        """Treatment of overlapping detectors in the references."""
-        return _common([reference.overlap for reference in self.pair.references])
-
-    @property
     def matched(self) -> bool:
         """Whether values of any reference were changed to join detectors."""
         return any(reference.matched for reference in self.pair.references)
 
-    @property
-    def mirror(self) -> str:
-        """Whether the references include the mirror image of the sky."""
-        return _common([reference.mirror for reference in self.pair.references])
+    def common(self, name: str) -> str:
+        """Return the word in a field of the references; "mixed" where they differ."""
+        words = {getattr(reference, name) for reference in self.pair.references}
+        return words.pop() if len(words) == 1 else "mixed"
 
     def warnings(self) -> list[tuple[str, str]]:
         """Return code and text of each condition that the user can mend."""
-        name, mirror, reference_mirror = self.pair.signature.name, self.pair.signature.mirror, self.mirror
+        name, mirror, reference_mirror = (
+            self.pair.signature.name,
+            self.pair.signature.mirror,
+            self.common("mirror"),
+        )
         texts = dict.fromkeys(
             difference(self.pair.signature, reference) for reference in self.pair.references
         )
@@ -312,23 +305,18 @@ class Compared:
                 f"the {sides[0]} is relative to a white panel, the {sides[1]} is absolute: the panel's own "
                 f"reflectance is in the difference{'; pass panel=' if is_absolute else ''}"
             )
-        return tuple(dict.fromkeys([*notes, *self._uncertainty()]))
-
-    def _uncertainty(self) -> list[str]:
         signature, references = self.pair.signature, self.pair.references
         has_uncertainty = {
             "signature": signature.has_uncertainty,
             "reference": len(references) > 1 or references[0].has_uncertainty,
         }
-        unknown = [side for side, is_known in has_uncertainty.items() if not is_known]
-        notes = []
-        if unknown:
+        if unknown := [side for side, is_known in has_uncertainty.items() if not is_known]:
             notes.append(f"the uncertainty of the {' and the '.join(unknown)} is unknown and not included")
-        for side, spectra in (("signature", (signature,)), ("reference", references)):
-            notes += [
-                f"uncertainty of the {side}: {text}" for spectrum in spectra for text in spectrum.gaps()
-            ]
-        return notes
+        notes += [f"uncertainty of the signature: {text}" for text in signature.gaps()]
+        notes += [
+            f"uncertainty of the reference: {text}" for spectrum in references for text in spectrum.gaps()
+        ]
+        return tuple(dict.fromkeys(notes))
 
     @property
     def scatter(self) -> float:
@@ -427,7 +415,3 @@ def _errors_of_mean(
         if reading.u_random is not None:
             errors += resample(reading.u_random * rng.standard_normal((DRAWS, reading.u_random.size))) / count
     return errors
-
-
-def _common(words: Sequence[str]) -> str:
-    return words[0] if len(set(words)) == 1 else "mixed"

@@ -53,12 +53,13 @@ def outline(mask: Bools, origin: tuple[int, int] = (0, 0)) -> tuple[Floats, tupl
     for direction, (neighbour, (dy, dx)) in enumerate(zip(neighbours, corners, strict=True)):
         for line, column in np.argwhere(mask & ~neighbour).tolist():
             sides.setdefault((line + dy, column + dx), []).append(direction)
-    rings: list[list[tuple[int, int]]] = []
+    rings = []
     while sides:
         # start at the first corner in line order: the first ring then is the outer ring
         corner = start = min(sides)
         direction, previous = min(sides[start]), -1
-        rings.append(ring := [])
+        ring: list[tuple[int, int]] = []
+        rings.append(ring)
         while corner in sides and not (ring and corner == start):
             directions = sides[corner]
             if ring:
