@@ -13,7 +13,7 @@ from hyperpaint.base.errors import FormatError, SchemaError, StoreError
 from hyperpaint.regions import Region, Regions, geojson, read_regions, regions_from, write_regions
 
 SQUARE = [(1, 1), (5, 1), (5, 5), (1, 5)]
-FILES = settings(max_examples=60)
+FILES = settings(max_examples=40)
 
 plain = st.recursive(
     st.none()
