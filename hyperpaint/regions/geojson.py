@@ -516,14 +516,39 @@ def _no_constant(text: str) -> None:
 
 def _collection(document: Any, subject: str) -> Regions:
     problems = Problems(f"{subject} cannot be read as regions", FormatError)
-    features = _features(document, problems)
-    crs = _crs(document, problems) if isinstance(document, Mapping) else None
-    declared = document.get("coordinates") if isinstance(document, Mapping) else None
+    members = document if isinstance(document, Mapping) else {}
+    geojson_type = members.get("type")
+    features = members.get("features") if geojson_type == "FeatureCollection" else None
+    if geojson_type == "Feature":
+        features = [document]
+    if not isinstance(features, list | tuple):
+        description = (
+            f"type {geojson_type!r:.80}" if isinstance(document, Mapping) else type(document).__name__
+        )
+        problems.add(description, expected="a FeatureCollection with a list of features", code="type-wrong")
+    elif len(features) > MAX_REGIONS:
+        problems.add(
+            f"{len(features)} features",
+            expected=f"at most {MAX_REGIONS}",
+            mend="split the file",
+            code="regions-too-many",
+        )
+    crs = members.get("crs")
+    if isinstance(crs, Mapping):
+        inner = crs.get("properties")
+        crs = (inner.get("name") if isinstance(inner, Mapping) else None) or ""  # an empty name is refused
+    if crs is not None and not (isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable()):
+        problems.add(
+            "the crs has no name",
+            expected="text such as 'EPSG:32618', or an object with properties.name",
+            code="crs-missing",
+        )
+    declared = members.get("coordinates")
     coordinates = ("sensor" if crs is None else "map") if declared is None else declared
     one_of(coordinates, COORDINATES, "coordinates", problems=problems)
     problems.raise_if_any()
     regions, invalid_features = [], 0
-    for number, feature in enumerate(features):
+    for number, feature in enumerate(features or ()):
         try:
             regions.append(_region(feature))
         except PaintError as error:
@@ -539,45 +564,6 @@ def _collection(document: Any, subject: str) -> Regions:
         return Regions(tuple(regions), coordinates, crs)
     except SchemaError as error:
         raise FormatError(subject, problems=[error.problem]) from error
-
-
-def _features(document: Any, problems: Problems) -> list[Any]:
-    geojson_type = document.get("type") if isinstance(document, Mapping) else None
-    if geojson_type == "Feature":
-        return [document]
-    features = document.get("features") if geojson_type == "FeatureCollection" else None
-    if not isinstance(features, list | tuple):
-        description = (
-            f"type {geojson_type!r:.80}" if isinstance(document, Mapping) else type(document).__name__
-        )
-        problems.add(description, expected="a FeatureCollection with a list of features", code="type-wrong")
-        return []
-    if len(features) > MAX_REGIONS:
-        problems.add(
-            f"{len(features)} features",
-            expected=f"at most {MAX_REGIONS}",
-            mend="split the file",
-            code="regions-too-many",
-        )
-        return []
-    return list(features)
-
-
-def _crs(document: Mapping[str, Any], problems: Problems) -> str | None:
-    crs = document.get("crs")
-    if isinstance(crs, Mapping):
-        inner = crs.get("properties")
-        crs = inner.get("name") if isinstance(inner, Mapping) else None
-    elif crs is None:
-        return None
-    if isinstance(crs, str) and 0 < len(crs) <= 10_000 and crs.isprintable():
-        return crs
-    problems.add(
-        "the crs has no name",
-        expected="text such as 'EPSG:32618', or an object with properties.name",
-        code="crs-missing",
-    )
-    return None
 
 
 def _region(feature: Any) -> Region:

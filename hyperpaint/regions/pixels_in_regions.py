@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any, TypeVar
@@ -191,7 +191,22 @@ def pixels_of(regions: Regions, line: xr.Dataset) -> list[Pixels]:
         names = lines_of_cells(line)
         if not names:
             return _by_coordinates(regions, *coordinates, shape)
-        sources = line[_SOURCE_LINE], _line_numbers(regions, names)
+        # number of the flight line of every region
+        problems = Problems(
+            "pixels of regions cannot be found in this map of several flight lines", SchemaError
+        )
+        lines = [region.flightline.replace(" ", "_") for region in regions]
+        for region, name in zip(regions, lines, strict=True):
+            if name not in names:
+                source = f"is of flight line {region.flightline!r}" if name else "names no flight line"
+                problems.add(
+                    f"region {region.name!r} in sensor coordinates {source}",
+                    expected=f"one of {', '.join(names)}",
+                    mend="give it the property flightline, or draw it in map coordinates",
+                    code="flightline-unknown",
+                )
+        problems.raise_if_any()
+        sources = line[_SOURCE_LINE], [names[name] for name in lines]
         return _by_coordinates(regions, *coordinates, shape, sources)
     columns, rows = numbers_of(line, CROSS_TRACK), numbers_of(line, ALONG_TRACK)
     return [_on_axes(region, columns, rows) for region in regions]
@@ -205,24 +220,6 @@ def lines_of_cells(line: xr.Dataset) -> dict[str, int]:
     numbers = np.atleast_1d(attrs.get("flag_values", ())).astype(int).tolist()
     names = dict(zip(str(attrs.get("flag_meanings", "")).split(), numbers, strict=False))
     return names if len(names) > 1 else {}
-
-
-def _line_numbers(regions: Regions, names: Mapping[str, int]) -> list[int]:
-    # Number of the flight line of every region
-    problems = Problems("pixels of regions cannot be found in this map of several flight lines", SchemaError)
-    for region in regions:
-        if region.flightline.replace(" ", "_") not in names:
-            source = (
-                f"is of flight line {region.flightline!r}" if region.flightline else "names no flight line"
-            )
-            problems.add(
-                f"region {region.name!r} in sensor coordinates {source}",
-                expected=f"one of {', '.join(names)}",
-                mend="give it the property flightline, or draw it in map coordinates",
-                code="flightline-unknown",
-            )
-    problems.raise_if_any()
-    return [names[region.flightline.replace(" ", "_")] for region in regions]
 
 
 def located_for(regions: Regions, line: xr.Dataset) -> xr.Dataset:

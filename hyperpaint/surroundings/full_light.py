@@ -499,8 +499,12 @@ def _add_sharp(
     core = _in_larger_window(core, window, larger, brightness.shape)
     distance = _distance(core)
     ring = (distance > 2.5) & (distance <= 4.5)
-    surface_body = _main_body(body, ring)
-    if surface_body < 0 or picture.ground[surface_body]:
+    # body with most pixels of the ring, if it has enough of them
+    numbers, count = np.unique(body[ring & (body >= 0)], return_counts=True)
+    if count.sum() < LOBES.min_ring_px or count.max() < LOBES.min_ring_share * count.sum():
+        return
+    surface_body = int(numbers[np.argmax(count)])
+    if picture.ground[surface_body]:
         return
     # the excess at the peak over the ring must have the colour of direct light
     peak = np.unravel_index(np.argmax(np.where(core, brightness, -np.inf)), core.shape)
@@ -525,14 +529,6 @@ def _add_sharp(
     halo = ((body == surface_body) | (distance <= 2.5)) & (distance <= reach) & is_brighter
     pieces, _ = label(halo | core, np.ones((3, 3)))
     lobe[larger] |= pieces == pieces[peak]
-
-
-def _main_body(body: npt.NDArray[np.int32], ring: Bools) -> int:
-    # Body with most pixels of a ring; -1 where no body has enough of them
-    numbers, count = np.unique(body[ring & (body >= 0)], return_counts=True)
-    if count.sum() < LOBES.min_ring_px or count.max() < LOBES.min_ring_share * count.sum():
-        return -1
-    return int(numbers[np.argmax(count)])
 
 
 def _broad_lobe(

@@ -385,7 +385,7 @@ def _extend(
     body: Array,
 ) -> None:
     # Assign candidates that touch shadows, and are not in the sun, until none is added
-    segment_border, on_ground = scene.border[mixtures.segment], ground[mixtures.body]
+    pairs, segment_border, on_ground = scene.pairs, scene.border[mixtures.segment], ground[mixtures.body]
     faces_sun = (away < -SHADOWS.sideways * length) & (length > SHADOWS.sure_border * segment_border)
     fits = best & ~faces_sun & without_sun(mixtures)
     ground_shadows = fits & on_ground & (mixtures.misfit < SHADOWS.max_misfit)
@@ -404,7 +404,8 @@ def _extend(
         # share of the border that touches any shadow, and shadows on the ground
         shaded = state == SHADED
         beside_shadow, beside_ground_shadow = (
-            _touched(mask, scene)[mixtures.segment] / segment_border
+            np.bincount(pairs.one, pairs.length * mask[pairs.other], shaded.size)[mixtures.segment]
+            / segment_border
             for mask in (shaded, shaded & ground[body])
         )
         enough = ground_shadows & (beside_shadow > np.where(clear, SHADOWS.next_clear, SHADOWS.next))
@@ -414,12 +415,6 @@ def _extend(
         enough |= best & ~faces_sun & (mixtures.direct < SHADOWS.max_enclosed_direct) & enclosed
         if not _assign(mixtures, enough, state, body):
             break
-
-
-def _touched(mask: Bools, scene: Scene) -> Floats:
-    # Number of sides of every segment that touch segments of a mask (segment,)
-    weight = scene.pairs.length * mask[scene.pairs.other]
-    return np.bincount(scene.pairs.one, weight, scene.size.size).astype(np.float64)
 
 
 def _assign(mixtures: Mixtures, accepted: Bools, state: Array, body: Array) -> bool:
@@ -947,7 +942,9 @@ def survey(
     channels, saturated = read_channels(cube, channel, as_progress(progress, "survey"), bits)
     channels, channel = without_unknown(channels, channel)
     spectra = (wavelength, fraction, line_split.u.values, *line_split.mirrored())
-    centre, split, split_u, *sky = (_channel_means(values, channel) for values in spectra)
+    is_used = channel >= 0
+    used, counts = channel[is_used], np.bincount(channel[is_used])
+    centre, split, split_u, *sky = (np.bincount(used, values[is_used]) / counts for values in spectra)
     shift = shift_of_channels(line, channel, channels.shape[1])
     to_nominal_channels(channels, centre, shift)
     light = Light.under(split, *sky)
@@ -1136,9 +1133,3 @@ def _source_text(diffuse: Any, split: LightSplit) -> str:
         "pvlib": f"SPECTRL2 of pvlib, {sun}",
         "shadow": "cast shadow in the image",
     }.get(str(diffuse), f"clear sky of hyperpaint.light.sun, {sun}")
-
-
-def _channel_means(values: Floats, channel: Ints) -> Floats:
-    # Means of values (band,) over the bands of every channel (channel,)
-    is_used = channel >= 0
-    return np.asarray(np.bincount(channel[is_used], values[is_used]) / np.bincount(channel[is_used]))

@@ -16,8 +16,14 @@ from hyperpaint.base.errors import PaintWarning, Problems, SchemaError
 from hyperpaint.base.facts import documented, one_of
 from hyperpaint.base.units import takes_quantities
 
-from .agreement import statistics_of, uncertainty_of
-from .comparing import Compared, between_references, compare, paired
+from .comparing import (
+    Compared,
+    between_references,
+    compare,
+    paired,
+    statistics_of,
+    uncertainty_of,
+)
 from .dataset_spectra import references_from, scaled_by_panel, signatures_from
 from .validation_result import FLOOR, MAX_TOLERANCE_SHARE, MEANINGS, RELATIVE, STATISTICS, Validation
 

@@ -283,8 +283,7 @@ def test_nothing_is_computed_before_it_is_asked_for(red: xr.Dataset) -> None:
         ("paint_distance", "float32", "1"), ("score_threshold", "float64", "1"),
     ):  # fmt: skip
         assert found[name].chunks is not None or found[name].ndim == 0
-        assert found[name].dtype == dtype
-        assert found[name].attrs.get("units") == units
+        assert (found[name].dtype, found[name].attrs.get("units")) == (dtype, units)
         assert found[name].attrs["long_name"]
 
 
@@ -337,8 +336,7 @@ def test_regions_with_and_without_a_paint(red: xr.Dataset) -> None:
         )
     )
     cars = hp.paints.detected_regions(found, regions)
-    assert cars["signature"].values.tolist() == [RED, ""]
-    assert cars["pixels"].values.tolist() == [36, 36]
+    assert (cars["signature"].values.tolist(), cars["pixels"].values.tolist()) == ([RED, ""], [36, 36])
     placements = cars["placements"].values
     assert placements[0] > 60
     assert cars["p_value"].values[0] == pytest.approx(1 / (placements[0] + 1))

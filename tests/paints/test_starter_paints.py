@@ -27,8 +27,7 @@ def test_its_form(paints: xr.Dataset) -> None:
     assert dict(paints.member_reflectance.sizes) == {"signature": 40, "member": 24, "band": 272}
     assert (paints.wavelength.values[[0, -1]] == [400.0, 1000.0]).all()
     for name in ("reflectance", "member_reflectance", "specular_reflectance", "reflectance_sd"):
-        assert paints[name].dtype == np.float32
-        assert paints[name].attrs["units"] == "1"
+        assert (paints[name].dtype, paints[name].attrs["units"]) == (np.float32, "1")
         assert ((paints[name] >= 0.0) & (paints[name] <= 1.0)).all(), name
     assert paints.reflectance.attrs["mirror_reflection"] == "excluded"
     assert (paints.reflectance + paints.specular_reflectance <= 1.0).all()

@@ -57,8 +57,7 @@ def test_sun__is_free_far_from_the_edges_of_clouds() -> None:
     sun = sunny_lines(line, model, None, 30.0)
     assert sun is not None
     lines, fraction = sun
-    assert fraction == pytest.approx(CLEAR)
-    assert np.flatnonzero(lines).tolist() == list(range(20))
+    assert (fraction, np.flatnonzero(lines).tolist()) == (pytest.approx(CLEAR), list(range(20)))
     line["irradiance"][7] = np.nan
     assert sunny_lines(line, model, None, 30.0)[0].sum() == 20
     thin = line.assign(irradiance=line["irradiance"].clip(0.75))

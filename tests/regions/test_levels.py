@@ -156,8 +156,7 @@ def test_axis__is_halfway_between_edges(middle: float, slope: float) -> None:
     """Rationale: windows tell pixels, and shading moves an edge. Expected: 0.3 of one."""
     footprint, roof = roofed(middle, 13.0, slope)
     place = level_place(footprint, roof)
-    assert place.line == pytest.approx(middle, abs=0.3)
-    assert place.column == pytest.approx(45.0)
+    assert (place.line, place.column) == (pytest.approx(middle, abs=0.3), pytest.approx(45.0))
     assert place.half_width == pytest.approx(13.5, abs=0.5)
 
 

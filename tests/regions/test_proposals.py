@@ -422,8 +422,7 @@ def test_proposals__go_into_a_file_and_back(car: tuple[xr.Dataset, Any], tmp_pat
     found = car[1]
     path = hp.write_regions(found, tmp_path / "cars.geojson")
     again = hp.read_regions(path)
-    assert again.names == found.names
-    assert len(json.loads(path.read_text())["features"]) == len(found)
+    assert (again.names, len(json.loads(path.read_text())["features"])) == (found.names, len(found))
     assert again[0].flightline == "raw_0"
 
 

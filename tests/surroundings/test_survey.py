@@ -120,8 +120,7 @@ def test_channels_that_most_pixels_lack_are_left_out() -> None:
     channels[..., 1] = np.nan
     channels[0, 0] = np.nan
     left, numbers = without_unknown(channels, np.array([0, 0, 1, -1, 2]))
-    assert left.shape == (4, 5, 2)
-    assert numbers.tolist() == [0, 0, -1, -1, 1]
+    assert (left.shape, numbers.tolist()) == ((4, 5, 2), [0, 0, -1, -1, 1])
     channels[:] = np.nan
     assert without_unknown(channels, np.arange(3))[0].shape == (4, 5, 3)
 
@@ -195,8 +194,7 @@ def test_segments_split_where_materials_meet() -> None:
     assert segments.size.tolist() == [24 * 12, 24 * 18]
     assert not segments.sure[3, 3]
     pairs = touching(segments.number, 2)
-    assert pairs.one.tolist() == [0, 1]
-    assert pairs.length.tolist() == [24, 24]
+    assert (pairs.one.tolist(), pairs.length.tolist()) == ([0, 1], [24, 24])
     assert pairs.sides.tolist() == [[0, 0, 24, 0], [0, 0, 0, 24]]
 
 

@@ -75,7 +75,10 @@ def synthetic_library(
     """
     paints = xr.Dataset()
     if MEMBERS in values and values[MEMBERS].shape[1] > 1:
-        values = {**values, **_spread(values[MEMBERS])}
+        # paint by paint: a copy of all members would double the memory
+        spreads = [_spread_of_paint(paint[np.isfinite(paint).any(axis=1)]) for paint in values[MEMBERS]]
+        sds, quantiles = (np.stack(arrays) for arrays in zip(*spreads, strict=True))
+        values = {**values, "reflectance_sd": sds, "reflectance_quantiles": quantiles}
         paints = paints.assign_coords(
             {QUANTILE: (QUANTILE, np.array(QUANTILES), LIBRARY_VARIABLES[QUANTILE].attrs)}
         )
@@ -110,16 +113,6 @@ def synthetic_library(
         **attrs,
     }
     return paints
-
-
-def _spread(members: Array) -> dict[str, Array]:
-    # Standard deviation and quantiles of members (signature, member, band); NaN where undefined.
-    # Paint by paint: a copy of all members would double the memory.
-    spreads = [_spread_of_paint(paint[np.isfinite(paint).any(axis=1)]) for paint in members]
-    return {
-        "reflectance_sd": np.stack([sd for sd, _ in spreads]),
-        "reflectance_quantiles": np.stack([quantiles for _, quantiles in spreads]),
-    }
 
 
 def _spread_of_paint(members: Array) -> tuple[Array, Array]:
