@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from hyperpaint.regions.proposals.cars import Level, Place, level_light, level_place
-from hyperpaint.regions.proposals.footprints import Footprint, Roof
+from hyperpaint.regions.proposals.footprints import Footprint, Roof, find_roof
 
 Floats = npt.NDArray[np.float64]
 AXIS = np.array([0.0, 1.0])
@@ -165,3 +165,47 @@ def test_axis__is_less_sure_without_edges() -> None:
     footprint, roof = roofed(30.0, 13.0, 0.02)
     endless = level_place(footprint._replace(brightness=np.ones((60, 90))), roof)
     assert (endless.line, endless.across_sd) == (31.0, pytest.approx(1.7 / np.sqrt(3.0)))
+
+
+# --- which section is a roof -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("windows", "beside", "width", "is_roof"),
+    [
+        (((40, 50), (61, 70)), 0, 40, False),  # a roof is longer than 12 % of its car
+        (((40, 50), (63, 72)), 0, 40, True),
+        (((0, 10), (29, 39)), 19, 40, False),  # than 20 % without a bonnet before its windscreen
+        (((0, 10), (31, 41)), 21, 40, True),
+        (((0, 25), (55, 65)), 4, 40, False),  # with side windows along 15 % of it
+        (((0, 25), (55, 65)), 5, 40, True),
+        (((11, 21),), 0, 40, False),  # the roof of a van is at most 78 % of it
+        (((11, 23),), 0, 40, True),
+        (((30, 46),), 0, 40, False),  # and at least 55 %
+        (((30, 44),), 0, 40, True),
+        (((9, 24),), 0, 40, False),  # a bonnet has 10 % at least
+        (((20, 41),), 0, 40, False),  # and a windscreen 20 % at most
+        (((20, 39),), 0, 40, True),
+        (((35, 55),), 21, 40, False),  # a section that is longer than a bonnet has side windows along half
+        (((35, 55),), 24, 40, True),
+        (((50, 70),), 17, 40, False),  # any other along 60 %
+        (((50, 70),), 19, 40, True),
+        (((20, 39),), 0, 60, False),  # cars are 1.7 to 3.3 times as long as wide
+        (((20, 39),), 0, 58, True),
+        (((20, 39),), 0, 30, False),
+        (((20, 39),), 0, 31, True),
+    ],
+)
+def test_roofs__are_told_by_proportions(
+    windows: tuple[tuple[int, int], ...], beside: int, width: int, is_roof: bool
+) -> None:
+    """Expected: a roof on one side of every threshold, none on the other; side windows begin the section."""
+    level = np.full((width, 100), 0.5)
+    for first, last in windows:
+        level[6 : width - 6, first:last] = 0.02
+    section = windows[0][1]
+    level[3:6, section : section + beside] = level[width - 6 : width - 3, section : section + beside] = 0.02
+    area = np.ones(level.shape, bool)
+    centre = np.array([0.5 * (width - 1), 49.5])
+    car = Footprint((0, 0), level > 0.1, area, level / 0.5, AXIS, centre, 100.0, float(width), False)
+    assert isinstance(find_roof(car, level), Roof) is is_roof
