@@ -27,8 +27,8 @@ if __package__ in (None, ""):  # run as a script: `campaigns` is then not import
     sys.path.insert(0, str(ROOT))
 
 from campaigns.faults import parsers  # noqa: E402
+from campaigns.faults.outcome import MOST_BYTES, begin_peak, resident  # noqa: E402
 
-MOST_BYTES = 256 * 2**20
 MOST_SECONDS_A_BYTE = 2.0 / 10e6
 MOST_SLOPE = 1.2
 #: Seconds below which a time is that of the clock and the disk, and no slope is taken of it.
@@ -56,7 +56,7 @@ def measure(name: str, path: Path, results: Any) -> None:
     """Send seconds, the growth of memory and how it ended; what is imported is in memory already."""
     warnings.simplefilter("ignore")
     gc.freeze()  # objects of the process that was forked are not the reader's to walk through, and to copy
-    before = parsers.begin_peak()
+    before = begin_peak()
     begun, ending = time.process_time(), "read"
     try:
         parsers.PARSERS[name].read(path)
@@ -65,7 +65,7 @@ def measure(name: str, path: Path, results: Any) -> None:
     except BaseException as error:
         ending = f"WRONG: {type(error).__name__}: {str(error)[:60]}"
     seconds = time.process_time() - begun
-    results.send({"seconds": seconds, "bytes": parsers.resident("VmHWM") - before, "ending": ending})
+    results.send({"seconds": seconds, "bytes": resident("VmHWM") - before, "ending": ending})
 
 
 def measured(name: str, path: Path, limit_s: float) -> dict[str, Any]:

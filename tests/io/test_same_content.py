@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from campaigns.faults.whole_files import prepare, sixs_text
+from campaigns.faults.seed_files import prepare, sixs_text
 
 import hyperpaint as hp
 from hyperpaint.base.errors import PaintError, PaintWarning
