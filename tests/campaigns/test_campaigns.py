@@ -122,6 +122,7 @@ in_a_fork = [
     pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="memory is counted by Linux"),
     # the child never comes back to where the warning could matter
     pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning"),
+    pytest.mark.usefixtures("warm"),
 ]
 #: Each stands for a kind; the campaign `bombs` tries them all.
 QUICK = (
@@ -176,7 +177,7 @@ def warm() -> None:
 
 
 class TestBombs:
-    pytestmark = (*in_a_fork, pytest.mark.usefixtures("warm"))
+    pytestmark = in_a_fork
 
     @pytest.mark.parametrize(("name", "door"), QUICK)
     def test_a_bomb_is_refused(self, name: str, door: str) -> None:
