@@ -22,7 +22,7 @@ from hyperpaint.base.input_files import open_input
 from hyperpaint.base.schema import BAND
 from hyperpaint.base.units import takes_quantities
 from hyperpaint.io.files.publishing import published_files, unwritable
-from hyperpaint.io.store.stages import in_stages
+from hyperpaint.io.store.computing import in_stages
 
 from .map_grids import RGB_WAVELENGTHS, Grid, nearest_bands, product_of, required_grid, storable
 from .rasters import TIFF, open_raster
