@@ -18,13 +18,25 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a script: `campaigns` is then not importable yet
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from campaigns.faults import bombs, disks, interruptions, parsers, storage, times, workers
+from campaigns.faults import (
+    bombs,
+    disks,
+    interruptions,
+    long_texts,
+    parsers,
+    storage,
+    store_sequences,
+    times,
+    workers,
+)
 from campaigns.faults.outcome import HEADER, Outcome, total
 
 CAMPAIGNS = {
     "parsers": parsers.campaign,
+    "texts": long_texts.campaign,
     "bombs": bombs.campaign,
     "storage": storage.campaign,
+    "sequences": store_sequences.campaign,
     "workers": workers.campaign,
     "kills": interruptions.kills,
     "calls": interruptions.calls,

@@ -1,20 +1,17 @@
 """Sequences of what is done to a store, drawn by hypothesis: it is whole just where the wanted set is there.
 
-    python tests/campaigns/store_sequences.py --examples 300
-
 A model knows what the store is to hold and what it holds; after every step `open_store` and the comparison of
 the sets must say the same, and `verify` must not say more.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import shutil
-import sys
 import tempfile
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,10 +28,6 @@ from hypothesis.stateful import (
     rule,
     run_state_machine_as_test,
 )
-
-if __package__ in (None, ""):  # run as a script: `support` is then not importable yet
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from support.tiny_collects import tiny_collect
 
 import hyperpaint as hp
@@ -42,12 +35,15 @@ from hyperpaint.base.errors import PaintError
 from hyperpaint.io.store.location import Location
 from hyperpaint.io.store.manifest import store_state
 
-__all__ = ["StoreSequence", "run_sequences"]
+from .outcome import SCRATCH, Outcome
+
+__all__ = ["StoreSequence", "campaign", "run_sequences"]
+
+SEQUENCES = 300
 
 LINES = ("flightlines/raw_0", "flightlines/raw_1", "flightlines/raw_2")
 KINDS = ("a", "b")
 STOPS = (None, None, 0, 1, 2, "seal")
-_SCRATCH = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
 
 
 class StoreSequence(RuleBasedStateMachine):
@@ -55,7 +51,7 @@ class StoreSequence(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.folder = Path(tempfile.mkdtemp(dir=_SCRATCH))
+        self.folder = Path(tempfile.mkdtemp(dir=SCRATCH))
         collect = tiny_collect(self.folder / "raw", len(LINES))
         text = collect.read_text()
         self.collects = {kind: collect.with_name(f"{kind}.toml") for kind in KINDS}
@@ -92,7 +88,7 @@ class StoreSequence(RuleBasedStateMachine):
     @rule(
         kind=st.sampled_from(KINDS),
         overwrite=st.booleans(),
-        stop=st.sampled_from((None, None, 0, 1, 2, "seal")),
+        stop=st.sampled_from(STOPS),
     )
     def process(self, kind: str, overwrite: bool, stop: Any) -> None:
         """Process a version, to the end or until a kill before a group gets its place, or before the seal."""
@@ -239,16 +235,12 @@ def run_sequences(examples: int, steps: int = 8, *, derandomize: bool = False) -
     )
 
 
-def main() -> int:
-    """Run what the command line asks for."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--examples", type=int, default=300)
-    parser.add_argument("--steps", type=int, default=8)
-    asked = parser.parse_args()
-    run_sequences(asked.examples, asked.steps)
-    print(f"{asked.examples} sequences of up to {asked.steps} steps: none went wrong")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def campaign(scale: float = 1.0, *, first: int = 0) -> Iterator[Outcome]:
+    """Yield the outcome of sequences of up to eight steps; each call draws others."""
+    examples = max(1, round(SEQUENCES * scale))
+    outcome = Outcome("sequences of a store", examples)
+    try:
+        run_sequences(examples)
+    except AssertionError as error:
+        outcome.wrong.append(f"{error!s:.600}")
+    yield outcome
