@@ -53,7 +53,6 @@ __all__ = [
 GROUP = "flightlines/raw_0"
 RACES = 50
 VERSIONS = ("older", "newer")
-_MOST_CALLS = 2000
 #: What verify says of a whole group between its place and the root's list, where a kill may leave it.
 UNLISTED = "/: the root has no list of all metadata"
 _REPORT_TIME = re.compile(rb"[0-9: -]+ UTC by hyperpaint")
