@@ -23,8 +23,7 @@ from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store
 from hyperpaint.paints.starter_paints import starter_library
 
-from .explorer import FULL_WIDTH, Explorer
-from .explorer_figures import INK
+from .explorer import FULL_WIDTH, INK, Explorer
 from .explorer_state import Explored
 
 

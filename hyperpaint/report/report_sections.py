@@ -20,14 +20,13 @@ from hyperpaint.base.arrays import Array
 from hyperpaint.base.errors import PaintError, SchemaError
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, rename_to_roles
 from hyperpaint.paints.colours import paint_colours
-from hyperpaint.pictures.figures import data_uri, encode_png, new_figure
-from hyperpaint.pictures.orientation import flown_right, orientation_of
-from hyperpaint.pictures.paint_cards import paint_card
+from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, new_figure, orientation_of
 from hyperpaint.pictures.plot import draw_irradiance, draw_spread, flag_label, flags_of, rgb
 from hyperpaint.pictures.plot_calibration import calibration_report, draw_gain
 from hyperpaint.pictures.plot_flags import background, draw_outlines, flag_overlay
-from hyperpaint.pictures.plot_panels import draw_panels
+from hyperpaint.pictures.plot_paints import paint_card
 from hyperpaint.pictures.plot_spectra import draw_uncertainties, find_usable, library_overview
+from hyperpaint.pictures.plot_validation import draw_panels
 from hyperpaint.radiometry.counts_to_reflectance import reflectance
 from hyperpaint.regions import Region, regions_from
 

@@ -28,8 +28,7 @@ from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store import to_store
 from hyperpaint.paints.colours import paint_colours, srgb_hex
-from hyperpaint.pictures.figures import encode_png
-from hyperpaint.pictures.orientation import flown_right, orientation_of
+from hyperpaint.pictures.figures import encode_png, flown_right, orientation_of
 from hyperpaint.pictures.plot import flag_label, rgb
 from hyperpaint.pictures.plot_spectra import find_usable
 from hyperpaint.radiometry.counts_to_reflectance import reflectance

@@ -13,8 +13,7 @@ from hyperpaint.base import schema
 from hyperpaint.base.schema import ALONG_TRACK, BAND, IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH
 from hyperpaint.io.maps.map_grids import Grid, grid_of
 from hyperpaint.paints.colours import paint_colours, srgb_hex
-from hyperpaint.pictures.figures import data_uri, encode_png
-from hyperpaint.pictures.orientation import flown_right, orientation_of
+from hyperpaint.pictures.figures import data_uri, encode_png, flown_right, orientation_of
 
 from .pages import page_part
 

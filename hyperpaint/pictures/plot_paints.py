@@ -1,9 +1,10 @@
-"""The card of a paint: its region, the excluded pixels, and its signature with the 95 % interval."""
+"""Paints as chips beside the scenes rendered with them."""
 
 from __future__ import annotations
 
 import json
 import textwrap
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,136 @@ from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, SIGNATURE, Quality
 from hyperpaint.base.units import takes_quantities
-from hyperpaint.paints.colours import paint_colours
+from hyperpaint.paints.colours import paint_colours, srgb
 from hyperpaint.paints.signatures.extraction import EXCLUDED
 from hyperpaint.paints.signatures.pixel_statistics import excluded_of
 from hyperpaint.regions import Region, Regions, pixels_of, regions_from
 
-from .figures import columns_for, ink_of, label_for, legend_below, new_figure, save_figure
-from .orientation import orientation_of, show_picture
+from .figures import (
+    columns_for,
+    ink_of,
+    label_for,
+    legend_below,
+    new_figure,
+    orientation_of,
+    save_figure,
+    show_picture,
+)
 from .plot import flag_label, percent, rgb
 from .plot_flags import draw_outlines
 from .plot_spectra import draw_band, draw_curve, find_usable, good_bands, styles_of
+
+MAX_CHIPS = 60
+_CHIP_PX = 16  # pixels along a chip's side; a pixel shows a member of the population
+_CHIP_INCH, _RENDER_INCH = 0.85, 4.2  # widths
+
+
+@takes_quantities()
+@documented(path="picture")
+def chips_and_renders(
+    paints: xr.Dataset,
+    renders: xr.Dataset | Mapping[str, xr.Dataset],
+    path: str | Path | None = None,
+    *,
+    columns: int = 7,
+    stretch: tuple[float, float] = (1.0, 99.0),
+) -> Any:
+    """Draw the paints of a library as chips above scenes rendered with them.
+
+    Parameters
+    ----------
+    paints
+        A paint library. The pixels of a chip show members of the paint's population, if the library has it.
+    renders
+        A render from `hyperpaint.simulation.relight` or a group of `hyperpaint.render_scene`; or several by
+        the name of their light.
+    path
+    columns
+        Chips side by side.
+    stretch
+        As for `hyperpaint.pictures.rgb`, for every render.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        At most 60 chips.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        The library is no paint library or has no paints; there is no render, or a render has fewer than three
+        visible bands; or matplotlib cannot write this type of picture.
+
+    Examples
+    --------
+    >>> from hyperpaint.paints import starter_library
+    >>> from hyperpaint.simulation import simulate_line
+    >>> paints, line = starter_library(members=0), simulate_line(lines=32, bands=40, columns=24)
+    >>> figure = chips_and_renders(paints.isel(signature=[0, 5]), line)
+    >>> [axes.get_title() for axes in figure.axes][:2]
+    ['Synthetic Polar White', 'Synthetic Signal Red']
+    """
+    paints, problems = find_usable(paints)
+    variables = schema.require(paints, ["reflectance", "wavelength"], "chips", schema.LIBRARY_VARIABLES)
+    lines: dict[str, Any] = {"": renders}
+    if isinstance(renders, Mapping) and not hasattr(renders, "dims"):
+        lines = dict(renders)
+    if problems or not paints.sizes[SIGNATURE] or not lines:
+        reason = "; ".join(problems) or f"{paints.sizes[SIGNATURE]} paints and {len(lines)} renders"
+        raise SchemaError(f"a collage needs a paint library and a render: {reason}", code="empty-input")
+    count = min(paints.sizes[SIGNATURE], MAX_CHIPS)
+    columns = max(1, min(columns, count))
+    rows = -(-count // columns)
+    orientations = {name: orientation_of(line) for name, line in lines.items()}
+    tallest = max(
+        min(orientation.height_of(_RENDER_INCH), 2.5 * _RENDER_INCH) for orientation in orientations.values()
+    )
+    chip_height = 1.25 * _CHIP_INCH * rows
+    width = max(_RENDER_INCH * len(lines), (_CHIP_INCH + 0.2) * columns)
+    figure = new_figure(
+        "a collage of chips and renders", figsize=(width, chip_height + tallest + 0.6), layout="constrained"
+    )
+    chip_figure, render_figure = figure.subfigures(2, 1, height_ratios=(chip_height, tallest + 0.4))
+    colours = paint_colours(paints)
+    for number, axes in enumerate(chip_figure.subplots(rows, columns, squeeze=False).ravel()):
+        axes.set_axis_off()
+        if number < count:
+            paint = paints.isel({SIGNATURE: number})
+            axes.imshow(
+                _chip(paint, variables["wavelength"].values, colours[number]), interpolation="nearest"
+            )
+            axes.set_title(label_for(str(paint[SIGNATURE].values), 26), fontsize=6, pad=2)
+    plots = render_figure.subplots(1, len(lines), squeeze=False)[0]
+    for axes, (name, line) in zip(plots, lines.items(), strict=True):
+        show_picture(axes, rgb(line, stretch=stretch).values, orientations[name])
+        axes.set_axis_off()
+        axes.set_title(label_for(name.replace("_", " ")), fontsize="small")
+    save_figure(figure, path, dpi=150)
+    return figure
+
+
+def _chip(paint: xr.Dataset, wavelength: Array, colour: Array) -> Array:
+    # (row, column, rgb), 0 to 1; pixels show random members of the population, else the colour of the paint
+    uniform = np.broadcast_to(np.nan_to_num(colour), (_CHIP_PX, _CHIP_PX, 3))
+    if "member_reflectance" not in paint.variables:
+        return np.asarray(uniform)
+    is_visible = good_bands(paint) & (wavelength > 380.0) & (wavelength < 780.0)
+    members = np.asarray(paint["member_reflectance"].transpose(schema.MEMBER, schema.BAND).values)[
+        :, is_visible
+    ]
+    members = members[np.isfinite(members).all(axis=1)]
+    if len(members) < 2 or is_visible.sum() < 3:
+        return np.asarray(uniform)
+    numbers = np.random.default_rng(0).integers(len(members), size=_CHIP_PX**2)
+    return np.asarray(srgb(members, wavelength[is_visible])[numbers].reshape(_CHIP_PX, _CHIP_PX, 3)).clip(
+        0.0, 1.0
+    )
+
+
+# --- the card of a paint: its region, the excluded pixels, and its signature with the 95 % -----------------
+
 
 MARGIN = 0.6  # margin drawn around a region, relative to the longer side of the region
 MIN_MARGIN_PX = 14
@@ -245,3 +366,102 @@ def _interval(signature: xr.Dataset) -> Array | None:
     if not uncertainties or not any(u.any() for u in uncertainties):
         return None
     return np.asarray(COVERAGE * np.sqrt(sum(u**2 for u in uncertainties)))
+
+
+# --- receiver operating characteristics of paint detection -------------------------------------------------
+
+
+_COLOURS = ("#3399DD", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#999999")
+
+
+@documented(path="picture")
+def detection_curve(
+    detections: xr.Dataset | Mapping[str, xr.Dataset],
+    truth: Any,
+    path: str | Path | None = None,
+    *,
+    width: float = 6.0,
+) -> Any:
+    """Draw the detection rate of paints against the false alarm rate, over all thresholds (ROC).
+
+    Eager.
+
+    Parameters
+    ----------
+    detections
+        Result of `hyperpaint.paints.detect`, or several by name, such as one per method.
+    truth
+        Pixels that show one of the paints, (along_track, cross_track) bool.
+    path
+    width
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One curve per result: along it the thresholds of all paints are shifted by the same amount. A dot
+        marks the detections after rejection of unknown paints; the vertical line is the requested false alarm
+        rate.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    SchemaError
+        The input holds no detections, or ``truth`` has another shape, or is True or False everywhere.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> pixel, unit = ("along_track", "cross_track"), {"units": "1"}
+    >>> result = xr.Dataset({"detection_score": (pixel, np.float32([[0.1, 0.9, 0.2, 0.8]]), unit),
+    ...                     "best_paint": (pixel, np.int16([[0, 0, 0, 0]])),
+    ...                     "score_threshold": ("signature", [0.5], unit),
+    ...                     "detected": (pixel, [[False, True, False, True]])})
+    >>> figure = detection_curve({"ACE": result}, [[False, True, False, False]])
+    >>> figure.axes[0].lines[0].get_ydata().tolist()
+    [1.0, 1.0, 1.0, 1.0]
+    """
+    by_name: Any = {"": detections} if "detected" in detections else detections
+    is_target = np.asarray(getattr(truth, "values", truth), bool)
+    figure = new_figure("a detection curve", figsize=(width, 0.8 * width), layout="constrained")
+    axes = figure.add_subplot()
+    for number, (name, result) in enumerate(dict[str, Any](by_name).items()):
+        alarms, hits, dot = _curve(result, is_target)
+        colour = _COLOURS[number % len(_COLOURS)]
+        axes.plot(alarms, hits, color=colour, label=name or str(result.attrs.get("method", "")))
+        axes.plot(max(dot[0], alarms[0]), dot[1], "o", color=colour)
+        rate = result.attrs.get("false_alarm_rate")
+        if rate is not None:
+            axes.axvline(rate, color=ink_of(axes, 0.5), linewidth=0.8, linestyle="--")
+    axes.set(xscale="log", ylim=(0.0, 1.02))
+    axes.set_xlabel("false alarm rate, share of other pixels [1]")
+    axes.set_ylabel("detection rate, share of the paint's pixels [1]")
+    legend_below(axes)
+    save_figure(figure, path)
+    return figure
+
+
+def _curve(detections: xr.Dataset, is_target: Any) -> tuple[Any, Any, tuple[float, float]]:
+    # false alarm and detection rates over all thresholds, and the two rates of the stored detections
+    names = ("detection_score", "best_paint", "score_threshold", "detected")
+    arrays = schema.require(schema.rename_to_roles(detections), names, "a detection curve")
+    score, paint, threshold, detected = (arrays[name].values for name in names)
+    if is_target.shape != score.shape:
+        raise SchemaError(
+            f"truth has shape {is_target.shape}",
+            expected=f"{score.shape}, as the detections",
+            code="grid-mismatch",
+        )
+    has_score = paint >= 0
+    margin = (score - threshold[paint])[has_score]
+    is_hit = is_target[has_score]
+    if not is_hit.any() or is_hit.all():
+        raise SchemaError(
+            f"truth is {bool(is_hit.any())} everywhere",
+            expected="True for pixels with a paint, False for all other pixels",
+            code="truth-uniform",
+        )
+    order = np.argsort(-margin, kind="stable")
+    hits, alarms = np.cumsum(is_hit[order]) / is_hit.sum(), np.cumsum(~is_hit[order]) / (~is_hit).sum()
+    dot = detected[has_score & ~is_target].mean(), detected[has_score & is_target].mean()
+    return np.maximum(alarms, 0.5 / (~is_hit).sum()), hits, dot
