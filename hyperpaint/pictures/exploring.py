@@ -17,7 +17,7 @@ import xarray as xr
 
 from hyperpaint.base.errors import StoreError, needs_extra
 from hyperpaint.base.facts import documented
-from hyperpaint.base.keyword_names import renamed
+from hyperpaint.base.old_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, rename_to_roles
 from hyperpaint.io.library import open_library
 from hyperpaint.io.store import list_groups, open_store

@@ -24,8 +24,7 @@ from hyperpaint.io.flightline.flightline_opening import FlightlineInputs
 from hyperpaint.io.flightline.headwall import cube_number, match_frames, read_frame_index
 from hyperpaint.io.flightline.timing import Timing
 from hyperpaint.light.clear_sky import ClearSky
-from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines
-from hyperpaint.radiometry.plausible_light import light_level
+from hyperpaint.radiometry.planning import SAME_EXPOSURE_SHARE, darks_of_lines, light_level
 
 from .finding import KINDS, Finding
 

@@ -23,7 +23,7 @@ from hyperpaint.base.constants import KEPT_BITS
 from hyperpaint.base.errors import FormatError, PaintWarning, SchemaError, StoreError
 from hyperpaint.base.facts import documented
 from hyperpaint.base.input_files import read_limited
-from hyperpaint.base.keyword_names import renamed
+from hyperpaint.base.old_names import renamed
 from hyperpaint.base.schema import ALONG_TRACK, CROSS_TRACK, Quality, numbers_of, rename_to_roles
 from hyperpaint.io.files.publishing import published_folder
 from hyperpaint.io.store import to_store

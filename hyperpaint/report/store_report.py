@@ -19,7 +19,7 @@ import xarray as xr
 from hyperpaint.base.arrays import Progress
 from hyperpaint.base.errors import SchemaError
 from hyperpaint.base.facts import documented
-from hyperpaint.base.keyword_names import renamed
+from hyperpaint.base.old_names import renamed
 from hyperpaint.base.progress_reports import part_of
 from hyperpaint.io.files.publishing import check_place, publish_file
 from hyperpaint.io.store.groups import version_of_program

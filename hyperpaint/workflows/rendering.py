@@ -46,7 +46,7 @@ from hyperpaint.base.constants import NUMERICS_VERSION
 from hyperpaint.base.errors import Problems, SchemaError, StoreError
 from hyperpaint.base.facts import arguments_of, as_argument, documented
 from hyperpaint.base.input_files import open_input
-from hyperpaint.base.keyword_names import renamed
+from hyperpaint.base.old_names import renamed
 from hyperpaint.base.schema import CHUNK_LINES, FORMAT_VERSION
 from hyperpaint.io.store import list_groups, open_group, open_store
 from hyperpaint.io.store.budget import size_text

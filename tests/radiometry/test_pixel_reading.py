@@ -39,7 +39,7 @@ SELECTIONS: list[dict[str, Any]] = [
 @pytest.fixture(autouse=True)
 def cache(monkeypatch: pytest.MonkeyPatch) -> plan_cache.PlanCache:
     fresh = plan_cache.PlanCache()
-    monkeypatch.setattr("hyperpaint.radiometry.plan_cache.PLANS", fresh)
+    monkeypatch.setattr("hyperpaint.radiometry.planning.PLANS", fresh)
     monkeypatch.setattr("hyperpaint.radiometry.pixel_reading.PLANS", fresh)
     return fresh
 

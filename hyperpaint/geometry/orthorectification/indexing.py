@@ -10,8 +10,7 @@ import numpy as np
 
 from hyperpaint.base.arrays import Array, Bools, Floats, Ints
 from hyperpaint.kernels.arguments import InverseTile, LinePositions, MapCells, Places
-from hyperpaint.kernels.gathering import gather_bilinear, gather_nearest
-from hyperpaint.kernels.inverse_map import fill_between, invert_lines
+from hyperpaint.kernels.inverse_map import fill_between, gather_bilinear, gather_nearest, invert_lines
 
 from .grids import MapGrid, Survey
 

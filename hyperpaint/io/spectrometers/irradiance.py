@@ -15,8 +15,14 @@ import numpy.typing as npt
 import xarray as xr
 
 from hyperpaint.base.arrays import Floats
-from hyperpaint.base.constants import MID_EXPOSURE_OFFSETS
-from hyperpaint.base.daylight import DULL_MEDIAN, HIGHEST_MEDIAN, LOWEST_MEDIAN, brightest_median, unit_slip
+from hyperpaint.base.constants import (
+    DULL_MEDIAN,
+    HIGHEST_MEDIAN,
+    LOWEST_MEDIAN,
+    MID_EXPOSURE_OFFSETS,
+    brightest_median,
+    unit_slip,
+)
 from hyperpaint.base.errors import FormatError, PaintWarning, Problems, SchemaError, TimeError, UnitsError
 from hyperpaint.base.facts import is_number, one_of
 from hyperpaint.base.schema import IRRADIANCE_TIME, IRRADIANCE_WAVELENGTH, VARIABLES, label, require

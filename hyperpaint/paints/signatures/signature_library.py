@@ -23,7 +23,7 @@ from hyperpaint.base.schema import (
 )
 from hyperpaint.light.diffuse_record import sky_state_attrs
 from hyperpaint.light.sun import solar_position
-from hyperpaint.radiometry.uncertainty.mean_errors import MeanErrors, RegionSums, error_variables
+from hyperpaint.radiometry.uncertainty.averages import MeanErrors, RegionSums, error_variables
 from hyperpaint.radiometry.uncertainty.propagation import NONE_KNOWN, UNCERTAINTIES
 from hyperpaint.regions import Regions
 from hyperpaint.regions.pixels_in_regions import Pixels
